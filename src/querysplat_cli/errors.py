@@ -1,0 +1,41 @@
+"""Errors a user can do something about."""
+
+from enum import IntEnum
+
+
+class ExitCode(IntEnum):
+    """Process exit codes, as documented in docs/cli.md."""
+
+    DONE = 0
+    BUG = 1
+    BAD_INPUT = 2
+    IMPOSSIBLE = 3
+    MISSING_PART = 4
+    INTERRUPTED = 130
+
+
+class QuerySplatError(Exception):
+    """What is wrong, in one line, and what to do about it, in another.
+
+    The command line prints both and exits with `code`; nothing else derives from a message's wording.
+    """
+
+    def __init__(self, message: str, hint: str = "", code: ExitCode = ExitCode.BAD_INPUT) -> None:
+        super().__init__(message)
+        self.message = message
+        self.hint = hint
+        self.code = code
+
+
+class ImpossibleScene(QuerySplatError):
+    """The input is sound, but no scene can be made of it (no overlap, too few views)."""
+
+    def __init__(self, message: str, hint: str = "") -> None:
+        super().__init__(message, hint, ExitCode.IMPOSSIBLE)
+
+
+class MissingPart(QuerySplatError):
+    """Weights, an optional package or a device that the request needs is not there."""
+
+    def __init__(self, message: str, hint: str = "") -> None:
+        super().__init__(message, hint, ExitCode.MISSING_PART)

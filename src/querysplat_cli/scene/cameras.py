@@ -1,0 +1,65 @@
+"""Pinhole cameras of a scene."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from querysplat_cli.scene.sim3 import Sim3
+
+
+@dataclass(frozen=True)
+class Cameras:
+    """Views that share one canvas of `height` × `width` pixels.
+
+    `w2c` are OpenCV world-to-camera matrices (x right, y down, z forward); `K` are in pixels of the
+    canvas, pixel centres at +0.5. A photo smaller than the canvas sits in its top-left corner, so its
+    intrinsics are those of the photo itself.
+    """
+
+    w2c: Float[Tensor, "views 4 4"]
+    K: Float[Tensor, "views 3 3"]
+    height: int
+    width: int
+
+    def __len__(self) -> int:
+        return len(self.w2c)
+
+    def __getitem__(self, index: slice | Sequence[int] | Tensor) -> "Cameras":
+        return replace(self, w2c=self.w2c[index], K=self.K[index])
+
+    @property
+    def c2w(self) -> Float[Tensor, "views 4 4"]:
+        """Camera-to-world, by the transpose: exact for rotations, unlike a general inverse."""
+        rotation = self.w2c[:, :3, :3].mT
+        c2w = torch.zeros_like(self.w2c)
+        c2w[:, :3, :3] = rotation
+        c2w[:, :3, 3:] = -rotation @ self.w2c[:, :3, 3:]
+        c2w[:, 3, 3] = 1
+        return c2w
+
+    @property
+    def centres(self) -> Float[Tensor, "views 3"]:
+        """Camera centres in the world."""
+        return self.c2w[:, :3, 3]
+
+    def to(self, target: torch.dtype | torch.device | str) -> "Cameras":
+        return replace(self, w2c=self.w2c.to(target), K=self.K.to(target))
+
+    def resized(self, height: int, width: int) -> "Cameras":
+        """The same cameras for a canvas of another size (each axis scaled on its own)."""
+        K = self.K.clone()
+        K[:, 0] *= width / self.width
+        K[:, 1] *= height / self.height
+        return replace(self, K=K, height=height, width=width)
+
+    def transformed(self, similarity: Sim3) -> "Cameras":
+        """The same cameras when the world is moved by `similarity` (camera axes keep unit length)."""
+        w2c = self.w2c.double()
+        moved = torch.zeros_like(w2c)
+        moved[:, :3, :3] = w2c[:, :3, :3] @ similarity.rotation.T
+        moved[:, :3, 3] = similarity.scale * w2c[:, :3, 3] - moved[:, :3, :3] @ similarity.translation
+        moved[:, 3, 3] = 1
+        return replace(self, w2c=moved.to(self.w2c.dtype))

@@ -1,0 +1,44 @@
+"""The scene itself: a set of 3D Gaussians."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class Gaussians:
+    """N Gaussians in world coordinates.
+
+    `quats` are w, x, y, z, not necessarily normalised; `scales` are linear standard deviations in scene
+    units; `opacities` lie in (0, 1); `sh` are real spherical harmonics in the 3DGS order and sign, so that
+    colour = max(0, 0.5 + Σ sh·basis(direction)). Logs and logits exist only in files and optimisers.
+    """
+
+    means: Float[Tensor, "n 3"]
+    quats: Float[Tensor, "n 4"]
+    scales: Float[Tensor, "n 3"]
+    opacities: Float[Tensor, "n"]
+    sh: Float[Tensor, "n bands 3"]
+
+    def __len__(self) -> int:
+        return len(self.means)
+
+    @property
+    def sh_degree(self) -> int:
+        return int(round(self.sh.shape[1] ** 0.5)) - 1
+
+    def map(self, change: Callable[[Tensor], Tensor]) -> "Gaussians":
+        """The result of applying `change` to every field."""
+        return Gaussians(**{field.name: change(getattr(self, field.name)) for field in fields(self)})
+
+    def __getitem__(self, index: slice | Tensor) -> "Gaussians":
+        return self.map(lambda field: field[index])
+
+    def detach(self) -> "Gaussians":
+        return self.map(Tensor.detach)
+
+    def to(self, target: torch.dtype | torch.device | str) -> "Gaussians":
+        return self.map(lambda field: field.to(target))

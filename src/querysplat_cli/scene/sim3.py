@@ -1,0 +1,98 @@
+"""Similarities of 3D space: x ↦ scale·R·x + t."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from querysplat_cli.errors import ImpossibleScene
+
+
+class DegenerateAlignment(ImpossibleScene):
+    """The correspondences leave part of the similarity free."""
+
+
+@dataclass(frozen=True)
+class Sim3:
+    """x ↦ scale·rotation·x + translation, in float64."""
+
+    scale: float
+    rotation: Float[Tensor, "3 3"]
+    translation: Float[Tensor, "3"]
+
+    @staticmethod
+    def identity() -> "Sim3":
+        return Sim3(1.0, torch.eye(3, dtype=torch.float64), torch.zeros(3, dtype=torch.float64))
+
+    def apply(self, points: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
+        """Transformed points, in the dtype of `points`."""
+        moved = self.scale * points.double() @ self.rotation.T + self.translation
+        return moved.to(points.dtype)
+
+    def inverse(self) -> "Sim3":
+        rotation = self.rotation.T
+        return Sim3(1.0 / self.scale, rotation, -(rotation @ self.translation) / self.scale)
+
+    def compose(self, first: "Sim3") -> "Sim3":
+        """The similarity that applies `first`, then this one."""
+        return Sim3(
+            self.scale * first.scale,
+            self.rotation @ first.rotation,
+            self.scale * self.rotation @ first.translation + self.translation,
+        )
+
+
+def align_sim3(source: Float[Tensor, "n 3"], target: Float[Tensor, "n 3"]) -> Sim3:
+    """Least-squares similarity with target ≈ s·R·source + t (Umeyama 1991, eq. 40–43).
+
+    Needs n ≥ 3 points that do not lie on one line; raises DegenerateAlignment otherwise,
+    because scale and rotation about that line are then free. Both in scene units.
+    """
+    x, y = source.double(), target.double()
+    mean_x, mean_y = x.mean(0), y.mean(0)
+    centred_x, centred_y = x - mean_x, y - mean_y
+    spread = torch.linalg.svdvals(centred_x)
+    if len(x) < 3 or spread[1] <= 1e-6 * spread[0]:
+        raise DegenerateAlignment(
+            f"{len(x)} points that coincide or lie on one line do not fix a similarity",
+            "Use at least three cameras that are not in a row.",
+        )
+    u, singular, vt = torch.linalg.svd(centred_y.T @ centred_x)
+    sign = torch.ones(3, dtype=torch.float64)
+    sign[2] = torch.sign(torch.linalg.det(u) * torch.linalg.det(vt))
+    rotation = u @ torch.diag(sign) @ vt
+    scale = float((singular * sign).sum() / centred_x.square().sum())
+    return Sim3(scale, rotation, mean_y - scale * rotation @ mean_x)
+
+
+def align_cameras(source: Float[Tensor, "n 4 4"], target: Float[Tensor, "n 4 4"]) -> Sim3:
+    """Similarity that maps the world of `source` onto the world of `target`, from n shared cameras.
+
+    Both are world-to-camera matrices of the same cameras in two frames. Rotation is the chordal mean of
+    the relative camera rotations, so that two cameras, or cameras in a row, are enough; scale is the
+    ratio of the spreads of the centres and translation joins their means. Raises DegenerateAlignment
+    with fewer than two cameras or when the centres coincide (scale is then free).
+    """
+    a, b = source.double(), target.double()
+    rotation_a, rotation_b = a[:, :3, :3], b[:, :3, :3]
+    centres_a = -(rotation_a.mT @ a[:, :3, 3:]).squeeze(-1)
+    centres_b = -(rotation_b.mT @ b[:, :3, 3:]).squeeze(-1)
+    u, _, vt = torch.linalg.svd((rotation_b.mT @ rotation_a).sum(0))
+    sign = torch.diag(torch.tensor([1.0, 1.0, float(torch.linalg.det(u @ vt))], dtype=torch.float64))
+    rotation = u @ sign @ vt
+    around_a, around_b = centres_a - centres_a.mean(0), centres_b - centres_b.mean(0)
+    spread = around_a.square().sum()
+    size = centres_a.abs().max().clamp_min(1e-30)
+    if len(a) < 2 or spread.sqrt() <= 1e-9 * size:
+        raise DegenerateAlignment(
+            f"{len(a)} cameras at one place do not fix the scale between two reconstructions",
+            "Use photos taken from at least two places.",
+        )
+    scale = float(((around_a @ rotation.T) * around_b).sum() / spread)
+    if not scale > 0:
+        raise DegenerateAlignment(
+            "the two sets of cameras do not agree: no positive scale maps one onto the other",
+            "At least one of the two reconstructions is wrong; add photos that overlap more.",
+        )
+    return Sim3(scale, rotation, centres_b.mean(0) - scale * rotation @ centres_a.mean(0))

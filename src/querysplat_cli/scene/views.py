@@ -1,0 +1,67 @@
+"""Photos and the images made of them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class Photo:
+    """One decoded photo: upright (EXIF orientation applied), 8-bit RGB, full size.
+
+    `focal` is the focal length in pixels of this size where EXIF gives it, None otherwise.
+    """
+
+    name: str
+    path: Path
+    pixels: np.ndarray
+    focal: float | None = None
+
+    @property
+    def height(self) -> int:
+        return int(self.pixels.shape[0])
+
+    @property
+    def width(self) -> int:
+        return int(self.pixels.shape[1])
+
+
+@dataclass(frozen=True)
+class Views:
+    """Undistorted images on one canvas, each in its top-left corner.
+
+    `images` in [0, 1], sRGB as stored; `masks` True where the canvas holds picture (False on the padding
+    of smaller photos and on the border that undistortion leaves). `sizes` are (height, width) of each
+    picture on the canvas.
+    """
+
+    images: Float[Tensor, "views 3 height width"]
+    masks: Bool[Tensor, "views height width"]
+    names: tuple[str, ...]
+    sizes: tuple[tuple[int, int], ...]
+
+    def __len__(self) -> int:
+        return len(self.images)
+
+    def __getitem__(self, index: Sequence[int]) -> "Views":
+        rows = torch.as_tensor(index, dtype=torch.long)
+        return replace(
+            self,
+            images=self.images[rows],
+            masks=self.masks[rows],
+            names=tuple(self.names[i] for i in index),
+            sizes=tuple(self.sizes[i] for i in index),
+        )
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A photo that is not used, and the reason in words."""
+
+    name: str
+    why: str
