@@ -3,11 +3,28 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from querysplat_cli.scene.sim3 import Sim3
+
+
+@dataclass(frozen=True)
+class PhotoCamera:
+    """One photo's camera as another tool knows it: OpenCV world-to-camera, and a lens with distortion.
+
+    `focal` is (fx, fy), `principal` (cx, cy) in pixels of a photo of `height` × `width`, pixel centres at
+    +0.5; `distortion` is OpenCV's (k1, k2, p1, p2).
+    """
+
+    w2c: np.ndarray
+    focal: tuple[float, float]
+    principal: tuple[float, float]
+    distortion: tuple[float, float, float, float]
+    height: int
+    width: int
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """The scene itself: a set of 3D Gaussians."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 
@@ -28,7 +29,7 @@ class Gaussians:
 
     @property
     def sh_degree(self) -> int:
-        return int(round(self.sh.shape[1] ** 0.5)) - 1
+        return math.isqrt(self.sh.shape[1]) - 1
 
     def map(self, change: Callable[[Tensor], Tensor]) -> "Gaussians":
         """The result of applying `change` to every field."""

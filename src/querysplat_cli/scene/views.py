@@ -12,9 +12,10 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class Photo:
-    """One decoded photo: upright (EXIF orientation applied), 8-bit RGB, full size.
+    """One decoded photo: upright (EXIF orientation applied), 8-bit RGB [height, width, 3].
 
-    `focal` is the focal length in pixels of this size where EXIF gives it, None otherwise.
+    Large photos are reduced as they are read, so `pixels` may be smaller than the file says. `focal` is
+    the focal length in pixels of `pixels` where EXIF gives it, None otherwise.
     """
 
     name: str

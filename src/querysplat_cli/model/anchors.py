@@ -1,0 +1,42 @@
+"""Where anchored queries stand: points spread over the VGM's point cloud, with a prior for each Gaussian."""
+
+from dataclasses import dataclass
+
+from jaxtyping import Float, Int
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class Neighbours:
+    """The rows of a memory that each query may attend to.
+
+    `bias` is added to the attention logits (a penalty on distance), the same for all heads.
+    """
+
+    index: Int[Tensor, "queries near"]
+    bias: Float[Tensor, "queries near"]
+
+
+@dataclass(frozen=True)
+class Anchors:
+    """Q anchored queries of G Gaussians each, in world coordinates.
+
+    The prior (`means`, `scales`, `quats` w x y z, `opacities`, `colours` in [0, 1]) is the scene before any
+    decoder has spoken; heads predict changes to it, lengths in units of `spacing`. `features` feed the
+    query embedding. `geometry`, `appearance` and `queries` say which rows of the two memories, and which
+    other queries, each query attends to.
+    """
+
+    means: Float[Tensor, "queries gaussians 3"]
+    scales: Float[Tensor, "queries gaussians 3"]
+    quats: Float[Tensor, "queries gaussians 4"]
+    opacities: Float[Tensor, "queries gaussians"]
+    colours: Float[Tensor, "queries gaussians 3"]
+    spacing: Float[Tensor, "queries"]
+    features: Float[Tensor, "queries channels"]
+    geometry: Neighbours
+    appearance: Neighbours
+    queries: Neighbours
+
+    def __len__(self) -> int:
+        return len(self.means)
