@@ -1,18 +1,15 @@
 """The vision geometric model (VGM): photos in; cameras, depth and features out. Always frozen."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 from jaxtyping import Float
 from torch import Tensor
 
+from querysplat_cli.progress import Progress
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.views import LeftOut, Photo, Views
-
-Progress = Callable[[str, float], None]
-"""Called with what is being done and the fraction of the stage that is finished."""
-
 
 @dataclass(frozen=True)
 class Located:
@@ -44,7 +41,7 @@ class Geometry:
     confidence: Float[Tensor, "views height width"]
     features: tuple[Float[Tensor, "views tokens channels"], ...]
     patch: int
-    doubts: tuple[str, ...] = field(default=())
+    doubts: tuple[str, ...] = ()
 
 
 class Encoder(Protocol):

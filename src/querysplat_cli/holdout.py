@@ -1,0 +1,150 @@
+"""Photos left out of the scene, and where they were taken from."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import torch
+
+from querysplat_cli.encoders.base import Located
+from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.sim3 import DegenerateAlignment, align_cameras
+from querysplat_cli.scene.views import LeftOut, Photo, Views
+
+CameraSource = Literal["isolated", "joint"]
+
+
+@dataclass(frozen=True)
+class CameraPass:
+    """The inputs of a scene, and the held-out views in the same frame (None when there are none)."""
+
+    source: CameraSource
+    inputs: Located
+    heldout: tuple[Views, Cameras] | None
+
+
+@dataclass(frozen=True)
+class PoseDifference:
+    """How far the input cameras of the two passes lie apart after alignment.
+
+    Mean rotation in degrees, and mean displacement in pixels of the scene points that each camera sees.
+    """
+
+    degrees: float
+    pixels: float
+
+
+@dataclass(frozen=True)
+class Passes:
+    """`chosen` makes the scene that is kept; `other` a second one, only to be scored."""
+
+    chosen: CameraPass
+    other: CameraPass | None
+    difference: PoseDifference | None
+    left_out: tuple[LeftOut, ...]
+    doubts: tuple[str, ...]
+
+
+def split_photos(photos: Sequence[Photo], every: int | None) -> tuple[list[Photo], list[Photo]]:
+    """Inputs and held-out photos: photos 0, N, 2N, … are held out (the LLFF convention)."""
+    if every is None:
+        return list(photos), []
+    inputs = [photo for i, photo in enumerate(photos) if i % every]
+    heldout = [photo for i, photo in enumerate(photos) if i % every == 0]
+    if len(inputs) < 2:
+        raise QuerySplatError(
+            f"holding out every {every}th of {len(photos)} photos leaves {len(inputs)} to make a scene from",
+            "Use a larger --holdout-every, or more photos.",
+        )
+    return inputs, heldout
+
+
+def locate_passes(
+    photos: Sequence[Photo],
+    every: int | None,
+    source: CameraSource,
+    locate: Callable[[Sequence[Photo], str], Located],
+    *,
+    poses_known: bool,
+) -> Passes:
+    """Cameras for the inputs and the held-out photos, in the one or two passes that the protocol asks for.
+
+    `locate(photos, what)` is one pass. The *isolated* protocol (paper, Comparisons) locates the inputs by
+    themselves, locates everything a second time, and joins the two by the similarity of the shared input
+    cameras; the *joint* one takes all cameras from the pass over everything. Known poses need one pass.
+    """
+    inputs, heldout = split_photos(photos, every)
+    names = [photo.name for photo in inputs]
+    if not heldout:
+        located = locate(inputs, "photos")
+        return Passes(CameraPass("isolated", located, None), None, None, located.left_out, located.doubts)
+    everything = locate(photos, "all photos")
+    joint = _joint_pass(everything, names)
+    if poses_known:
+        return Passes(joint, None, None, everything.left_out, everything.doubts)
+    own = locate(inputs, "input photos")
+    isolated, difference, doubts = _isolated_pass(own, everything, names)
+    chosen, other = (isolated, joint) if source == "isolated" else (joint, isolated)
+    left_out = tuple(dict.fromkeys((*own.left_out, *everything.left_out)))
+    return Passes(chosen, other, difference, left_out, tuple(dict.fromkeys((*own.doubts, *everything.doubts, *doubts))))
+
+
+def take(located: Located, rows: Sequence[int]) -> Located:
+    """The same cameras and points, with only some of the views."""
+    return replace(
+        located,
+        views=located.views[rows],
+        cameras=located.cameras[rows],
+        visibility=tuple(located.visibility[row] for row in rows),
+    )
+
+
+def _rows(located: Located, names: Sequence[str], *, inside: bool) -> list[int]:
+    wanted = set(names)
+    return [row for row, name in enumerate(located.views.names) if (name in wanted) == inside]
+
+
+def _heldout(everything: Located, cameras: Cameras, names: Sequence[str]) -> tuple[Views, Cameras] | None:
+    rows = _rows(everything, names, inside=False)
+    return (everything.views[rows], cameras[rows]) if rows else None
+
+
+def _joint_pass(everything: Located, names: Sequence[str]) -> CameraPass:
+    rows = _rows(everything, names, inside=True)
+    return CameraPass("joint", take(everything, rows), _heldout(everything, everything.cameras, names))
+
+
+def _isolated_pass(
+    own: Located, everything: Located, names: Sequence[str]
+) -> tuple[CameraPass, PoseDifference | None, tuple[str, ...]]:
+    shared = [name for name in own.views.names if name in everything.views.names]
+    mine = [own.views.names.index(name) for name in shared]
+    theirs = [everything.views.names.index(name) for name in shared]
+    try:
+        similarity = align_cameras(everything.cameras.w2c[theirs], own.cameras.w2c[mine])
+    except DegenerateAlignment as error:
+        return CameraPass("isolated", own, None), None, (f"held-out photos cannot be scored in isolation: {error}",)
+    cameras = everything.cameras.transformed(similarity)
+    difference = _pose_difference(own, mine, cameras[theirs])
+    return CameraPass("isolated", own, _heldout(everything, cameras, names)), difference, ()
+
+
+def _pose_difference(own: Located, rows: Sequence[int], others: Cameras) -> PoseDifference:
+    degrees, pixels = [], []
+    for row, w2c, K in zip(rows, others.w2c.double(), others.K.double(), strict=True):
+        mine, lens = own.cameras.w2c[row].double(), own.cameras.K[row].double()
+        turn = w2c[:3, :3] @ mine[:3, :3].T
+        sine = torch.stack([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]).norm() / 2
+        degrees.append(torch.rad2deg(torch.atan2(sine, (turn.trace() - 1) / 2)))
+        points = own.points[own.visibility[row]].double()
+        if len(points):
+            pixels.append((_project(points, mine, lens) - _project(points, w2c, K)).norm(dim=1).median())
+    return PoseDifference(
+        float(torch.stack(degrees).mean()), float(torch.stack(pixels).mean()) if pixels else float("nan")
+    )
+
+
+def _project(points: torch.Tensor, w2c: torch.Tensor, K: torch.Tensor) -> torch.Tensor:
+    image = (points @ w2c[:3, :3].T + w2c[:3, 3]) @ K.T
+    return image[:, :2] / image[:, 2:]

@@ -1,0 +1,30 @@
+"""What the road is doing now, and how long each part of it took."""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+Progress = Callable[[str, float], None]
+"""Called with what is being done and the fraction of the stage that is finished."""
+
+
+class Stages:
+    """Times named stages and tells a listener how each one advances.
+
+    `listen(stage, text, fraction)` is called at the start of a stage (0.0), whenever it reports, and at its
+    end (1.0). `seconds` adds up when a stage runs more than once.
+    """
+
+    def __init__(self, listen: Callable[[str, str, float], None] = lambda stage, text, fraction: None) -> None:
+        self.seconds: dict[str, float] = {}
+        self._listen = listen
+
+    @contextmanager
+    def __call__(self, stage: str) -> Iterator[Progress]:
+        start = time.perf_counter()
+        self._listen(stage, "", 0.0)
+        try:
+            yield lambda text, fraction: self._listen(stage, text, fraction)
+        finally:
+            self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - start
+        self._listen(stage, "", 1.0)

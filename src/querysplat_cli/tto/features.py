@@ -1,0 +1,109 @@
+"""Test-time optimisation in feature space (paper, section 3.4): the memories adapt, the network does not.
+
+Keys and values of both branches are optimised with rendering losses on the input views; decoders, queries
+and heads stay frozen. However many views there are, the network runs once a step: the gradients that the
+views send to the Gaussians are summed, chunk by chunk, and go back through the decoders together.
+"""
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields
+from itertools import islice
+
+import torch
+from torch import Tensor
+
+from querysplat_cli.model.anchors import Anchors
+from querysplat_cli.model.memories import Memories
+from querysplat_cli.model.querysplat import QuerySplat
+from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.tto.rendering_loss import RenderingLoss
+
+
+@dataclass(frozen=True)
+class TtoSettings:
+    """How to optimise. `views_per_step` None takes every view in every step, as the paper's release does;
+    a number draws that many, each view once before any comes again."""
+
+    steps: int
+    lr: float
+    views_per_step: int | None = None
+
+
+@dataclass(frozen=True)
+class TtoStep:
+    """The state before a step: its loss on the views of that step, and the seconds since the start."""
+
+    step: int
+    loss: float
+    seconds: float
+
+
+@dataclass(frozen=True)
+class TtoResult:
+    """The better of the first and the last state, by the loss over all views."""
+
+    memories: Memories
+    loss_before: float
+    loss_after: float
+    history: tuple[TtoStep, ...]
+
+
+def optimise_memories(
+    model: QuerySplat,
+    memories: Memories,
+    anchors: Anchors | None,
+    target: RenderingLoss,
+    settings: TtoSettings,
+    *,
+    generator: torch.Generator,
+    progress: Callable[[TtoStep], None] = lambda step: None,
+) -> TtoResult:
+    """Adam (β 0.9, 0.999) on the four memory tensors, its rate falling to a tenth along a cosine.
+
+    A step whose loss or gradient is not finite is left out and the rate halved; a last state that is worse
+    than the first over all views is dropped.
+    """
+    everything = list(range(len(target.views)))
+    with torch.no_grad():
+        loss_before = target.value(model.decode(memories, anchors), everything)
+    variables = memories.map(lambda tensor: tensor.detach().clone().requires_grad_())
+    optimiser = torch.optim.Adam(_tensors(variables), lr=settings.lr)
+    rate = settings.lr
+    history: list[TtoStep] = []
+    start = time.perf_counter()
+    for step, chosen in enumerate(islice(_draws(len(everything), settings.views_per_step, generator), settings.steps)):
+        gaussians = model.decode(variables, anchors)
+        loss, gradient = target.value_and_gradient(gaussians, chosen)
+        optimiser.zero_grad(set_to_none=True)
+        torch.autograd.backward(_tensors(gaussians), _tensors(gradient))
+        history.append(TtoStep(step, loss, time.perf_counter() - start))
+        progress(history[-1])
+        if not (math.isfinite(loss) and all(bool(tensor.grad.isfinite().all()) for tensor in _tensors(variables))):
+            rate /= 2
+            continue
+        optimiser.param_groups[0]["lr"] = rate * (0.55 + 0.45 * math.cos(math.pi * step / settings.steps))
+        optimiser.step()
+    adapted = variables.map(Tensor.detach)
+    with torch.no_grad():
+        loss_after = target.value(model.decode(adapted, anchors), everything)
+    if not loss_after <= loss_before:
+        adapted, loss_after = memories, loss_before
+    return TtoResult(adapted, loss_before, loss_after, tuple(history))
+
+
+def _tensors(holder: Memories | Gaussians) -> list[Tensor]:
+    return [getattr(holder, field.name) for field in fields(holder)]
+
+
+def _draws(views: int, at_once: int | None, generator: torch.Generator) -> Iterator[list[int]]:
+    """Endless sets of views, each view once before any comes again."""
+    waiting: list[int] = []
+    while True:
+        if at_once is None or at_once >= views:
+            yield list(range(views))
+            continue
+        if len(waiting) < at_once:
+            waiting += torch.randperm(views, generator=generator).tolist()
+        yield [waiting.pop(0) for _ in range(at_once)]
