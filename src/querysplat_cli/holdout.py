@@ -64,26 +64,26 @@ def locate_passes(
     photos: Sequence[Photo],
     every: int | None,
     source: CameraSource,
-    locate: Callable[[Sequence[Photo], str], Located],
+    locate: Callable[[Sequence[Photo]], Located],
     *,
     poses_known: bool,
 ) -> Passes:
     """Cameras for the inputs and the held-out photos, in the one or two passes that the protocol asks for.
 
-    `locate(photos, what)` is one pass. The *isolated* protocol (paper, Comparisons) locates the inputs by
+    `locate(photos)` is one pass. The *isolated* protocol (paper, Comparisons) locates the inputs by
     themselves, locates everything a second time, and joins the two by the similarity of the shared input
     cameras; the *joint* one takes all cameras from the pass over everything. Known poses need one pass.
     """
     inputs, heldout = split_photos(photos, every)
     names = [photo.name for photo in inputs]
     if not heldout:
-        located = locate(inputs, "photos")
+        located = locate(inputs)
         return Passes(CameraPass("isolated", located, None), None, None, located.left_out, located.doubts)
-    everything = locate(photos, "all photos")
+    everything = locate(photos)
     joint = _joint_pass(everything, names)
     if poses_known:
         return Passes(joint, None, None, everything.left_out, everything.doubts)
-    own = locate(inputs, "input photos")
+    own = locate(inputs)
     isolated, difference, doubts = _isolated_pass(own, everything, names)
     chosen, other = (isolated, joint) if source == "isolated" else (joint, isolated)
     left_out = tuple(dict.fromkeys((*own.left_out, *everything.left_out)))

@@ -3,87 +3,85 @@
 import json
 import platform
 import resource
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from typing import Any
 
-from querysplat_cli.holdout import PoseDifference
+from querysplat_cli.holdout import CameraSource, PoseDifference
 from querysplat_cli.quality import Quality
 from querysplat_cli.scene.views import LeftOut
-
-
-@dataclass(frozen=True)
-class Skipped:
-    """Work that was not done because it would change nothing, or could not be done: what, why, saved."""
-
-    what: str
-    why: str
-    saved: str
-
-
-@dataclass(frozen=True)
-class HeldOutQuality:
-    """Held-out scores under both camera protocols; None where one was not measured."""
-
-    cameras: str
-    isolated: Quality | None
-    joint: Quality | None
-    difference: PoseDifference | None
-
-    def summary(self) -> dict[str, Any] | None:
-        scores = {"isolated": self.isolated, "joint": self.joint}
-        chosen = scores[self.cameras]
-        if chosen is None:
-            return None
-        return {
-            **chosen.summary(),
-            "cameras": self.cameras,
-            **{name: quality.summary() if quality else None for name, quality in scores.items()},
-            "pose_difference": self.difference
-            and {"degrees": round(self.difference.degrees, 4), "pixels": round(self.difference.pixels, 3)},
-            "views": chosen.views,
-        }
+from querysplat_cli.tto.features import TtoResult, TtoSettings
 
 
 @dataclass(frozen=True)
 class Report:
-    """Everything that a user may ask about one run."""
+    """One run. The fields are the JSON object's, described in docs/cli.md.
+
+    `left_out` lists work that was not done because it would change nothing or could not be done; each
+    entry has "what", "why" and "saved". `doubts` are sentences on why the scene may be wrong.
+    """
 
     ply: str
     scene: str
-    used: tuple[str, ...]
-    views_left_out: tuple[LeftOut, ...]
+    views: dict[str, Any]
     gaussians: int
     seconds: dict[str, float]
-    input_quality: Quality
-    heldout_quality: HeldOutQuality | None
-    skipped: tuple[Skipped, ...]
-    doubts: tuple[str, ...]
+    quality: dict[str, Any]
+    left_out: list[dict[str, str]]
+    doubts: list[str]
+    tto: list[dict[str, Any]]
     settings: dict[str, Any]
-    tto: dict[str, Any] | None = None
-    version: str = field(default="0.1.0")
-
-    def as_dict(self) -> dict[str, Any]:
-        heldout = self.heldout_quality.summary() if self.heldout_quality else None
-        return {
-            "ply": self.ply,
-            "scene": self.scene,
-            "views": {
-                "used": list(self.used),
-                "left_out": [{"name": photo.name, "why": photo.why} for photo in self.views_left_out],
-            },
-            "gaussians": self.gaussians,
-            "seconds": {
-                **{stage: round(seconds, 3) for stage, seconds in self.seconds.items()},
-                "total": round(sum(self.seconds.values()), 3),
-            },
-            "quality": {"input": {**self.input_quality.summary(), "views": self.input_quality.views}, "heldout": heldout},
-            "left_out": [vars(part) for part in self.skipped],
-            "doubts": list(self.doubts),
-            "tto": self.tto,
-            "peak_memory_gib": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20, 2),
-            "settings": self.settings,
-            "machine": f"{platform.machine()}, {platform.system()}, Python {platform.python_version()}",
-        }
+    peak_memory_gib: float
+    machine: str
 
     def json(self) -> str:
-        return json.dumps(self.as_dict(), indent=2)
+        return json.dumps(asdict(self), indent=2)
+
+
+def views_entry(used: Sequence[str], left_out: Sequence[LeftOut]) -> dict[str, Any]:
+    return {"used": list(used), "left_out": [{"name": photo.name, "why": photo.why} for photo in left_out]}
+
+
+def seconds_entry(seconds: dict[str, float]) -> dict[str, float]:
+    rounded = {stage: round(spent, 3) for stage, spent in seconds.items()}
+    return {**rounded, "total": round(sum(seconds.values()), 3)}
+
+
+def quality_entry(quality: Quality) -> dict[str, Any]:
+    """PSNR in dB and SSIM, means and view by view."""
+    return {"psnr": round(quality.psnr, 3), "ssim": round(quality.ssim, 4), "views": quality.views}
+
+
+def heldout_entry(
+    chosen: CameraSource, scores: dict[CameraSource, Quality | None], difference: PoseDifference | None
+) -> dict[str, Any] | None:
+    """The score of the kept scene, both protocols' scores, and how far their cameras lie apart."""
+    kept = scores.get(chosen)
+    if kept is None:
+        return None
+    brief = {
+        name: quality and {"psnr": round(quality.psnr, 3), "ssim": round(quality.ssim, 4)}
+        for name, quality in scores.items()
+    }
+    apart = difference and {"degrees": round(difference.degrees, 4), "pixels": round(difference.pixels, 3)}
+    return {**quality_entry(kept), "cameras": chosen, **brief, "pose_difference": apart}
+
+
+def tto_entry(result: TtoResult, settings: TtoSettings) -> dict[str, Any]:
+    """How the loss fell: before, after, and [step, seconds, loss on that step's views]."""
+    curve = [[step.step, round(step.seconds, 3), round(step.loss, 5)] for step in result.history]
+    return {
+        **asdict(settings),
+        "loss_before": round(result.loss_before, 5),
+        "loss_after": round(result.loss_after, 5),
+        "curve": curve,
+    }
+
+
+def peak_memory_gib() -> float:
+    """The most memory that this process has held so far."""
+    return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20, 2)
+
+
+def machine() -> str:
+    return f"{platform.machine()}, {platform.system()}, Python {platform.python_version()}"

@@ -1,0 +1,46 @@
+"""The command line: one small file per verb, imported without torch or pycolmap."""
+
+import sys
+import traceback
+
+import click
+
+from querysplat_cli.cli.app import app
+from querysplat_cli.errors import ExitCode, QuerySplatError
+
+
+def main() -> None:
+    """Run the command line and exit with a code of `ExitCode`."""
+    sys.exit(run(sys.argv[1:]))
+
+
+def run(arguments: list[str]) -> int:
+    """Run one command; errors become two lines on standard error and the exit code that is returned."""
+    try:
+        app(arguments, standalone_mode=False)
+        return ExitCode.DONE
+    except QuerySplatError as error:
+        _say(error.message, error.hint)
+        return error.code
+    except click.UsageError as error:
+        _say(error.format_message(), f"See `{error.ctx.command_path if error.ctx else 'querysplat'} --help`.")
+        return ExitCode.BAD_INPUT
+    except (KeyboardInterrupt, click.Abort):
+        _say("stopped", "Nothing half-written was left behind.")
+        return ExitCode.INTERRUPTED
+    except OSError as error:
+        _say(str(error), "Check the path, its permissions and the free space.")
+        return ExitCode.BAD_INPUT
+    except MemoryError:
+        _say("out of memory", "Use a smaller --max-size, or fewer photos.")
+        return ExitCode.BAD_INPUT
+    except Exception:
+        traceback.print_exc()
+        _say("this is a bug in querysplat", "Please report it with the traceback above.")
+        return ExitCode.BUG
+
+
+def _say(message: str, hint: str) -> None:
+    print(f"error: {message}", file=sys.stderr)
+    if hint:
+        print(f"  {hint}", file=sys.stderr)

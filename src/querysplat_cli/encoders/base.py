@@ -11,6 +11,7 @@ from querysplat_cli.progress import Progress
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.views import LeftOut, Photo, Views
 
+
 @dataclass(frozen=True)
 class Located:
     """Photos with cameras.

@@ -1,0 +1,17 @@
+"""The application: every verb, in the order in which a newcomer meets them."""
+
+import typer
+
+from querysplat_cli.cli import demo, reconstruct, render, tto
+
+app = typer.Typer(
+    name="querysplat",
+    help="Turn a handful of photos into a 3D Gaussian splatting scene, on a bare CPU.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+app.command("reconstruct")(reconstruct.reconstruct)
+app.command("tto")(tto.tto)
+app.command("render")(render.render)
+app.command("demo")(demo.demo)

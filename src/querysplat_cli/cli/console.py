@@ -1,0 +1,91 @@
+"""What the user sees: progress and tables on standard error, results for programs on standard output."""
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from querysplat_cli.progress import Stages
+from querysplat_cli.rendering import Rendered
+from querysplat_cli.report import Report
+
+console = Console(stderr=True, highlight=False)
+
+
+@contextmanager
+def showing_stages(*, quiet: bool) -> Iterator[Stages]:
+    """Stages whose progress is drawn on a terminal, printed line by line elsewhere, or kept quiet."""
+    if quiet:
+        yield Stages()
+    elif not console.is_terminal:
+        yield Stages(lambda stage, text, fraction: console.print(stage) if fraction == 0.0 and not text else None)
+    else:
+        columns = (SpinnerColumn(), TextColumn("{task.description:<16}"), BarColumn(), TimeElapsedColumn())
+        with Progress(*columns, TextColumn("{task.fields[text]}"), console=console) as bars:
+            tasks: dict[str, TaskID] = {}
+
+            def show(stage: str, text: str, fraction: float) -> None:
+                if stage not in tasks:
+                    tasks[stage] = bars.add_task(stage, total=1.0, text=text)
+                bars.update(tasks[stage], completed=fraction, text=text)
+
+            yield Stages(show)
+
+
+def print_report(report: Report, *, quiet: bool, as_json: bool) -> None:
+    """One JSON object on standard output, and a table of the same for people on standard error."""
+    if as_json:
+        print(report.json())
+    if not quiet:
+        console.print(_table(asdict(report)))
+
+
+def _table(report: dict[str, Any]) -> Table:
+    """Seconds by stage, photos, Gaussians, quality, and everything left out."""
+    table = Table(title=f"{report['ply']}", title_justify="left", show_header=False, box=None, padding=(0, 2, 0, 0))
+    for stage, seconds in report["seconds"].items():
+        table.add_row(stage, f"{seconds:.1f} s")
+    used = report["views"]["used"]
+    table.add_row("photos used", f"{len(used)}")
+    for photo in report["views"]["left_out"]:
+        table.add_row("photo left out", f"{photo['name']}: {photo['why']}")
+    table.add_row("Gaussians", f"{report['gaussians']:,}")
+    table.add_row("peak memory", f"{report['peak_memory_gib']:.2f} GiB")
+    for group, quality in report["quality"].items():
+        if quality:
+            table.add_row(f"{group} views", _quality_text(quality))
+    for part in report["left_out"]:
+        table.add_row("left out", f"{part['what']}: {part['why']} (saved {part['saved']})")
+    for doubt in report["doubts"]:
+        table.add_row("[yellow]doubtful[/yellow]", doubt)
+    return table
+
+
+def _quality_text(quality: dict[str, Any]) -> str:
+    text = f"PSNR {quality['psnr']:.2f} dB, SSIM {quality['ssim']:.3f}"
+    if "cameras" not in quality:
+        return text
+    other = "joint" if quality["cameras"] == "isolated" else "isolated"
+    text += f" ({quality['cameras']} cameras)"
+    if quality.get(other):
+        text += f"; {quality[other]['psnr']:.2f} dB with {other} cameras"
+    if quality["pose_difference"]:
+        difference = quality["pose_difference"]
+        text += f"; the two differ by {difference['degrees']:.2f}°, {difference['pixels']:.1f} px"
+    return text
+
+
+def print_rendered(rendered: Rendered, *, quiet: bool, as_json: bool) -> None:
+    """Where the pictures are."""
+    if as_json:
+        print(json.dumps(rendered.as_dict(), indent=2))
+    if not quiet:
+        seconds = sum(rendered.seconds.values())
+        console.print(
+            f"{rendered.frames} frames of {rendered.gaussians:,} Gaussians in {seconds:.1f} s: {rendered.output}"
+        )

@@ -1,0 +1,26 @@
+"""`querysplat tto`: take a scene up again and optimise it further."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from querysplat_cli.cli.options import Json, Quiet, Seed, number_or_auto
+
+
+def tto(
+    scene: Annotated[Path, typer.Argument(help="The folder that `reconstruct` wrote, or the .ply beside it.")],
+    steps: Annotated[str, typer.Option(metavar="STEPS|auto", help="Optimisation steps.")] = "auto",
+    lr: Annotated[float | None, typer.Option(min=1e-8, help="Learning rate; the model's own by default.")] = None,
+    seed: Seed = 42,
+    quiet: Quiet = False,
+    json: Json = False,
+) -> None:
+    """Optimise the memories of a scene on its photos, and update the .ply, the folder and the report."""
+    count = number_or_auto(0)(steps)
+    from querysplat_cli.cli.console import print_report, showing_stages
+    from querysplat_cli.pipeline import optimise_scene
+
+    with showing_stages(quiet=quiet) as stages:
+        report = optimise_scene(scene, steps=count, lr=lr, seed=seed, stages=stages)
+    print_report(report, quiet=quiet, as_json=json)

@@ -1,0 +1,223 @@
+"""The story of `reconstruct`, and of taking a scene up again: photos in, scene out."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import torch
+
+from querysplat_cli.encoders.base import Encoder, Geometry, Located
+from querysplat_cli.encoders.registry import find_encoder
+from querysplat_cli.holdout import CameraPass, CameraSource, locate_passes
+from querysplat_cli.model.anchors import AnchorReport, Anchors, build_anchors
+from querysplat_cli.model.checkpoints import load
+from querysplat_cli.model.memories import Memories
+from querysplat_cli.model.querysplat import QuerySplat
+from querysplat_cli.progress import Progress, Stages
+from querysplat_cli.quality import Quality, score
+from querysplat_cli.report import (
+    Report,
+    heldout_entry,
+    machine,
+    peak_memory_gib,
+    quality_entry,
+    seconds_entry,
+    tto_entry,
+    views_entry,
+)
+from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.files import refuse_existing
+from querysplat_cli.scene.formats.known import read_known_cameras
+from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.photos import find_photos, load_photos
+from querysplat_cli.scene.views import Photo, Views
+from querysplat_cli.store import StoredScene, ply_path, read_scene, scene_folder, write_scene
+from querysplat_cli.tto.features import TtoResult, TtoSettings, optimise_memories
+from querysplat_cli.tto.plan import plan_tto
+from querysplat_cli.tto.rendering_loss import RenderingLoss
+
+
+@dataclass(frozen=True)
+class ReconstructSettings:
+    """What `querysplat reconstruct` can be asked for; see docs/cli.md. `tto` and `queries` None mean auto."""
+
+    inputs: tuple[Path, ...]
+    ply: Path
+    holdout_every: int | None = None
+    holdout_cameras: CameraSource = "isolated"
+    tto: int | None = None
+    queries: int | None = None
+    max_size: int = 448
+    preset: str = "compact"
+    encoder: str = "classical"
+    poses: Path | None = None
+    device: str = "auto"
+    seed: int = 42
+    force: bool = False
+
+
+@dataclass(frozen=True)
+class BuiltScene:
+    """A scene and what it was made of."""
+
+    located: Located
+    geometry: Geometry
+    anchors: Anchors
+    anchor_report: AnchorReport
+    memories: Memories
+    gaussians: Gaussians
+    tto: TtoResult
+    tto_settings: TtoSettings
+
+
+def reconstruct(settings: ReconstructSettings, stages: Stages) -> Report:
+    """Photos to `settings.ply` and the scene folder beside it.
+
+    Raises QuerySplatError on bad input and ImpossibleScene when the photos do not make a scene; nothing is
+    written then.
+    """
+    refuse_existing([settings.ply, scene_folder(settings.ply)], force=settings.force)
+    with stages("photos") as progress:
+        photos, unread = load_photos(find_photos(settings.inputs), progress=progress)
+    with stages("model"):
+        model = load(settings.preset)
+        encoder = find_encoder(settings.encoder)
+        known = read_known_cameras(settings.poses) if settings.poses else None
+
+    def locate(chosen: Sequence[Photo]) -> Located:
+        with stages("cameras") as progress:
+            return encoder.locate(
+                chosen, max_size=settings.max_size, seed=settings.seed, known=known, progress=progress
+            )
+
+    passes = locate_passes(photos, settings.holdout_every, settings.holdout_cameras, locate, poses_known=bool(known))
+    scene = build_scene(passes.chosen.inputs, encoder, model, settings, stages)
+    with stages("score"):
+        quality = score(scene.gaussians, scene.located.views, scene.located.cameras)
+        scores = {passes.chosen.source: _score_heldout(scene, passes.chosen)}
+    if passes.other and passes.other.heldout:
+        with stages(f"{passes.other.source} score"):
+            second = build_scene(passes.other.inputs, encoder, model, settings, Stages())
+            scores[passes.other.source] = _score_heldout(second, passes.other)
+    with stages("write"):
+        report = Report(
+            ply=str(settings.ply),
+            scene=str(scene_folder(settings.ply)),
+            views=views_entry(scene.located.views.names, (*unread, *passes.left_out)),
+            gaussians=len(scene.gaussians),
+            seconds=seconds_entry(stages.seconds),
+            quality={
+                "input": quality_entry(quality),
+                "heldout": heldout_entry(passes.chosen.source, scores, passes.difference),
+            },
+            left_out=_left_out(settings, scene),
+            doubts=[*passes.doubts, *scene.geometry.doubts],
+            tto=[tto_entry(scene.tto, scene.tto_settings)],
+            settings={
+                key: value if isinstance(value, int | None) else str(value) for key, value in asdict(settings).items()
+            },
+            peak_memory_gib=peak_memory_gib(),
+            machine=machine(),
+        )
+        stored = StoredScene(
+            scene.located.views,
+            scene.located.cameras,
+            passes.chosen.heldout,
+            scene.memories,
+            scene.anchors,
+            settings.preset,
+        )
+        write_scene(settings.ply, stored, scene.gaussians, asdict(report))
+    return report
+
+
+def build_scene(
+    located: Located, encoder: Encoder, model: QuerySplat, settings: ReconstructSettings, stages: Stages
+) -> BuiltScene:
+    """Depth, queries, memories, test-time optimisation: a scene from photos with cameras."""
+    views, cameras = located.views, located.cameras
+    with stages("depth") as progress:
+        geometry = encoder.perceive(located, seed=settings.seed, progress=progress)
+    with stages("queries"):
+        anchors, anchor_report = build_anchors(
+            views, cameras, geometry.depth, geometry.confidence, patch=geometry.patch, queries=settings.queries
+        )
+        with torch.no_grad():
+            memories = model.remember(geometry.features, views.images, cameras)
+    with stages("tto") as progress:
+        plan = plan_tto(settings.tto, views=len(views))
+        tto, gaussians = _optimise(model, memories, anchors, views, cameras, plan, settings.seed, progress)
+    return BuiltScene(located, geometry, anchors, anchor_report, tto.memories, gaussians, tto, plan)
+
+
+def optimise_scene(path: Path, *, steps: int | None, lr: float | None, seed: int, stages: Stages) -> Report:
+    """Take up the scene in `path` (its folder or its .ply), optimise its memories further, and write it back."""
+    with stages("read"):
+        scene, before = read_scene(path)
+        model = load(scene.model)
+    with stages("tto") as progress:
+        plan = plan_tto(steps, views=len(scene.views), lr=lr)
+        tto, gaussians = _optimise(
+            model, scene.memories, scene.anchors, scene.views, scene.cameras, plan, seed, progress
+        )
+    with stages("score"):
+        quality = {
+            "input": quality_entry(score(gaussians, scene.views, scene.cameras)),
+            "heldout": quality_entry(score(gaussians, *scene.heldout)) if scene.heldout else None,
+        }
+    with stages("write"):
+        report = replace(
+            Report(**before),
+            gaussians=len(gaussians),
+            seconds=seconds_entry(stages.seconds),
+            quality=quality,
+            tto=[*before["tto"], tto_entry(tto, plan)],
+            peak_memory_gib=peak_memory_gib(),
+            machine=machine(),
+        )
+        write_scene(ply_path(path), replace(scene, memories=tto.memories), gaussians, asdict(report))
+    return report
+
+
+def _optimise(
+    model: QuerySplat,
+    memories: Memories,
+    anchors: Anchors | None,
+    views: Views,
+    cameras: Cameras,
+    plan: TtoSettings,
+    seed: int,
+    progress: Progress,
+) -> tuple[TtoResult, Gaussians]:
+    result = optimise_memories(
+        model,
+        memories,
+        anchors,
+        RenderingLoss(views, cameras),
+        plan,
+        generator=torch.Generator().manual_seed(seed),
+        progress=lambda step: progress(f"loss {step.loss:.4f}", (step.step + 1) / plan.steps),
+    )
+    with torch.no_grad():
+        return result, model.decode(result.memories, anchors)
+
+
+def _score_heldout(scene: BuiltScene, cameras: CameraPass) -> Quality | None:
+    return score(scene.gaussians, *cameras.heldout) if cameras.heldout else None
+
+
+def _left_out(settings: ReconstructSettings, scene: BuiltScene) -> list[dict[str, str]]:
+    """Work that was not done because it would change nothing, or could not be done."""
+    blocks = scene.anchor_report
+    rows = [
+        ("LPIPS loss", "its weights are not part of this package", "the network's run in every step"),
+        (
+            "queries",
+            f"of {blocks.blocks:,} blocks, {blocks.redundant:,} show what another view shows at least as finely "
+            f"and {blocks.hiding:,} would hide surfaces seen by others",
+            f"{9 * (blocks.redundant + blocks.hiding):,} Gaussians",
+        ),
+    ]
+    if settings.poses:
+        rows.append(("structure from motion", f"poses were given in {settings.poses}", "matching and mapping"))
+    return [dict(zip(("what", "why", "saved"), row, strict=True)) for row in rows]

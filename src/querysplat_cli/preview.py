@@ -1,0 +1,50 @@
+"""Photos beside their renders, for a look at the scene without a viewer."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+
+from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.views import Views
+from querysplat_cli.splat.render import render
+
+ROWS = 4
+GAP = 6
+
+
+def preview(gaussians: Gaussians, groups: dict[str, tuple[Views, Cameras]]) -> np.ndarray:
+    """A picture [height, width, 3] (8-bit RGB): for each group, up to four views, photo left and render right.
+
+    The views of a group are evenly spaced; each group has a caption.
+    """
+    strips = []
+    for caption, (views, cameras) in groups.items():
+        rows = np.unique(np.linspace(0, len(views) - 1, min(ROWS, len(views))).round().astype(int)).tolist()
+        with torch.no_grad():
+            renders = render(gaussians, cameras[rows]).colour.clamp(0, 1)
+        for row, picture in zip(rows, renders, strict=True):
+            height, width = views.sizes[row]
+            pair = [_to_bytes(image[:, :height, :width]) for image in (views.images[row], picture)]
+            gap = np.full((height, GAP, 3), 255, np.uint8)
+            strips.append(_captioned(np.hstack([pair[0], gap, pair[1]]), f"{caption}: {views.names[row]}"))
+    widest = max(strip.shape[1] for strip in strips)
+    padded = [np.pad(strip, ((0, GAP), (0, widest - strip.shape[1]), (0, 0)), constant_values=255) for strip in strips]
+    return np.vstack(padded)
+
+
+def write_preview(path: Path, gaussians: Gaussians, groups: dict[str, tuple[Views, Cameras]]) -> None:
+    cv2.imwrite(str(path), preview(gaussians, groups)[..., ::-1])
+
+
+def _to_bytes(image: torch.Tensor) -> np.ndarray:
+    return (image.permute(1, 2, 0) * 255).round().to(torch.uint8).numpy()
+
+
+def _captioned(picture: np.ndarray, caption: str) -> np.ndarray:
+    bar = np.full((22, picture.shape[1], 3), 255, np.uint8)
+    text = caption.encode("ascii", "replace").decode()
+    cv2.putText(bar, f"{text} (photo | render)", (6, 16), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (0, 0, 0), 1, cv2.LINE_AA)
+    return np.vstack([bar, picture])

@@ -1,0 +1,144 @@
+"""The story of `render`: a .ply and cameras in, pictures or a film out."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+
+from querysplat_cli.errors import MissingPart, QuerySplatError
+from querysplat_cli.progress import Stages
+from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.files import atomic_folder, atomic_path, refuse_existing
+from querysplat_cli.scene.formats.ply import read_ply
+from querysplat_cli.scene.formats.transforms import read_cameras
+from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.paths import orbit
+from querysplat_cli.splat.render import Rendering, render
+from querysplat_cli.store import scene_folder
+
+DEPTH_UNITS = 1000
+"""Steps of a 16-bit depth PNG in one scene unit; 0 where nothing was hit, 65,535 at and beyond its range."""
+
+
+@dataclass(frozen=True)
+class RenderRequest:
+    """What `querysplat render` can be asked for; see docs/cli.md. `size` is (height, width)."""
+
+    scene: Path
+    output: Path
+    cameras: str
+    frames: int
+    fps: int
+    size: tuple[int, int] | None
+    background: tuple[float, float, float]
+    depth: bool
+    alpha: bool
+    force: bool
+
+
+@dataclass(frozen=True)
+class Rendered:
+    """What was written, and how long it took."""
+
+    output: str
+    frames: int
+    gaussians: int
+    seconds: dict[str, float]
+
+    def as_dict(self) -> dict[str, Any]:
+        return vars(self)
+
+
+def render_file(request: RenderRequest, stages: Stages) -> Rendered:
+    """Render `request.scene` to a folder of PNG frames, or to one .mp4 when the output ends so."""
+    refuse_existing([request.output], force=request.force)
+    with stages("read"):
+        gaussians = read_ply(request.scene)
+        names, cameras, sizes = _cameras(request, gaussians)
+    film = request.output.suffix.lower() == ".mp4"
+    if film and (request.depth or request.alpha):
+        raise QuerySplatError("--depth and --alpha are pictures, not films", "Write to a folder instead of an .mp4.")
+    with stages("render") as progress:
+        pictures = _render_each(gaussians, cameras, sizes, request, progress)
+        if film:
+            with atomic_path(request.output) as draft:
+                _write_film(draft, pictures, request.fps)
+        else:
+            with atomic_folder(request.output) as draft:
+                for name, picture in zip(names, pictures, strict=True):
+                    _write_frame(draft / name, picture, request)
+    return Rendered(str(request.output), len(cameras), len(gaussians), stages.seconds)
+
+
+def _cameras(request: RenderRequest, gaussians: Gaussians) -> tuple[list[str], Cameras, list[tuple[int, int]]]:
+    """Names, cameras and picture sizes of the frames."""
+    named_file = request.cameras not in ("inputs", "orbit")
+    path = Path(request.cameras) if named_file else scene_folder(request.scene) / "cameras.json"
+    if not path.is_file():
+        raise QuerySplatError(
+            f"{path}: no cameras there" if named_file else f"{request.scene} has no cameras beside it ({path})",
+            "Give a cameras.json (nerfstudio's transforms.json form) with --cameras FILE.",
+        )
+    inputs, _ = read_cameras(path)
+    names = [Path(name).stem for name in inputs.names]
+    cameras, sizes = inputs.cameras, list(inputs.sizes)
+    if request.cameras == "orbit":
+        middle = gaussians.means[gaussians.opacities > 0.5].median(0).values
+        height, width = sizes[0]
+        cameras = orbit(Cameras(cameras.w2c, cameras.K, height, width), middle, request.frames)
+        sizes = [(height, width)] * len(cameras)
+        names = [f"frame_{i:04d}" for i in range(len(cameras))]
+    return names, cameras, sizes
+
+
+def _render_each(
+    gaussians: Gaussians, cameras: Cameras, sizes: list[tuple[int, int]], request: RenderRequest, progress: Any
+) -> Iterator[Rendering]:
+    background = torch.tensor(request.background)
+    for i, (height, width) in enumerate(sizes):
+        view = Cameras(cameras.w2c[[i]], cameras.K[[i]], height, width)
+        if request.size:
+            view = view.resized(*request.size)
+        with torch.no_grad():
+            yield render(gaussians, view, background=background)
+        progress("", (i + 1) / len(sizes))
+
+
+def _bytes(picture: Rendering) -> np.ndarray:
+    """[height, width, 3] 8-bit BGR, as OpenCV writes it."""
+    return (picture.colour[0].clamp(0, 1).permute(1, 2, 0) * 255).round().to(torch.uint8).numpy()[..., ::-1]
+
+
+def _write_frame(path: Path, picture: Rendering, request: RenderRequest) -> None:
+    _write_png(path.with_name(f"{path.name}.png"), _bytes(picture))
+    if request.depth:
+        steps = (picture.depth[0] * DEPTH_UNITS).round().clamp(0, 65535)
+        _write_png(path.with_name(f"{path.name}_depth.png"), steps.numpy().astype(np.uint16))
+    if request.alpha:
+        _write_png(path.with_name(f"{path.name}_alpha.png"), (picture.alpha[0] * 255).round().to(torch.uint8).numpy())
+
+
+def _write_png(path: Path, pixels: np.ndarray) -> None:
+    if not cv2.imwrite(str(path), pixels):
+        raise OSError(f"cannot write {path}")
+
+
+def _write_film(path: Path, pictures: Iterator[Rendering], fps: int) -> None:
+    writer = None
+    try:
+        for picture in pictures:
+            frame = np.ascontiguousarray(_bytes(picture))
+            frame = frame[: frame.shape[0] // 2 * 2, : frame.shape[1] // 2 * 2]  # the codec wants even sizes
+            if writer is None:
+                size = (frame.shape[1], frame.shape[0])
+                writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), fps, size)
+                if not writer.isOpened():
+                    raise MissingPart("this OpenCV cannot write .mp4 files", "Write PNG frames to a folder instead.")
+            writer.write(np.ascontiguousarray(frame))
+    finally:
+        if writer is not None:
+            writer.release()

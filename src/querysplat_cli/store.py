@@ -1,0 +1,159 @@
+"""The scene folder: what a later `querysplat tto scene` needs, and what a user may want to look at.
+
+scene.ply
+scene/
+  cameras.json             nerfstudio form; held-out views under "heldout_frames"
+  images/                  the undistorted photos that the cameras belong to
+  memories.safetensors     memories, anchors and masks, and the model that they belong to
+  report.json
+  preview.png
+"""
+
+import json
+from dataclasses import dataclass, fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor
+
+from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.model.anchors import Anchors
+from querysplat_cli.model.memories import Memories
+from querysplat_cli.preview import write_preview
+from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.files import atomic_folder, atomic_path
+from querysplat_cli.scene.formats.ply import write_ply
+from querysplat_cli.scene.formats.transforms import read_cameras, write_cameras
+from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.views import Views
+
+LOSSLESS_SUFFIXES = {".png", ".bmp", ".tif", ".tiff"}
+JPEG_SETTINGS = (cv2.IMWRITE_JPEG_QUALITY, 98, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
+
+
+@dataclass(frozen=True)
+class StoredScene:
+    """A scene that can be taken up again. `model` is the preset or checkpoint that decodes the memories."""
+
+    views: Views
+    cameras: Cameras
+    heldout: tuple[Views, Cameras] | None
+    memories: Memories
+    anchors: Anchors | None
+    model: str
+
+    @property
+    def groups(self) -> dict[str, tuple[Views, Cameras]]:
+        """The views by the part they played."""
+        inputs = {"input": (self.views, self.cameras)}
+        return {**inputs, "held out": self.heldout} if self.heldout else inputs
+
+
+def scene_folder(ply: Path) -> Path:
+    """The folder beside a scene's .ply."""
+    return ply.with_suffix("")
+
+
+def ply_path(path: Path) -> Path:
+    """The .ply of a scene that is given by its folder or by its .ply."""
+    return path if path.suffix.lower() == ".ply" else path.with_name(f"{path.name}.ply")
+
+
+def write_scene(ply: Path, scene: StoredScene, gaussians: Gaussians, report: dict[str, Any]) -> int:
+    """Write, or replace, `ply` and the folder beside it; returns the number of Gaussians in the file.
+
+    Everything is written to temporary names first, so an interruption leaves what was there before.
+    """
+    folder = scene_folder(ply)
+    with atomic_path(ply) as ply_draft, atomic_folder(folder) as draft:
+        written = write_ply(ply_draft, gaussians)
+        for views, _ in scene.groups.values():
+            _write_images(draft / "images", views)
+        write_cameras(draft / "cameras.json", scene.cameras, scene.views, heldout=scene.heldout)
+        masks = torch.cat([views.masks for views, _ in scene.groups.values()])
+        tensors = {"masks": masks, **_flatten("memories", scene.memories)}
+        if scene.anchors is not None:
+            tensors |= _flatten("anchors", scene.anchors)
+        save_file(tensors, draft / "memories.safetensors", metadata={"model": scene.model})
+        (draft / "report.json").write_text(json.dumps(report, indent=2) + "\n")
+        write_preview(draft / "preview.png", gaussians, scene.groups)
+    return written
+
+
+def read_scene(path: Path) -> tuple[StoredScene, dict[str, Any]]:
+    """The scene and the report in a folder that `write_scene` made; `path` is the folder or its .ply.
+
+    Raises QuerySplatError when a part is missing or damaged.
+    """
+    folder = scene_folder(path) if path.suffix.lower() == ".ply" else path
+    memories = folder / "memories.safetensors"
+    if not memories.is_file():
+        raise QuerySplatError(
+            f"{folder} is not a scene folder: it has no memories.safetensors",
+            "Give the folder (or the .ply beside it) that `querysplat reconstruct` wrote.",
+        )
+    try:
+        with safe_open(memories, framework="pt") as file:
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a mapping
+            model = file.metadata()["model"]
+        report = json.loads((folder / "report.json").read_text())
+        inputs, heldout = read_cameras(folder / "cameras.json")
+        count = len(inputs.names)
+        views = _read_images(folder / "images", inputs.names, inputs.sizes, tensors["masks"][:count])
+        held = heldout and (
+            _read_images(folder / "images", heldout.names, heldout.sizes, tensors["masks"][count:]),
+            heldout.cameras,
+        )
+        anchors = _unflatten(Anchors, "anchors", tensors) if "anchors.means" in tensors else None
+        scene = StoredScene(views, inputs.cameras, held, _unflatten(Memories, "memories", tensors), anchors, model)
+    except (OSError, SafetensorError, KeyError, ValueError) as error:
+        raise QuerySplatError(f"{folder} is damaged: {error}", "Run `querysplat reconstruct` again.") from error
+    return scene, report
+
+
+def _flatten(name: str, part: Any) -> dict[str, Tensor]:
+    """A dataclass of tensors and of such dataclasses, as named tensors."""
+    if not is_dataclass(part):
+        return {name: part.detach().contiguous().clone()}
+    flat: dict[str, Tensor] = {}
+    for field in fields(part):
+        flat |= _flatten(f"{name}.{field.name}", getattr(part, field.name))
+    return flat
+
+
+def _unflatten(kind: Any, name: str, tensors: dict[str, Tensor]) -> Any:
+    if not is_dataclass(kind):
+        return tensors[name]
+    return kind(**{field.name: _unflatten(field.type, f"{name}.{field.name}", tensors) for field in fields(kind)})
+
+
+def _stored_name(name: str) -> str:
+    suffix = Path(name).suffix.lower()
+    return name if suffix in LOSSLESS_SUFFIXES | {".jpg", ".jpeg"} else f"{name}.png"
+
+
+def _write_images(folder: Path, views: Views) -> None:
+    for image, name, (height, width) in zip(views.images, views.names, views.sizes, strict=True):
+        path = folder / _stored_name(name)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        pixels = (image[:, :height, :width].permute(1, 2, 0) * 255).round().to(torch.uint8).numpy()
+        settings = [] if path.suffix.lower() in LOSSLESS_SUFFIXES else list(JPEG_SETTINGS)
+        if not cv2.imwrite(str(path), pixels[..., ::-1], settings):
+            raise OSError(f"cannot write {path}")
+
+
+def _read_images(folder: Path, names: tuple[str, ...], sizes: tuple[tuple[int, int], ...], masks: Tensor) -> Views:
+    images = torch.zeros(len(names), 3, *masks.shape[1:])
+    for row, (name, (height, width)) in enumerate(zip(names, sizes, strict=True)):
+        pixels = cv2.imread(str(folder / _stored_name(name)), cv2.IMREAD_COLOR)
+        if pixels is None or pixels.shape[:2] != (height, width):
+            raise OSError(f"images/{_stored_name(name)} is missing or has another size")
+        images[row, :, :height, :width] = (
+            torch.from_numpy(np.ascontiguousarray(pixels[..., ::-1])).permute(2, 0, 1) / 255
+        )
+    return Views(images, masks, names, sizes)
