@@ -1,7 +1,7 @@
 """The rendering loss of many views, and its gradient, in the memory of a few."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
@@ -24,7 +24,7 @@ class RenderingLoss:
     views: Views
     cameras: Cameras
     background: Tensor | None = None
-    settings: RenderSettings = RenderSettings()
+    settings: RenderSettings = field(default_factory=RenderSettings)
     chunk: int = 4
 
     def value(self, gaussians: Gaussians, chosen: list[int]) -> float:

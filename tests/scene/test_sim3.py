@@ -1,0 +1,89 @@
+"""Similarities against their own definition, and refusals where they are not determined."""
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.sim3 import DegenerateAlignment, Sim3, align_cameras, align_sim3
+
+
+def similarity(seed: int) -> Sim3:
+    rng = np.random.default_rng(seed)
+    rotation = torch.from_numpy(Rotation.random(random_state=seed).as_matrix())
+    return Sim3(float(np.exp(rng.uniform(-7, 7))), rotation, torch.from_numpy(rng.normal(size=3) * 10))
+
+
+def cameras(seed: int, count: int) -> Cameras:
+    rng = np.random.default_rng(seed)
+    w2c = torch.eye(4, dtype=torch.float64).repeat(count, 1, 1)
+    w2c[:, :3, :3] = torch.from_numpy(Rotation.random(count, random_state=seed).as_matrix()).reshape(count, 3, 3)
+    w2c[:, :3, 3] = torch.from_numpy(rng.normal(size=(count, 3)))
+    return Cameras(w2c, torch.eye(3, dtype=torch.float64).repeat(count, 1, 1), 10, 10)
+
+
+@given(seed=st.integers(0, 10_000), count=st.integers(3, 12))
+def test_points_give_back_the_similarity_that_moved_them(seed: int, count: int) -> None:
+    truth = similarity(seed)
+    points = torch.from_numpy(np.random.default_rng(seed + 1).normal(size=(count, 3)))
+    found = align_sim3(points, truth.apply(points))
+    torch.testing.assert_close(found.scale, truth.scale, rtol=1e-6, atol=0)
+    torch.testing.assert_close(found.apply(points), truth.apply(points), rtol=1e-6, atol=1e-6 * truth.scale)
+
+
+@given(seed=st.integers(0, 10_000), count=st.integers(2, 8))
+def test_cameras_give_back_the_similarity_even_two_of_them(seed: int, count: int) -> None:
+    truth, before = similarity(seed), cameras(seed, count)
+    after = before.transformed(truth)
+    found = align_cameras(before.w2c, after.w2c)
+    torch.testing.assert_close(found.scale, truth.scale, rtol=1e-6, atol=0)
+    torch.testing.assert_close(found.rotation, truth.rotation, rtol=0, atol=1e-9)
+    torch.testing.assert_close(after.centres, truth.apply(before.centres), rtol=1e-6, atol=1e-6 * truth.scale)
+
+
+@given(seed=st.integers(0, 10_000))
+def test_pictures_do_not_change_when_world_and_cameras_move_together(seed: int) -> None:
+    truth, before = similarity(seed), cameras(seed, 3)
+    points = torch.from_numpy(np.random.default_rng(seed + 2).normal(size=(20, 3)))
+    seen = points @ before.w2c[0, :3, :3].T + before.w2c[0, :3, 3]
+    moved = before.transformed(truth)
+    seen_after = truth.apply(points) @ moved.w2c[0, :3, :3].T + moved.w2c[0, :3, 3]
+    torch.testing.assert_close(seen_after / truth.scale, seen, rtol=1e-6, atol=1e-6)
+
+
+@given(seed=st.integers(0, 10_000))
+def test_inverse_and_composition(seed: int) -> None:
+    one, two = similarity(seed), similarity(seed + 1)
+    points = torch.from_numpy(np.random.default_rng(seed).normal(size=(5, 3)))
+    torch.testing.assert_close(one.inverse().apply(one.apply(points)), points, rtol=1e-6, atol=1e-6)
+    expected = one.apply(two.apply(points))
+    torch.testing.assert_close(
+        one.compose(two).apply(points), expected, rtol=1e-6, atol=1e-6 * float(expected.abs().max())
+    )
+
+
+@pytest.mark.parametrize(
+    "points",
+    [torch.ones(5, 3), torch.arange(12.0).reshape(4, 3), torch.eye(3)[:2]],
+    ids=["coincident", "collinear", "two"],
+)
+def test_points_that_leave_the_similarity_free_are_refused(points: torch.Tensor) -> None:
+    with pytest.raises(DegenerateAlignment):
+        align_sim3(points, points * 2)
+
+
+def test_cameras_at_one_place_are_refused() -> None:
+    here = cameras(3, 4)
+    w2c = here.w2c.clone()
+    w2c[:, :3, 3] = 0
+    with pytest.raises(DegenerateAlignment, match="one place"):
+        align_cameras(w2c, w2c)
+
+
+def test_a_mirrored_world_is_not_reached_by_a_reflection() -> None:
+    points = torch.from_numpy(np.random.default_rng(0).normal(size=(8, 3)))
+    found = align_sim3(points, points * torch.tensor([1.0, 1.0, -1.0]))
+    assert float(torch.linalg.det(found.rotation)) == pytest.approx(1)
