@@ -1,0 +1,41 @@
+"""Where rasterisers differ, in one place: the original 3DGS, as gsplat documents it."""
+
+from dataclasses import dataclass
+
+COLOUR_LIMIT = 1e6
+"""Evaluated colours are clamped to [0, this], so that wild SH coefficients cannot overflow the blending."""
+SCALE_LIMIT = 1.8e19
+"""A Gaussian whose squared extent overflows float32 is culled (its size means nothing any more)."""
+CLAMP_MARGIN = 0.3
+"""The Jacobian is evaluated inside the frustum widened by this share of the half field of view."""
+
+SH_0 = 0.28209479177387814
+SH_1 = 0.4886025119029199
+SH_2 = (1.0925484305920792, -1.0925484305920792, 0.31539156525252005, -1.0925484305920792, 0.5462742152960396)
+SH_3 = (
+    -0.5900435899266435,
+    2.890611442640554,
+    -0.4570457994644658,
+    0.3731763325901154,
+    -0.4570457994644658,
+    1.445305721320277,
+    -0.5900435899266435,
+)
+
+
+@dataclass(frozen=True)
+class RenderSettings:
+    """How Gaussians become pixels.
+
+    `near` and `far` bound camera z, in scene units; `low_pass` (px²) is added to the diagonal of the 2D
+    covariance; α = min(`alpha_max`, opacity·exp(−σ)) and α below `alpha_min` is skipped; a pixel stops
+    before the Gaussian that would bring its transmittance to `transmittance_min` or below. `alpha_max` is
+    0.99 in 3DGS and gsplat 1.6, 0.999 in gsplat 1.5.3.
+    """
+
+    near: float = 0.025
+    far: float = 125.0
+    low_pass: float = 0.3
+    alpha_max: float = 0.99
+    alpha_min: float = 1 / 255
+    transmittance_min: float = 1e-4

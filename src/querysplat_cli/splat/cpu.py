@@ -1,0 +1,162 @@
+"""The CPU splatter: compiled projection, dealing and blending behind one differentiable function."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numba
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.splat.compiled_blending import PLANES, TILE, blend_backward, deal
+from querysplat_cli.splat.compiled_blending import blend as blend_tiles
+from querysplat_cli.splat.compiled_projection import (
+    COLUMNS,
+    DEPTH,
+    GRADIENT_COLUMNS,
+    HALF_WIDTH,
+    project,
+    project_backward,
+)
+from querysplat_cli.splat.conventions import RenderSettings
+
+PAIRS_LIMIT = 2**28
+"""(tile, Gaussian) pairs of one view: 1 GiB of lists."""
+
+
+def blend(
+    gaussians: Gaussians, cameras: Cameras, settings: RenderSettings
+) -> tuple[
+    Float[Tensor, "views 3 height width"], Float[Tensor, "views height width"], Float[Tensor, "views height width"]
+]:
+    """Colour on black, alpha, and Σ w·z of every view, in float32.
+
+    Raises QuerySplatError when the Gaussians of one view would fill more than 1 GiB of tile lists.
+    """
+    fields = (gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.sh)
+    planes = _Blend.apply(*(field.float().contiguous() for field in fields), cameras, settings)
+    return planes[:, :3], planes[:, 3], planes[:, 4]
+
+
+@dataclass(frozen=True)
+class _View:
+    """What the backward pass of one view needs from the forward pass."""
+
+    camera: np.ndarray
+    rows: np.ndarray
+    starts: np.ndarray
+    lists: np.ndarray
+
+
+class _Blend(torch.autograd.Function):
+    @staticmethod
+    def forward(  # type: ignore[override]
+        ctx: Any,
+        means: Tensor,
+        quats: Tensor,
+        scales: Tensor,
+        opacities: Tensor,
+        sh: Tensor,
+        cameras: Cameras,
+        settings: RenderSettings,
+    ) -> Tensor:
+        arrays = [tensor.detach().numpy() for tensor in (means, quats, scales, opacities, sh)]
+        planes = np.empty((len(cameras), PLANES, cameras.height, cameras.width), np.float32)
+        views = [
+            _forward_view(arrays, camera, settings, planes[v]) for v, camera in enumerate(_camera_rows(cameras))
+        ]
+        result = torch.from_numpy(planes)
+        ctx.save_for_backward(means, quats, scales, opacities, sh, result)
+        ctx.views, ctx.settings = views, settings
+        return result
+
+    @staticmethod
+    def backward(ctx: Any, given: Tensor) -> tuple[Tensor | None, ...]:  # type: ignore[override]
+        *tensors, result = ctx.saved_tensors
+        arrays = [tensor.detach().numpy() for tensor in tensors]
+        gradients = [np.zeros_like(array) for array in arrays]
+        tasks = numba.get_num_threads()
+        parts = np.empty((tasks, len(arrays[0]), GRADIENT_COLUMNS), np.float32)
+        slopes, planes = given.contiguous().numpy(), result.numpy()
+        tiles_x = -(-planes.shape[3] // TILE)
+        for v, view in enumerate(ctx.views):
+            parts[:] = 0
+            blend_backward(
+                view.rows,
+                view.starts,
+                view.lists,
+                _fair_shares(view.starts, tasks),
+                tiles_x,
+                _blend_limits(ctx.settings),
+                planes[v],
+                slopes[v],
+                parts,
+            )
+            project_backward(*arrays, view.camera, _projection_limits(ctx.settings), view.rows, parts, *gradients)
+        return (*(torch.from_numpy(gradient) for gradient in gradients), None, None)
+
+
+def _forward_view(arrays: list[np.ndarray], camera: np.ndarray, settings: RenderSettings, planes: np.ndarray) -> _View:
+    height, width = planes.shape[1:]
+    tiles_x, tiles_y = -(-width // TILE), -(-height // TILE)
+    rows = np.empty((len(arrays[0]), COLUMNS), np.float32)
+    project(*arrays, camera, _projection_limits(settings), rows)
+    order = _by_depth(rows)
+    bands = min(tiles_y, 2 * numba.get_num_threads())
+    counts = np.empty(tiles_x * tiles_y, np.int64)
+    starts = np.zeros(tiles_x * tiles_y + 1, np.int64)
+    nothing = np.empty(0, np.int32)
+    deal(rows, order, settings.alpha_min, tiles_x, tiles_y, bands, counts, starts, nothing)
+    np.cumsum(counts, out=starts[1:])
+    if starts[-1] > PAIRS_LIMIT:
+        raise QuerySplatError(
+            f"{len(order):,} Gaussians cover {starts[-1]:,} tiles, more than the {PAIRS_LIMIT:,} that fit in memory",
+            "Most of them are far too large; prune or shrink them, or render smaller pictures.",
+        )
+    lists = np.empty(starts[-1], np.int32)
+    if len(lists):
+        deal(rows, order, settings.alpha_min, tiles_x, tiles_y, bands, counts, starts, lists)
+    blend_tiles(rows, starts, lists, tiles_x, _blend_limits(settings), planes)
+    return _View(camera, rows, starts, lists)
+
+
+def _by_depth(rows: np.ndarray) -> np.ndarray:
+    """Visible rows, nearest first, equal depths in their given order.
+
+    Positive floats sort like their bits; with the row number below them every key is unique, and numpy's
+    fast unstable sort is a stable one.
+    """
+    visible = np.flatnonzero(rows[:, HALF_WIDTH] > 0)
+    depth = np.ascontiguousarray(rows[visible, DEPTH]).view(np.uint32).astype(np.uint64)
+    keys = (depth << np.uint64(32)) | visible.astype(np.uint64)
+    keys.sort()
+    return (keys & np.uint64(0xFFFFFFFF)).astype(np.int32)
+
+
+def _fair_shares(starts: np.ndarray, tasks: int) -> np.ndarray:
+    """Tile numbers that cut the pairs into `tasks` nearly equal runs."""
+    cuts = np.searchsorted(starts, np.linspace(0, starts[-1], tasks + 1))
+    cuts[0], cuts[-1] = 0, len(starts) - 1
+    return cuts.astype(np.int64)
+
+
+def _camera_rows(cameras: Cameras) -> np.ndarray:
+    """[views, 18] float64: rotation, centre, fx, fy, cx, cy, width, height."""
+    w2c, K = cameras.w2c.double().numpy(), cameras.K.double().numpy()
+    rotation = w2c[:, :3, :3]
+    centres = -np.einsum("vji,vj->vi", rotation, w2c[:, :3, 3])
+    lens = np.stack([K[:, 0, 0], K[:, 1, 1], K[:, 0, 2], K[:, 1, 2]], 1)
+    size = np.broadcast_to([float(cameras.width), float(cameras.height)], (len(cameras), 2))
+    return np.concatenate([rotation.reshape(-1, 9), centres, lens, size], 1)
+
+
+def _projection_limits(settings: RenderSettings) -> np.ndarray:
+    return np.array([settings.near, settings.far, settings.low_pass, settings.alpha_min])
+
+
+def _blend_limits(settings: RenderSettings) -> np.ndarray:
+    return np.array([settings.alpha_max, settings.alpha_min, settings.transmittance_min], np.float32)

@@ -1,0 +1,52 @@
+"""The splatter as its equations say, without tiles: slow, exact, and in any precision."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.splat.conventions import RenderSettings
+from querysplat_cli.splat.projection import Projected, project
+
+PIXELS_AT_ONCE = 4096
+
+
+def blend(
+    gaussians: Gaussians, cameras: Cameras, settings: RenderSettings
+) -> tuple[
+    Float[Tensor, "views 3 height width"], Float[Tensor, "views height width"], Float[Tensor, "views height width"]
+]:
+    """Colour on black, alpha, and Σ w·z of every view."""
+    cameras = cameras.to(gaussians.means.dtype)
+    views = [
+        _blend_view(
+            project(gaussians, w2c, K, cameras.height, cameras.width, settings), cameras.height, cameras.width, settings
+        )
+        for w2c, K in zip(cameras.w2c, cameras.K, strict=True)
+    ]
+    stacked = torch.stack(views) if views else gaussians.means.new_zeros(0, 5, cameras.height, cameras.width)
+    return stacked[:, :3], stacked[:, 3], stacked[:, 4]
+
+
+def _blend_view(seen: Projected, height: int, width: int, settings: RenderSettings) -> Tensor:
+    """[5, height, width]: red, green, blue, alpha, Σ w·z."""
+    rows = seen.visible.nonzero()[:, 0]
+    order = rows[seen.depth[rows].argsort(stable=True)]
+    centre, conic, opacity = seen.centre[order], seen.conic[order], seen.opacity[order]
+    values = torch.cat([seen.colour[order], torch.ones_like(opacity)[:, None], seen.depth[order][:, None]], 1)
+    dtype = centre.dtype
+    x = (torch.arange(width, dtype=dtype) + 0.5).repeat(height)
+    y = (torch.arange(height, dtype=dtype) + 0.5).repeat_interleave(width)
+    parts = []
+    for start in range(0, height * width, PIXELS_AT_ONCE):
+        dx = x[start : start + PIXELS_AT_ONCE, None] - centre[:, 0]
+        dy = y[start : start + PIXELS_AT_ONCE, None] - centre[:, 1]
+        sigma = 0.5 * (conic[:, 0] * dx * dx + conic[:, 2] * dy * dy) + conic[:, 1] * dx * dy
+        alpha = (opacity * torch.exp(-sigma.clamp_min(0))).clamp_max(settings.alpha_max)
+        alpha = torch.where(alpha < settings.alpha_min, 0.0, alpha)
+        left = torch.cumprod(1 - alpha, 1)
+        alpha = torch.where(left <= settings.transmittance_min, 0.0, alpha)
+        before = torch.cat([torch.ones_like(left[:, :1]), left[:, :-1]], 1)
+        parts.append((alpha * before) @ values)
+    return torch.cat(parts).T.reshape(5, height, width)

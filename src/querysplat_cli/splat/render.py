@@ -1,0 +1,90 @@
+"""Gaussians and cameras in, pictures out: the one public entry of the splatter."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from importlib import import_module
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.splat.conventions import RenderSettings
+
+__all__ = ["RenderSettings", "Rendering", "contributions", "render"]
+
+BACKENDS = {"reference": "reference", "cpu": "cpu", "gsplat": "gsplat_backend"}
+"""Name → module of this package with a function `blend`; imported when first used."""
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """Pictures of every view. `colour` is not clamped; `depth` is the expected camera z, 0 where α is 0."""
+
+    colour: Float[Tensor, "views 3 height width"]
+    alpha: Float[Tensor, "views height width"]
+    depth: Float[Tensor, "views height width"]
+
+
+def render(
+    gaussians: Gaussians,
+    cameras: Cameras,
+    *,
+    background: Float[Tensor, "3"] | None = None,
+    settings: RenderSettings | None = None,
+    backend: str = "auto",
+) -> Rendering:
+    """Splat the Gaussians into every view, differentiably in all their parameters.
+
+    `background` is the colour behind them, black by default. `backend` "auto" takes gsplat for CUDA
+    tensors, the plain torch reference for float64, and the compiled CPU kernel otherwise. Raises
+    QuerySplatError when a tensor holds NaN or Inf, and MissingPart when the backend is not there.
+    """
+    _refuse_non_finite(gaussians)
+    blend: Callable[..., tuple[Tensor, Tensor, Tensor]] = _backend(gaussians, backend).blend
+    colour, alpha, weighted_depth = blend(gaussians, cameras, settings or RenderSettings())
+    if background is not None:
+        colour = colour + (1 - alpha[:, None]) * background.to(colour)[:, None, None]
+    return Rendering(colour, alpha, weighted_depth / alpha.clamp_min(1e-10))
+
+
+def contributions(
+    gaussians: Gaussians, cameras: Cameras, settings: RenderSettings | None = None
+) -> Float[Tensor, "n"]:
+    """The blending weight of each Gaussian, summed over all pixels of all views."""
+    # The weights are what the colour's gradient with respect to a flat colour adds up to.
+    flat = Gaussians(
+        gaussians.means.detach(),
+        gaussians.quats.detach(),
+        gaussians.scales.detach(),
+        gaussians.opacities.detach(),
+        torch.zeros_like(gaussians.sh[:, :1]).requires_grad_(),
+    )
+    red = render(flat, cameras, settings=settings).colour[:, 0]
+    (gradient,) = torch.autograd.grad(red.sum(), flat.sh)
+    return gradient[:, 0, 0] / 0.28209479177387814
+
+
+def _backend(gaussians: Gaussians, name: str):  # type: ignore[no-untyped-def]
+    if name == "auto":
+        name = "gsplat" if gaussians.means.is_cuda else "reference" if gaussians.means.dtype == torch.float64 else "cpu"
+    if name not in BACKENDS:
+        raise QuerySplatError(f"there is no splatter called {name}", f"Choose from: auto, {', '.join(BACKENDS)}.")
+    return import_module(f"querysplat_cli.splat.{BACKENDS[name]}")
+
+
+def _refuse_non_finite(gaussians: Gaussians) -> None:
+    for field in fields(gaussians):
+        tensor = getattr(gaussians, field.name).detach()
+        # A sum is finite only if every summand is; the count is taken only when it is not.
+        if not bool(tensor.sum(dtype=torch.float64).isfinite()):
+            wrong = ~tensor.isfinite()
+            if bool(wrong.any()):
+                first = tuple(wrong.nonzero()[0].tolist())
+                raise QuerySplatError(
+                    f"{int(wrong.sum())} of the {tensor.numel()} numbers in `{field.name}` are NaN or infinite, "
+                    f"the first at {list(first)}",
+                    "Remove those Gaussians, or find out what made them.",
+                )
