@@ -1,6 +1,6 @@
 """The vision geometric model (VGM): photos in; cameras, depth and features out. Always frozen."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from querysplat_cli.progress import Progress
-from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.cameras import Cameras, PhotoCamera
 from querysplat_cli.scene.views import LeftOut, Photo, Views
 
 
@@ -50,9 +50,18 @@ class Encoder(Protocol):
 
     name: str
 
-    def locate(self, photos: Sequence[Photo], *, max_size: int, seed: int, progress: Progress) -> Located:
+    def locate(
+        self,
+        photos: Sequence[Photo],
+        *,
+        max_size: int,
+        seed: int,
+        progress: Progress,
+        known: Mapping[str, PhotoCamera] | None = None,
+    ) -> Located:
         """Cameras of the photos, and the photos undistorted at a longer side of at most `max_size` pixels.
 
+        `known` gives cameras by photo name: then none is estimated, and photos without one are left out.
         Raises ImpossibleScene when no two photos can be related.
         """
         ...

@@ -1,0 +1,34 @@
+"""The default encoder: classical structure from motion and multi-view stereo. It needs no weights."""
+
+from collections.abc import Mapping, Sequence
+
+from querysplat_cli.encoders.base import Geometry, Located
+from querysplat_cli.encoders.classical.cameras import locate
+from querysplat_cli.progress import Progress
+from querysplat_cli.scene.cameras import PhotoCamera
+from querysplat_cli.scene.views import Photo
+
+
+class ClassicalEncoder:
+    """SIFT and incremental mapping for the cameras, a plane sweep for the depth."""
+
+    name = "classical"
+
+    def locate(
+        self,
+        photos: Sequence[Photo],
+        *,
+        max_size: int,
+        seed: int,
+        progress: Progress,
+        known: Mapping[str, PhotoCamera] | None = None,
+    ) -> Located:
+        """See `querysplat_cli.encoders.classical.cameras.locate`."""
+        return locate(photos, max_size=max_size, seed=seed, progress=progress, known=known)
+
+    def perceive(self, located: Located, *, seed: int, progress: Progress) -> Geometry:
+        """See `querysplat_cli.encoders.classical.depth.perceive`."""
+        # Imported here: the depth's compiled kernels are not needed by those who only want cameras.
+        from querysplat_cli.encoders.classical.depth import perceive
+
+        return perceive(located, seed=seed, progress=progress)

@@ -1,0 +1,61 @@
+"""Do cameras agree with the matches between their photos?"""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from querysplat_cli.encoders.classical.matches import Matches, Pair
+from querysplat_cli.encoders.classical.sparse_model import SparseModel
+from querysplat_cli.scene.cameras import PhotoCamera
+
+TOLERANCE = 4.0
+"""Pixels that a match may lie from where the cameras expect it (COLMAP's threshold for verified pairs)."""
+
+
+@dataclass(frozen=True)
+class Support:
+    """Matches that a model's cameras explain, and those between its photos in all."""
+
+    explained: int
+    matches: int
+
+    @property
+    def share(self) -> float:
+        return self.explained / self.matches if self.matches else 1.0
+
+
+def supported(model: SparseModel, matches: Matches) -> Support:
+    """How many verified matches lie within `TOLERANCE` of their epipolar lines.
+
+    Pairs were verified one by one, each with its own geometry, so a folded or bent model that keeps its own
+    points' reprojection error small still contradicts them.
+    """
+    explained = total = 0
+    for pair in matches.pairs:
+        if pair.first in model.cameras and pair.second in model.cameras:
+            cameras = model.cameras[pair.first], model.cameras[pair.second]
+            explained += int((epipolar_error(pair, *cameras) < TOLERANCE).sum())
+            total += len(pair)
+    return Support(explained, total)
+
+
+def rays(pixels: np.ndarray, camera: PhotoCamera) -> np.ndarray:
+    """Camera coordinates [n, 2] at z = 1 of a photo's pixels [n, 2], centres at +0.5, distortion removed."""
+    K = np.array([[camera.focal[0], 0, camera.principal[0]], [0, camera.focal[1], camera.principal[1]], [0, 0, 1]])
+    # OpenCV needs no shift here: pixels and principal point are counted from the same corner.
+    flat = cv2.undistortPoints(pixels.reshape(-1, 1, 2), K, np.array(camera.distortion))
+    return np.asarray(flat.reshape(-1, 2), dtype=np.float64)
+
+
+def epipolar_error(pair: Pair, first: PhotoCamera, second: PhotoCamera) -> np.ndarray:
+    """Sampson distance [m] in pixels (Hartley & Zisserman 2004, eq. 11.9) of a pair's matches."""
+    relative = second.w2c @ np.linalg.inv(first.w2c)
+    x, y, z = relative[:3, 3] / max(float(np.linalg.norm(relative[:3, 3])), 1e-12)
+    essential = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]]) @ relative[:3, :3]
+    one = np.pad(rays(pair.first_pixels, first), ((0, 0), (0, 1)), constant_values=1.0)
+    two = np.pad(rays(pair.second_pixels, second), ((0, 0), (0, 1)), constant_values=1.0)
+    line, back = one @ essential.T, two @ essential
+    slope = np.sqrt(line[:, 0] ** 2 + line[:, 1] ** 2 + back[:, 0] ** 2 + back[:, 1] ** 2)
+    focal = (first.focal[0] * second.focal[0]) ** 0.5
+    return np.asarray(focal * np.abs((two * line).sum(1)) / np.maximum(slope, 1e-12))

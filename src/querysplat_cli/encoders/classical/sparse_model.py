@@ -1,0 +1,62 @@
+"""What structure from motion finds: cameras and the points they share."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from querysplat_cli.scene.cameras import PhotoCamera
+
+
+@dataclass(frozen=True)
+class SparseModel:
+    """Cameras by photo number, and scene points [n, 3] in float64.
+
+    `seen` holds, for each photo, the rows of the points that its camera observes; points that nothing
+    observes do not occur.
+    """
+
+    cameras: dict[int, PhotoCamera]
+    points: np.ndarray
+    seen: dict[int, np.ndarray]
+
+    def depths(self, photo: int) -> np.ndarray:
+        """Camera z of the points that a photo sees, in scene units."""
+        w2c = self.cameras[photo].w2c
+        return np.asarray(self.points[self.seen[photo]] @ w2c[2, :3] + w2c[2, 3])
+
+    def centre(self, photo: int) -> np.ndarray:
+        """Where a photo was taken from [3]."""
+        w2c = self.cameras[photo].w2c
+        return np.asarray(-w2c[:3, :3].T @ w2c[:3, 3])
+
+
+def normalised(model: SparseModel) -> SparseModel:
+    """The same model with the first photo's camera as origin and a median observed depth of 1.
+
+    The median is taken over what all cameras see; without points the scale is kept.
+    """
+    first = min(model.cameras)
+    origin = model.cameras[first].w2c
+    depths = np.concatenate([model.depths(photo) for photo in model.cameras])
+    scale = 1 / float(np.median(depths)) if len(depths) else 1.0
+    cameras = {}
+    for photo, camera in model.cameras.items():
+        rotation = camera.w2c[:3, :3] @ origin[:3, :3].T
+        w2c = np.eye(4)
+        w2c[:3, :3] = rotation
+        w2c[:3, 3] = scale * (camera.w2c[:3, 3] - rotation @ origin[:3, 3])
+        cameras[photo] = replace(camera, w2c=w2c)
+    # Exact by definition; the products above leave rounding.
+    cameras[first] = replace(cameras[first], w2c=np.eye(4))
+    points = scale * (model.points @ origin[:3, :3].T + origin[:3, 3])
+    return SparseModel(cameras, points, model.seen)
+
+
+def rescaled(camera: PhotoCamera, height: int, width: int) -> PhotoCamera:
+    """The camera of the same photo stored at another size (pixel centres at +0.5, so corners map to corners)."""
+    x, y = width / camera.width, height / camera.height
+    focal, principal = camera.focal, camera.principal
+    return replace(
+        camera, focal=(focal[0] * x, focal[1] * y), principal=(principal[0] * x, principal[1] * y),
+        height=height, width=width,
+    )  # fmt: skip
