@@ -1,0 +1,36 @@
+"""What the classical VGM says of each patch, in the place of a network's features."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from querysplat_cli.encoders.base import Located
+
+PATCH = 6
+CHANNELS = 12
+
+
+def patch_features(
+    located: Located, depth: Float[Tensor, "views height width"], confidence: Float[Tensor, "views height width"]
+) -> Float[Tensor, "views tokens 12"]:
+    """A row for each patch of 6 × 6 pixels, view by view, row by row: world position (3), world normal (3),
+    mean confidence, mean colour − ½ (3), log depth, and the standard deviation of the brightness."""
+    cameras = located.cameras
+    middle = PATCH // 2
+    z = depth[:, middle::PATCH, middle::PATCH]
+    rows = torch.arange(z.shape[1]) * PATCH + middle + 0.5
+    columns = torch.arange(z.shape[2]) * PATCH + middle + 0.5
+    fx, fy, cx, cy = (cameras.K[:, i, j, None, None] for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    local = torch.stack([(columns - cx) / fx * z, (rows[:, None] - cy) / fy * z, z], -1)
+    c2w = cameras.c2w
+    world = torch.einsum("vij,vrcj->vrci", c2w[:, :3, :3], local) + c2w[:, None, None, :3, 3]
+    across, down = torch.gradient(world, dim=(2, 1))
+    normal = torch.nn.functional.normalize(torch.linalg.cross(down, across), dim=-1)
+    images = located.views.images
+    colour = torch.nn.functional.avg_pool2d(images, PATCH)
+    brightness = images.mean(1, keepdim=True)
+    mean = torch.nn.functional.avg_pool2d(brightness, PATCH)
+    texture = (torch.nn.functional.avg_pool2d(brightness.square(), PATCH) - mean.square()).clamp_min(0).sqrt()
+    sure = torch.nn.functional.avg_pool2d(confidence[:, None], PATCH)
+    maps = [world, normal, sure.permute(0, 2, 3, 1), colour.permute(0, 2, 3, 1) - 0.5, z.log()[..., None]]
+    return torch.cat([*maps, texture.permute(0, 2, 3, 1)], -1).flatten(1, 2)
