@@ -1,0 +1,85 @@
+"""Attention over a memory or among queries, one scene at a time: [tokens, width], no batch."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from querysplat_cli.model.anchors import Neighbours
+
+
+class LayerScale(nn.Module):
+    """A learned gain for each channel of a residual branch."""
+
+    def __init__(self, width: int, start: float = 5e-5) -> None:
+        super().__init__()
+        self.gamma = nn.Parameter(torch.full((width,), start))
+
+    @property
+    def silent(self) -> bool:
+        """Whether the branch adds exactly nothing and will not learn to: it can then be left out."""
+        return not self.gamma.requires_grad and not bool(self.gamma.any())
+
+    def forward(self, update: Float[Tensor, "tokens width"]) -> Float[Tensor, "tokens width"]:
+        return self.gamma * update
+
+
+class CrossAttention(nn.Module):
+    """Queries read a memory whose keys are already normed (spec, section 4, step 1)."""
+
+    def __init__(self, width: int, heads: int) -> None:
+        super().__init__()
+        self.heads = heads
+        self.norm = nn.LayerNorm(width)
+        self.q_proj = nn.Linear(width, width)
+        self.q_norm = nn.LayerNorm(width // heads)
+        self.out_proj = nn.Linear(width, width)
+
+    def forward(
+        self,
+        tokens: Float[Tensor, "queries width"],
+        keys: Float[Tensor, "memory heads channels"],
+        values: Float[Tensor, "memory heads channels"],
+        near: Neighbours | None = None,
+    ) -> Float[Tensor, "queries width"]:
+        query = self.q_norm(self.q_proj(self.norm(tokens)).unflatten(-1, (self.heads, -1)))
+        return self.out_proj(attend(query, keys, values, near))
+
+
+class SelfAttention(nn.Module):
+    """Queries read one another (spec, section 4, step 2)."""
+
+    def __init__(self, width: int, heads: int) -> None:
+        super().__init__()
+        self.heads = heads
+        self.norm = nn.LayerNorm(width)
+        self.qkv = nn.Linear(width, 3 * width)
+        self.q_norm = nn.LayerNorm(width // heads)
+        self.k_norm = nn.LayerNorm(width // heads)
+        self.out_proj = nn.Linear(width, width)
+
+    def forward(
+        self, tokens: Float[Tensor, "queries width"], near: Neighbours | None = None
+    ) -> Float[Tensor, "queries width"]:
+        query, key, value = self.qkv(self.norm(tokens)).unflatten(-1, (3, self.heads, -1)).unbind(1)
+        return self.out_proj(attend(self.q_norm(query), self.k_norm(key), value, near))
+
+
+def attend(
+    query: Float[Tensor, "queries heads channels"],
+    keys: Float[Tensor, "memory heads channels"],
+    values: Float[Tensor, "memory heads channels"],
+    near: Neighbours | None = None,
+) -> Float[Tensor, "queries width"]:
+    """softmax(q·kᵀ/√channels + bias)·v by head, heads concatenated.
+
+    With `near`, query i sees only the memory rows near.index[i], whose logits get near.bias[i]; without, all.
+    """
+    if near is None:
+        heads_first = (part.transpose(0, 1)[None] for part in (query, keys, values))
+        return F.scaled_dot_product_attention(*heads_first)[0].transpose(0, 1).flatten(1)
+    # `embedding` gathers rows, and its backward adds them up in a fixed order.
+    seen_keys = F.embedding(near.index, keys.flatten(1)).unflatten(-1, keys.shape[1:])
+    seen_values = F.embedding(near.index, values.flatten(1)).unflatten(-1, values.shape[1:])
+    logits = (query[:, None] * seen_keys).sum(-1) / query.shape[-1] ** 0.5 + near.bias[..., None]
+    return (logits.softmax(1)[..., None] * seen_values).sum(1).flatten(1)

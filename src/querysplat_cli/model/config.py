@@ -1,0 +1,69 @@
+"""What a QuerySplat model is made of."""
+
+import tomllib
+from dataclasses import dataclass, fields
+from importlib import resources
+from typing import Any, Literal
+
+from querysplat_cli.errors import QuerySplatError
+
+
+@dataclass(frozen=True)
+class ModelConfig:
+    """Sizes and choices; the defaults are those of the official checkpoints.
+
+    `queries` "learned" takes `query_count` learned tokens and predicts positions in the VGM's frame;
+    "anchored" makes a token for each anchor from its `anchor_features` numbers and predicts changes to the
+    anchor's prior, whose colour was projected from the photos (`colour_prior`). `special_tokens` are the
+    camera and register tokens before a view's patches; `vgm_width` is the width of the VGM's tokens.
+    """
+
+    width: int = 2048
+    heads: int = 16
+    mlp_ratio: float = 4.0
+    geometry_blocks: int = 12
+    appearance_blocks: int = 6
+    queries: Literal["learned", "anchored"] = "learned"
+    colour_prior: Literal["none", "projected"] = "none"
+    query_count: int = 8192
+    anchor_features: int = 0
+    gaussians_per_query: int = 64
+    sh_degree: int = 1
+    patch: int = 16
+    mixed_layers: int = 4
+    special_tokens: int = 17
+    vgm_width: int = 2048
+    scale_cap: float = 0.075
+    z_offset: float = 1.0
+    sh_rest_scale: float = 0.1
+
+    @property
+    def sh_bands(self) -> int:
+        return (self.sh_degree + 1) ** 2
+
+    @property
+    def appearance_channels(self) -> int:
+        """Raw numbers of the appearance head for each Gaussian: SH for three colours, and opacity."""
+        return 3 * self.sh_bands + 1
+
+    @staticmethod
+    def from_dict(values: dict[str, Any]) -> "ModelConfig":
+        """Raises QuerySplatError when a name is not a field."""
+        unknown = sorted(values.keys() - {field.name for field in fields(ModelConfig)})
+        if unknown:
+            raise QuerySplatError(f"unknown model setting: {', '.join(unknown)}", "See docs/method.md for the names.")
+        return ModelConfig(**values)
+
+
+def preset(name: str) -> ModelConfig:
+    """The configuration in presets/NAME.toml; raises QuerySplatError, listing the names, when there is none."""
+    folder = resources.files("querysplat_cli") / "presets"
+    names = preset_names()
+    if name not in names:
+        raise QuerySplatError(f"there is no preset named '{name}'", f"Choose one of: {', '.join(names)}.")
+    return ModelConfig.from_dict(tomllib.loads((folder / f"{name}.toml").read_text())["model"])
+
+
+def preset_names() -> list[str]:
+    folder = resources.files("querysplat_cli") / "presets"
+    return sorted(entry.name.removesuffix(".toml") for entry in folder.iterdir() if entry.name.endswith(".toml"))

@@ -1,0 +1,94 @@
+"""The decoder that both branches use: queries read a memory, then one another, then think."""
+
+from collections.abc import Iterator
+
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from querysplat_cli.model.anchors import Neighbours
+from querysplat_cli.model.attention import CrossAttention, LayerScale, SelfAttention
+
+
+class Mlp(nn.Module):
+    """Norm, widen, exact GELU, narrow."""
+
+    def __init__(self, width: int, ratio: float) -> None:
+        super().__init__()
+        self.norm = nn.LayerNorm(width)
+        self.fc1 = nn.Linear(width, int(width * ratio))
+        self.fc2 = nn.Linear(int(width * ratio), width)
+
+    def forward(self, tokens: Float[Tensor, "tokens width"]) -> Float[Tensor, "tokens width"]:
+        return self.fc2(F.gelu(self.fc1(self.norm(tokens))))
+
+
+class DecoderBlock(nn.Module):
+    """Cross-attention, self-attention, MLP; each pre-normed, scaled, and added (paper, section 3.2).
+
+        t ─┬─ norm ─ cross(K, V) ─ γ ─(+)─┬─ norm ─ self ─ γ ─(+)─┬─ norm ─ MLP ─ γ ─(+)─ t
+           └──────────────────────────────┘└─────────────────────┘└────────────────────┘
+
+    A branch whose frozen γ is all zero is left out: it would add exactly nothing.
+    """
+
+    def __init__(self, width: int, heads: int, mlp_ratio: float) -> None:
+        super().__init__()
+        self.cross = CrossAttention(width, heads)
+        self.cross_scale = LayerScale(width)
+        self.among = SelfAttention(width, heads)
+        self.among_scale = LayerScale(width)
+        self.mlp = Mlp(width, mlp_ratio)
+        self.mlp_scale = LayerScale(width)
+
+    def steps(
+        self,
+        tokens: Float[Tensor, "queries width"],
+        keys: Float[Tensor, "memory heads channels"],
+        values: Float[Tensor, "memory heads channels"],
+        near_memory: Neighbours | None = None,
+        near_queries: Neighbours | None = None,
+    ) -> Iterator[Float[Tensor, "queries width"]]:
+        """The tokens after each of the three steps."""
+        if not self.cross_scale.silent:
+            tokens = tokens + self.cross_scale(self.cross(tokens, keys, values, near_memory))
+        yield tokens
+        if not self.among_scale.silent:
+            tokens = tokens + self.among_scale(self.among(tokens, near_queries))
+        yield tokens
+        if not self.mlp_scale.silent:
+            tokens = tokens + self.mlp_scale(self.mlp(tokens))
+        yield tokens
+
+
+class Decoder(nn.Module):
+    """Blocks in a row, all reading the same memory."""
+
+    def __init__(self, blocks: int, width: int, heads: int, mlp_ratio: float) -> None:
+        super().__init__()
+        self.blocks = nn.ModuleList(DecoderBlock(width, heads, mlp_ratio) for _ in range(blocks))
+
+    def steps(
+        self,
+        tokens: Float[Tensor, "queries width"],
+        keys: Float[Tensor, "memory heads channels"],
+        values: Float[Tensor, "memory heads channels"],
+        near_memory: Neighbours | None = None,
+        near_queries: Neighbours | None = None,
+    ) -> Iterator[Float[Tensor, "queries width"]]:
+        """The tokens after each block."""
+        for block in self.blocks:
+            *_, tokens = block.steps(tokens, keys, values, near_memory, near_queries)
+            yield tokens
+
+    def forward(
+        self,
+        tokens: Float[Tensor, "queries width"],
+        keys: Float[Tensor, "memory heads channels"],
+        values: Float[Tensor, "memory heads channels"],
+        near_memory: Neighbours | None = None,
+        near_queries: Neighbours | None = None,
+    ) -> Float[Tensor, "queries width"]:
+        for after in self.steps(tokens, keys, values, near_memory, near_queries):
+            tokens = after
+        return tokens

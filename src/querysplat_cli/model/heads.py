@@ -1,0 +1,95 @@
+"""Raw numbers to Gaussians: absolute, as in the official checkpoints, or as changes to an anchor's prior."""
+
+import math
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.nn import functional as F
+
+from querysplat_cli.model.anchors import Anchors
+from querysplat_cli.model.config import ModelConfig
+from querysplat_cli.scene.gaussians import Gaussians
+
+GEOMETRY_CHANNELS = 10
+"""Centre 3, scale 3, quaternion 4."""
+SH_BAND_0 = 0.28209479177387814
+OPACITY_BIAS = 2.0
+LARGEST_EXPONENT = 20.0
+"""exp is linear beyond this: a raw number of 1e4 stays finite, and so does its gradient."""
+SHRINK, GROW = -4.0, 2.0
+"""Bounds of the change of a prior's log-scale."""
+
+
+def signed_exponential(raw: Tensor) -> Tensor:
+    """sign(x)·(e^|x| − 1), continued by its tangent beyond |x| = 20."""
+    size = raw.abs()
+    inside = size.clamp_max(LARGEST_EXPONENT)
+    return raw.sign() * (torch.expm1(inside) + (size - inside) * math.exp(LARGEST_EXPONENT))
+
+
+def activate_geometry(
+    raw: Float[Tensor, "*n 10"], config: ModelConfig
+) -> tuple[Float[Tensor, "*n 3"], Float[Tensor, "*n 3"], Float[Tensor, "*n 4"]]:
+    """Centre without its z offset, scale, quaternion (spec, section 5). A raw quaternion of 0 stays 0."""
+    cap = math.log(config.scale_cap)
+    scale = torch.exp((raw[..., 3:6] - (1 - cap)).clamp_max(cap))
+    return signed_exponential(raw[..., :3]), scale, F.normalize(raw[..., 6:], dim=-1)
+
+
+def activate_appearance(
+    raw: Float[Tensor, "*n channels"], config: ModelConfig
+) -> tuple[Float[Tensor, "*n bands 3"], Float[Tensor, "*n"]]:
+    """SH and opacity (spec, section 6)."""
+    bands = raw[..., :-1].unflatten(-1, (config.sh_bands, 3))
+    first = 0.5 * torch.tanh(bands[..., :1, :]) / SH_BAND_0
+    rest = config.sh_rest_scale * torch.tanh(bands[..., 1:, :])
+    return torch.cat([first, rest], -2), torch.sigmoid(raw[..., -1] - OPACITY_BIAS)
+
+
+def assemble(
+    geometry: Float[Tensor, "n 10"], appearance: Float[Tensor, "n channels"], config: ModelConfig
+) -> Gaussians:
+    """Gaussians in the VGM's frame."""
+    centre, scale, quat = activate_geometry(geometry, config)
+    sh, opacity = activate_appearance(appearance, config)
+    offset = centre.new_tensor([0.0, 0.0, config.z_offset])
+    return Gaussians(centre + offset, quat, scale, opacity, sh)
+
+
+def assemble_anchored(
+    geometry: Float[Tensor, "n 10"], appearance: Float[Tensor, "n channels"], anchors: Anchors, config: ModelConfig
+) -> Gaussians:
+    """Changes to the anchors' priors; raw numbers of 0 give exactly the prior.
+
+    Centres move in units of the anchor's spacing, log-scales add, quaternions multiply, colours add in SH
+    units, opacities add in logits.
+    """
+    per_query = anchors.means.shape[1]
+    spacing = anchors.spacing.repeat_interleave(per_query)[:, None]
+    turn = F.normalize(geometry[:, 6:] + geometry.new_tensor([1.0, 0, 0, 0]), dim=1)
+    bands = appearance[:, :-1].unflatten(-1, (config.sh_bands, 3))
+    first = (anchors.colours.flatten(0, 1)[:, None] - 0.5) / SH_BAND_0 + bands[:, :1]
+    rest = torch.tanh(bands[:, 1:])
+    return Gaussians(
+        means=anchors.means.flatten(0, 1) + spacing * signed_exponential(geometry[:, :3]),
+        quats=quaternion_product(anchors.quats.flatten(0, 1), turn),
+        scales=anchors.scales.flatten(0, 1) * torch.exp(geometry[:, 3:6].clamp(SHRINK, GROW)),
+        opacities=torch.sigmoid(torch.logit(anchors.opacities.flatten(), eps=1e-6) + appearance[:, -1]),
+        sh=torch.cat([first, rest], 1),
+    )
+
+
+def quaternion_product(left: Float[Tensor, "n 4"], right: Float[Tensor, "n 4"]) -> Float[Tensor, "n 4"]:
+    """Hamilton product of quaternions w, x, y, z: first `right`, then `left`."""
+    w, x, y, z = left.unbind(1)
+    a, b, c, d = right.unbind(1)
+    return torch.stack(
+        [
+            w * a - x * b - y * c - z * d,
+            w * b + x * a + y * d - z * c,
+            w * c - x * d + y * a + z * b,
+            w * d + x * c - y * b + z * a,
+        ],
+        1,
+    )

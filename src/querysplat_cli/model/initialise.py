@@ -1,0 +1,60 @@
+"""The compact model before any training: its first output is exactly the anchors' prior.
+
+    python -m querysplat_cli.model.initialise compact.safetensors --seed 0
+
+Values start at zero, so the decoders add nothing. Attention, output projection and heads are laid out so
+that a value channel of a memory token drives one raw number of the Gaussians near that token. Test-time
+optimisation of the memories then starts well conditioned, and training starts from a sensible scene.
+"""
+
+import argparse
+from pathlib import Path
+
+import torch
+
+from querysplat_cli.model.checkpoints import save
+from querysplat_cli.model.config import ModelConfig, preset
+from querysplat_cli.model.querysplat import QuerySplat
+
+GAINS = {"centre": 0.3, "scale": 1.0, "quaternion": 0.5, "sh_0": 1.0, "sh_rest": 0.25, "opacity": 2.0}
+"""Change of each raw number for a unit change of its value channel."""
+KEY_GAIN = 0.1
+"""Size of normed keys: at first, distance decides what a query attends to."""
+
+
+def initial_model(config: ModelConfig, seed: int) -> QuerySplat:
+    """An anchored model whose output is the prior; the same for the same seed."""
+    with torch.random.fork_rng():
+        torch.manual_seed(seed)
+        model = QuerySplat(config)
+    with torch.no_grad():
+        for memory in (model.geometry_memory, model.appearance_memory):
+            memory.proj.weight[config.width :] = 0
+            memory.proj.bias[config.width :] = 0
+            memory.k_norm.weight.fill_(KEY_GAIN)
+        for decoder in (model.geometry_decoder, model.appearance_decoder):
+            for i, block in enumerate(decoder.blocks):
+                block.cross_scale.gamma.fill_(1.0 if i == 0 else 0.0)
+                block.among_scale.gamma.zero_()
+                block.mlp_scale.gamma.zero_()
+                torch.nn.init.eye_(block.cross.out_proj.weight)
+                block.cross.out_proj.bias.zero_()
+        geometry = [GAINS["centre"]] * 3 + [GAINS["scale"]] * 3 + [GAINS["quaternion"]] * 4
+        appearance = [GAINS["sh_0"]] * 3 + [GAINS["sh_rest"]] * 3 * (config.sh_bands - 1) + [GAINS["opacity"]]
+        for head, gains in ((model.geometry_head, geometry), (model.appearance_head, appearance)):
+            head.bias.zero_()
+            torch.nn.init.eye_(head.weight)
+            head.weight *= torch.tensor(gains * config.gaussians_per_query)[:, None]
+    return model
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("output", type=Path)
+    parser.add_argument("--seed", type=int, default=0)
+    arguments = parser.parse_args()
+    save(initial_model(preset("compact"), arguments.seed), arguments.output)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,118 @@
+"""What the queries read: a geometry memory from the VGM's layers, an appearance memory from the photos."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from querysplat_cli.model.config import ModelConfig
+from querysplat_cli.scene.cameras import Cameras
+
+IMAGENET_MEAN = (0.485, 0.456, 0.406)
+IMAGENET_STD = (0.229, 0.224, 0.225)
+
+
+@dataclass(frozen=True)
+class Memories:
+    """Keys (already normed) and values of both branches, the only variables of test-time optimisation."""
+
+    geometry_keys: Float[Tensor, "geometry heads channels"]
+    geometry_values: Float[Tensor, "geometry heads channels"]
+    appearance_keys: Float[Tensor, "appearance heads channels"]
+    appearance_values: Float[Tensor, "appearance heads channels"]
+
+    def map(self, change: Callable[[Tensor], Tensor]) -> "Memories":
+        """The result of applying `change` to every tensor."""
+        return Memories(**{field.name: change(getattr(self, field.name)) for field in fields(self)})
+
+
+class KeyValue(nn.Module):
+    """Tokens to keys and values, once for all blocks (spec, section 3, step 4)."""
+
+    def __init__(self, width: int, heads: int) -> None:
+        super().__init__()
+        self.heads = heads
+        self.norm = nn.LayerNorm(width)
+        self.proj = nn.Linear(width, 2 * width)
+        self.k_norm = nn.LayerNorm(width // heads)
+
+    def forward(
+        self, tokens: Float[Tensor, "tokens width"]
+    ) -> tuple[Float[Tensor, "tokens heads channels"], Float[Tensor, "tokens heads channels"]]:
+        keys, values = self.proj(self.norm(tokens)).unflatten(-1, (2, self.heads, -1)).unbind(1)
+        return self.k_norm(keys), values
+
+
+class LayerMixer(nn.Module):
+    """Cached VGM layers to one row of tokens for each view (spec, section 3, steps 1 to 3).
+
+    The patches of all layers are mixed with weights that a learned eye token gives; camera and register
+    tokens are those of the last layer. Where there is one layer there is nothing to weigh.
+    """
+
+    def __init__(self, config: ModelConfig) -> None:
+        super().__init__()
+        self.special_tokens = config.special_tokens
+        self.proj = nn.Identity() if config.vgm_width == config.width else nn.Linear(config.vgm_width, config.width)
+        if config.mixed_layers > 1:
+            self.weigh = nn.Sequential(
+                nn.LayerNorm(config.width),
+                nn.Linear(config.width, config.width // 2),
+                nn.GELU(),
+                nn.Linear(config.width // 2, config.mixed_layers),
+            )
+        self.norm = nn.LayerNorm(config.width)
+
+    def weights(self, eye: Float[Tensor, "1 width"]) -> Float[Tensor, "layers"]:
+        """Weights of the layers; they depend on the checkpoint alone."""
+        return self.weigh(eye).softmax(-1)[0]
+
+    def forward(
+        self, layers: Sequence[Float[Tensor, "views tokens channels"]], eye: Float[Tensor, "1 width"] | None
+    ) -> Float[Tensor, "views*tokens width"]:
+        start = self.special_tokens
+        patches = layers[-1][:, start:]
+        if eye is not None:
+            weights = self.weights(eye)
+            patches = weights[0] * layers[0][:, start:]
+            for weight, layer in zip(weights[1:], layers[1:], strict=True):
+                patches = patches + weight * layer[:, start:]
+        tokens = torch.cat([layers[-1][:, :start], patches], 1)
+        return self.norm(self.proj(tokens)).flatten(0, 1)
+
+
+class PhotoEmbedding(nn.Module):
+    """Photos and their viewing rays to patch tokens; each has a norm of its own before the sum (section 6)."""
+
+    def __init__(self, config: ModelConfig) -> None:
+        super().__init__()
+        self.patch = config.patch
+        self.colour = nn.Conv2d(3, config.width, config.patch, config.patch)
+        self.colour_norm = nn.LayerNorm(config.width)
+        self.rays = nn.Conv2d(6, config.width, config.patch, config.patch)
+        self.rays_norm = nn.LayerNorm(config.width)
+
+    def forward(
+        self, images: Float[Tensor, "views 3 height width"], cameras: Cameras
+    ) -> Float[Tensor, "patches channels"]:
+        mean, std = (images.new_tensor(part)[:, None, None] for part in (IMAGENET_MEAN, IMAGENET_STD))
+        colour = self.colour((images - mean) / std).flatten(2).mT
+        rays = self.rays(plucker_rays(cameras).to(images)).flatten(2).mT
+        return (self.colour_norm(colour) + self.rays_norm(rays)).flatten(0, 1)
+
+
+def plucker_rays(cameras: Cameras) -> Float[Tensor, "views 6 height width"]:
+    """Moment o × d and unit world direction d of the ray through every pixel centre."""
+    fx, fy, cx, cy = (cameras.K[:, i, j, None, None] for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    like = {"dtype": cameras.K.dtype, "device": cameras.K.device}
+    x = (torch.arange(cameras.width, **like) + 0.5 - cx) / fx
+    y = (torch.arange(cameras.height, **like)[:, None] + 0.5 - cy) / fy
+    x, y = torch.broadcast_tensors(x, y)
+    local = F.normalize(torch.stack([x, y, torch.ones_like(x)], 1), dim=1)
+    c2w = cameras.c2w
+    direction = torch.einsum("vij,vjhw->vihw", c2w[:, :3, :3], local)
+    origin = c2w[:, :3, 3, None, None].expand_as(direction)
+    return torch.cat([torch.linalg.cross(origin, direction, dim=1), direction], 1)

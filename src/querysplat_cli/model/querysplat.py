@@ -1,0 +1,99 @@
+"""QuerySplat (paper, section 3): queries read what a frozen VGM knows, and become Gaussians.
+
+VGM layers ─► layer mixer ─► geometry K, V ─┐
+queries ─────────────────────► geometry decoder ─► centres, scales, rotations
+                                   │ + appearance queries
+photos, rays ─► appearance K, V ─► appearance decoder ─► opacity, SH
+"""
+
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.model.anchors import Anchors
+from querysplat_cli.model.config import ModelConfig
+from querysplat_cli.model.decoders import Decoder
+from querysplat_cli.model.heads import GEOMETRY_CHANNELS, assemble, assemble_anchored
+from querysplat_cli.model.memories import KeyValue, LayerMixer, Memories, PhotoEmbedding
+from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.gaussians import Gaussians
+
+
+class QuerySplat(nn.Module):
+    """Both decoders, their memories' projections, and the heads. One scene at a time."""
+
+    def __init__(self, config: ModelConfig) -> None:
+        super().__init__()
+        self.config = config
+        width, heads = config.width, config.heads
+        self.eye_token = nn.Parameter(0.01 * torch.randn(1, width)) if config.mixed_layers > 1 else None
+        self.layer_mixer = LayerMixer(config)
+        self.geometry_memory = KeyValue(width, heads)
+        self.geometry_decoder = Decoder(config.geometry_blocks, width, heads, config.mlp_ratio)
+        self.geometry_head = nn.Linear(width, config.gaussians_per_query * GEOMETRY_CHANNELS)
+        self.photo_embedding = PhotoEmbedding(config)
+        self.appearance_memory = KeyValue(width, heads)
+        self.appearance_decoder = Decoder(config.appearance_blocks, width, heads, config.mlp_ratio)
+        self.appearance_head = nn.Linear(width, config.gaussians_per_query * config.appearance_channels)
+        tokens = config.query_count if config.queries == "learned" else 1
+        self.geometry_queries = nn.Parameter(0.01 * torch.randn(tokens, width))
+        self.appearance_queries = nn.Parameter(torch.zeros(tokens, width))
+        if config.queries == "anchored":
+            self.anchor_embedding = nn.Linear(config.anchor_features, width)
+
+    def remember(
+        self,
+        features: Sequence[Float[Tensor, "views tokens channels"]],
+        images: Float[Tensor, "views 3 height width"],
+        cameras: Cameras,
+    ) -> Memories:
+        """Keys and values of both branches. `images` in [0, 1], sides multiples of the patch."""
+        geometry = self.geometry_memory(self.layer_mixer(features, self.eye_token))
+        appearance = self.appearance_memory(self.photo_embedding(images, cameras))
+        return Memories(*geometry, *appearance)
+
+    def decode(self, memories: Memories, anchors: Anchors | None = None) -> Gaussians:
+        """Everything after the memories: queries × Gaussians per query, query by query.
+
+        Anchored queries need `anchors`, learned ones take none; raises QuerySplatError otherwise.
+        """
+        if (anchors is not None) != (self.config.queries == "anchored"):
+            raise QuerySplatError("anchored queries need anchors, and learned ones take none", "This is a bug.")
+        if anchors is None:
+            tokens = self.geometry_tokens(memories)
+            after = self.appearance_tokens(tokens, memories)
+            return assemble(*self._raw(tokens, after), self.config)
+        before = self.geometry_queries + self.anchor_embedding(anchors.features)
+        tokens = self.geometry_decoder(
+            before, memories.geometry_keys, memories.geometry_values, anchors.geometry, anchors.queries
+        )
+        start = tokens + self.appearance_queries
+        after = self.appearance_decoder(
+            start, memories.appearance_keys, memories.appearance_values, anchors.appearance, anchors.queries
+        )
+        # What a query knew beforehand is in its anchor's prior; the heads read what the decoders added.
+        return assemble_anchored(*self._raw(tokens - before, after - start), anchors, self.config)
+
+    def geometry_tokens(self, memories: Memories) -> Float[Tensor, "queries width"]:
+        """Learned queries after the geometry decoder. The eye token takes part as one more query."""
+        assert self.eye_token is not None
+        tokens = torch.cat([self.eye_token, self.geometry_queries])
+        return self.geometry_decoder(tokens, memories.geometry_keys, memories.geometry_values)[1:]
+
+    def appearance_tokens(
+        self, geometry: Float[Tensor, "queries width"], memories: Memories
+    ) -> Float[Tensor, "queries width"]:
+        """Geometry tokens after the appearance decoder."""
+        start = geometry + self.appearance_queries
+        return self.appearance_decoder(start, memories.appearance_keys, memories.appearance_values)
+
+    def _raw(self, geometry: Tensor, appearance: Tensor) -> tuple[Tensor, Tensor]:
+        """Raw numbers of both heads, a row for each Gaussian."""
+        per_query = self.config.gaussians_per_query
+        return (
+            self.geometry_head(geometry).unflatten(-1, (per_query, -1)).flatten(0, 1),
+            self.appearance_head(appearance).unflatten(-1, (per_query, -1)).flatten(0, 1),
+        )
