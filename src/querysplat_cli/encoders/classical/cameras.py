@@ -1,19 +1,38 @@
-"""Where the photos were taken from."""
+"""Where the photos were taken from: structure from motion, and what can be said when it finds nothing."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 
 from querysplat_cli.encoders.base import Located
+from querysplat_cli.encoders.classical.epipolar import supported
+from querysplat_cli.encoders.classical.known import match_cameras, triangulated
 from querysplat_cli.encoders.classical.mapping import map_photos
-from querysplat_cli.encoders.classical.matches import Matches, matched
+from querysplat_cli.encoders.classical.matches import DEFAULT_FOCAL, Matches, matched
+from querysplat_cli.encoders.classical.rotation import placed_alone, placed_by_rotation
 from querysplat_cli.encoders.classical.sparse_model import SparseModel, normalised
+from querysplat_cli.encoders.classical.trust import doubts
 from querysplat_cli.encoders.classical.undistort import undistorted
 from querysplat_cli.errors import ImpossibleScene
 from querysplat_cli.progress import Progress
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.views import LeftOut, Photo
+
+THOROUGH_PHOTOS = 20
+"""Up to this many photos, those that were not placed are worth a slow second search for matches."""
+FEW_FEATURES = 0.2
+"""A photo with less than this share of the usual number of features is blurred, dark or plain."""
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Some of the photos with cameras, by photo number, and what is to be said about it."""
+
+    model: SparseModel
+    left_out: tuple[LeftOut, ...] = ()
+    doubts: tuple[str, ...] = ()
 
 
 def locate(
@@ -24,20 +43,124 @@ def locate(
     progress: Progress,
     known: Mapping[str, PhotoCamera] | None = None,
 ) -> Located:
-    with matched(photos, seed=seed, progress=progress) as matches:
-        progress("placing cameras", 0.5)
-        model = map_photos(matches, seed=seed)
-    if model is None:
-        raise ImpossibleScene("no two photos could be related")
-    return _located(photos, normalised(model), max_size=max_size)
+    """Cameras of the photos, and the photos undistorted at a longer side of at most `max_size` pixels.
 
-
-def _located(photos: Sequence[Photo], model: SparseModel, *, max_size: int) -> Located:
-    used = list(model.cameras)
-    views, cameras = undistorted([photos[i] for i in used], [model.cameras[i] for i in used], max_size=max_size)
+    The first photo used is the origin and the median depth of the points, over all views that see them, is 1;
+    that holds for `known` cameras too, whose poses are otherwise kept. Photos stay in their order. Where
+    the camera only turned, all cameras stand at one place and there are no points; a single photo gets EXIF's
+    field of view, or 45°. Raises ImpossibleScene when no two photos can be related.
+    """
+    originals, copies = _without_copies(photos)
+    if known is not None:
+        placement = _place_known(originals, known, seed=seed, progress=progress)
+    elif len(originals) == 1:
+        placement = _place_alone(originals[0])
+    else:
+        placement = _place(originals, seed=seed, progress=progress)
+    progress("removing lens distortion", 0.9)
+    model = normalised(placement.model)
+    used = sorted(model.cameras)
+    views, cameras = undistorted([originals[i] for i in used], [model.cameras[i] for i in used], max_size=max_size)
     return Located(
         views,
         cameras,
         torch.from_numpy(model.points).float(),
         tuple(torch.from_numpy(model.seen[i]) for i in used),
+        (*copies, *placement.left_out),
+        placement.doubts,
     )
+
+
+def _without_copies(photos: Sequence[Photo]) -> tuple[list[Photo], list[LeftOut]]:
+    """The photos that differ from all before them, and the copies."""
+    if not photos:
+        raise ImpossibleScene("there is no photo to make a scene of", "Give at least two photos of one place.")
+    originals, copies = dict[tuple[tuple[int, ...], bytes], Photo](), []
+    for photo in photos:
+        first = originals.setdefault((photo.pixels.shape, photo.pixels.tobytes()), photo)
+        if first is not photo:
+            copies.append(LeftOut(photo.name, f"it is the same picture as {first.name}"))
+    return list(originals.values()), copies
+
+
+def _place(photos: Sequence[Photo], *, seed: int, progress: Progress) -> Placement:
+    matches, model = _mapped(photos, seed=seed, progress=progress, thorough=False)
+    if len(photos) <= THOROUGH_PHOTOS and (model is None or len(model.cameras) < len(photos)):
+        more, second = _mapped(photos, seed=seed, progress=progress, thorough=True)
+        if second and (model is None or _better(second, more, model)):
+            matches, model = more, second
+    if not matches.pairs:
+        raise ImpossibleScene(
+            f"no two of the {len(photos)} photos show the same thing",
+            "Take photos that overlap by at least half, from places a step apart.",
+        )
+    # Asked first: with a wrong focal length, structure from motion explains a turning camera as a moving one.
+    turned = placed_by_rotation(matches)
+    if turned:
+        sentence = "the camera turned but did not move, so nothing tells how far away things are"
+        return Placement(turned, _left_out(photos, matches, turned), (sentence,))
+    if model is None:
+        raise ImpossibleScene(
+            f"the {len(photos)} photos overlap too little to tell where they were taken from",
+            "Add photos between those far apart, so that neighbours overlap by at least half.",
+        )
+    return Placement(model, _left_out(photos, matches, model), doubts(model, matches))
+
+
+def _mapped(
+    photos: Sequence[Photo], *, seed: int, progress: Progress, thorough: bool
+) -> tuple[Matches, SparseModel | None]:
+    with matched(photos, seed=seed, progress=progress, thorough=thorough) as matches:
+        progress("placing cameras", 0.6)
+        return matches, map_photos(matches, seed=seed)
+
+
+def _better(second: SparseModel, matches: Matches, first: SparseModel) -> bool:
+    return len(second.cameras) > len(first.cameras) and supported(second, matches).sound
+
+
+def _place_alone(photo: Photo) -> Placement:
+    longer = max(photo.height, photo.width)
+    focal = photo.focal or DEFAULT_FOCAL * longer
+    field = np.degrees(2 * np.arctan(longer / focal / 2))
+    source = "its EXIF data" if photo.focal else "assumption"
+    sentence = f"one photo has no parallax: depth is a guess, and the field of view ({field:.0f}°) is by {source}"
+    return Placement(placed_alone(focal, (photo.height, photo.width)), (), (sentence,))
+
+
+def _place_known(
+    photos: Sequence[Photo], known: Mapping[str, PhotoCamera], *, seed: int, progress: Progress
+) -> Placement:
+    cameras, left_out = match_cameras(photos, known)
+    if not cameras:
+        raise ImpossibleScene(
+            f"none of the {len(photos)} photos has a usable camera in the given poses",
+            f"{left_out[0].name}: {left_out[0].why}. The names in the file must be those of the photos.",
+        )
+    used = [photos[i] for i in cameras]
+    with matched(used, seed=seed, progress=progress, known=list(cameras.values())) as matches:
+        progress("triangulating", 0.6)
+        model = triangulated(list(cameras.values()), matches, seed=seed)
+    numbers = list(cameras)
+    own = SparseModel(cameras, model.points, {numbers[i]: rows for i, rows in model.seen.items()})
+    return Placement(own, tuple(left_out), doubts(model, matches))
+
+
+def _left_out(photos: Sequence[Photo], matches: Matches, model: SparseModel) -> tuple[LeftOut, ...]:
+    usual = float(np.median(matches.features))
+    reasons = []
+    for number, photo in enumerate(photos):
+        if number in model.cameras:
+            continue
+        partners = [pair.first + pair.second - number for pair in matches.pairs if number in (pair.first, pair.second)]
+        if matches.features[number] < FEW_FEATURES * usual:
+            why = "it has too little detail to match: blurred, dark or plain"
+        elif set(partners) & set(model.cameras):
+            why = "it overlaps too little with the photos used"
+        elif partners:
+            names = ", ".join(photos[i].name for i in partners[:3])
+            why = f"it shows another place, together with {names}"
+        else:
+            why = "it shows nothing that another photo shows"
+        reasons.append(LeftOut(photo.name, why))
+    return tuple(reasons)

@@ -13,16 +13,36 @@ TOLERANCE = 4.0
 """Pixels that a match may lie from where the cameras expect it (COLMAP's threshold for verified pairs)."""
 
 
+AGREEING = 0.7
+"""Share of the matches between placed photos that a sound model explains."""
+COVERED = 0.3
+"""Share of the matched features that became points in a sound model."""
+
+
 @dataclass(frozen=True)
 class Support:
-    """Matches that a model's cameras explain, and those between its photos in all."""
+    """How far matches speak for a model.
+
+    `explained` of all `matches` between its photos agree with its cameras; `coverage` is the share of the
+    matched features that became points.
+    """
 
     explained: int
     matches: int
+    coverage: float
 
     @property
     def share(self) -> float:
         return self.explained / self.matches if self.matches else 1.0
+
+    @property
+    def sound(self) -> bool:
+        return self.share >= AGREEING and self.coverage >= COVERED
+
+    @property
+    def score(self) -> float:
+        """Larger for the better of two models of the same photos."""
+        return self.explained * min(1.0, self.coverage / COVERED)
 
 
 def supported(model: SparseModel, matches: Matches) -> Support:
@@ -32,12 +52,16 @@ def supported(model: SparseModel, matches: Matches) -> Support:
     points' reprojection error small still contradicts them.
     """
     explained = total = 0
+    matched = dict.fromkeys(model.cameras, 1)
     for pair in matches.pairs:
         if pair.first in model.cameras and pair.second in model.cameras:
             cameras = model.cameras[pair.first], model.cameras[pair.second]
             explained += int((epipolar_error(pair, *cameras) < TOLERANCE).sum())
             total += len(pair)
-    return Support(explained, total)
+            for photo in (pair.first, pair.second):
+                matched[photo] = max(matched[photo], len(pair))
+    coverage = sum(len(seen) for seen in model.seen.values()) / sum(matched.values())
+    return Support(explained, total, coverage)
 
 
 def rays(pixels: np.ndarray, camera: PhotoCamera) -> np.ndarray:

@@ -1,7 +1,7 @@
 """Structure from motion: matches in, cameras and points out (COLMAP's incremental mapper)."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -13,7 +13,7 @@ from querysplat_cli.encoders.classical.matches import Matches
 from querysplat_cli.encoders.classical.sparse_model import SparseModel
 from querysplat_cli.scene.cameras import PhotoCamera
 
-DISTORTION = {
+DISTORTION: dict[str, Callable[..., tuple[float, float, float, float]]] = {
     "SIMPLE_PINHOLE": lambda: (0.0, 0.0, 0.0, 0.0),
     "PINHOLE": lambda: (0.0, 0.0, 0.0, 0.0),
     "SIMPLE_RADIAL": lambda k: (k, 0.0, 0.0, 0.0),
@@ -21,10 +21,6 @@ DISTORTION = {
     "OPENCV": lambda k1, k2, p1, p2: (k1, k2, p1, p2),
 }
 """OpenCV's (k1, k2, p1, p2) from the extra parameters of COLMAP's lens models."""
-PLACED = 0.9
-"""Share of the connected photos with which an attempt counts as a success."""
-AGREEING = 0.7
-"""Share of the matches between placed photos that a sound model explains."""
 
 
 @dataclass(frozen=True)
@@ -43,31 +39,32 @@ class Attempt:
 
 ATTEMPTS = (
     # Handfuls of photos need less than COLMAP asks of a thousand, and all their two-view tracks.
-    Attempt(start_angle=4, start_inliers=50, point_angle=1.5, pose_inliers=30, forward_motion=0.95),
-    Attempt(start_angle=12, start_inliers=80, point_angle=1.5, pose_inliers=20, forward_motion=0.95),
+    Attempt(start_angle=4, start_inliers=50, point_angle=1.5, pose_inliers=20, forward_motion=0.95),
     Attempt(start_angle=1, start_inliers=20, point_angle=0.5, pose_inliers=15, forward_motion=1.0),
+    Attempt(start_angle=12, start_inliers=80, point_angle=1.5, pose_inliers=20, forward_motion=0.95),
 )
-EXTENDING = replace(ATTEMPTS[-1], pose_inliers=12)
+EXTENDING = Attempt(start_angle=1, start_inliers=20, point_angle=0.5, pose_inliers=12, forward_motion=1.0)
 
 
 def map_photos(matches: Matches, *, seed: int) -> SparseModel | None:
-    """The largest model whose cameras the matches support, or None when no two photos make one.
+    """The model that explains most of the matches, or None when no two photos make one.
 
-    Each attempt starts elsewhere; the first that places the connected photos in agreement with their
-    matches ends the search, else the one that explains most matches is kept and extended.
+    Each attempt starts from other photos; the first that places all photos which matches connect, in
+    agreement with those matches, ends the search.
     """
-    best, best_support, connected = None, 0, _largest_component(matches)
+    connected = len(matches.largest_group())
+    best: tuple[float, pycolmap.Reconstruction] | None = None
     for attempt in ATTEMPTS:
-        for model in _models(matches, attempt, seed):
-            support = supported(model, matches)
-            if best is None or support.explained > best_support:
-                best, best_support = model, support.explained
-            if len(model.cameras) >= PLACED * connected and support.share >= AGREEING:
-                return _extended(best, matches, seed) if len(best.cameras) < connected else best
-    return best and _extended(best, matches, seed)
+        for reconstruction in _mapped(matches, attempt, seed):
+            support = supported(from_colmap(reconstruction), matches)
+            if best is None or support.score > best[0]:
+                best = support.score, reconstruction
+            if reconstruction.num_reg_images() >= connected and support.sound:
+                return from_colmap(reconstruction)
+    return _extended(best[1], matches, seed) if best else None
 
 
-def from_colmap(reconstruction: pycolmap.Reconstruction, matches: Matches) -> SparseModel:
+def from_colmap(reconstruction: pycolmap.Reconstruction) -> SparseModel:
     """COLMAP's placed images and their points, numbered as our photos."""
     ids = sorted(reconstruction.points3D)
     row = {point: i for i, point in enumerate(ids)}
@@ -75,18 +72,17 @@ def from_colmap(reconstruction: pycolmap.Reconstruction, matches: Matches) -> Sp
     cameras, seen = {}, {}
     for image in reconstruction.images.values():
         if image.has_pose:
-            photo = matches.images.index(image.name)
-            cameras[photo] = _photo_camera(image)
+            photo = image.image_id - 1
+            cameras[photo] = _photo_camera(reconstruction.cameras[image.camera_id], image.cam_from_world().matrix())
             rows = {row[point.point3D_id] for point in image.get_observation_points2D()}
             seen[photo] = np.array(sorted(rows), dtype=np.int64)
     order = sorted(cameras)
     return SparseModel({i: cameras[i] for i in order}, points, {i: seen[i] for i in order})
 
 
-def _photo_camera(image: pycolmap.Image) -> PhotoCamera:
-    camera = image.camera
+def _photo_camera(camera: pycolmap.Camera, pose: np.ndarray) -> PhotoCamera:
     w2c = np.eye(4)
-    w2c[:3] = image.cam_from_world().matrix()
+    w2c[:3] = pose
     extra = [float(camera.params[i]) for i in camera.extra_params_idxs()]
     return PhotoCamera(
         w2c,
@@ -98,30 +94,34 @@ def _photo_camera(image: pycolmap.Image) -> PhotoCamera:
     )
 
 
-def _largest_component(matches: Matches) -> int:
-    """Photos in the largest group that pairs connect."""
-    group = list(range(len(matches.images)))
-    for pair in matches.pairs:
-        one, two = group[pair.first], group[pair.second]
-        group = [one if member == two else member for member in group]
-    return max(map(group.count, group))
-
-
-def _models(matches: Matches, attempt: Attempt, seed: int) -> list[SparseModel]:
-    with TemporaryDirectory(dir=matches.folder) as output:
+def _mapped(
+    matches: Matches, attempt: Attempt, seed: int, start: pycolmap.Reconstruction | None = None
+) -> list[pycolmap.Reconstruction]:
+    """COLMAP's models of the photos, or the one that grows from `start`."""
+    options = _options(attempt, seed)
+    with TemporaryDirectory(dir=matches.folder) as folder:
+        before = Path(folder, "before")
+        if start:
+            before.mkdir()
+            start.write(before)
+            options.multiple_models = False
         found = pycolmap.incremental_mapping(
-            matches.database, matches.folder, Path(output), _options(attempt, seed, multiple=True)
+            matches.database, matches.folder, Path(folder), options, before if start else ""
         )
-    return [from_colmap(found[i], matches) for i in sorted(found)]
+    return [found[i] for i in sorted(found)]
 
 
-def _extended(model: SparseModel, matches: Matches, seed: int) -> SparseModel:
+def _extended(reconstruction: pycolmap.Reconstruction, matches: Matches, seed: int) -> SparseModel:
+    """The model with those photos added that have only a few matches with it, if it stays as sound."""
+    model = from_colmap(reconstruction)
+    for grown in map(from_colmap, _mapped(matches, EXTENDING, seed, reconstruction)):
+        if supported(grown, matches).score > supported(model, matches).score:
+            model = grown
     return model
 
 
-def _options(attempt: Attempt, seed: int, *, multiple: bool) -> pycolmap.IncrementalPipelineOptions:
+def _options(attempt: Attempt, seed: int) -> pycolmap.IncrementalPipelineOptions:
     options = pycolmap.IncrementalPipelineOptions()
-    options.multiple_models = multiple
     options.min_model_size = 2
     options.extract_colors = False
     # One thread and one seed: the same photos give the same bits.

@@ -1,8 +1,8 @@
 """SIFT features of the photos, and which pairs of photos show the same things."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -10,11 +10,15 @@ import cv2
 import numpy as np
 import pycolmap
 
+from querysplat_cli.encoders.classical.sparse_model import rescaled
 from querysplat_cli.progress import Progress
+from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.views import Photo
 
 FEATURE_SIZE = 1600
 """Longer side at which features are searched: more pixels cost time and find no better matches."""
+THOROUGH_SIZE = 800
+"""The same for the thorough search, which is slow and finds many features in few pixels."""
 DEFAULT_FOCAL = 1.2
 """Focal length in units of the longer side where nothing is known (COLMAP's choice; 45° of view)."""
 EXHAUSTIVE = 60
@@ -49,12 +53,11 @@ class Matches:
     """Verified matches of a set of photos.
 
     `sizes` are the (height, width) at which features were searched, `focals` the focal lengths there, from
-    EXIF or None, `features` the number found; all by photo number. The database holds the same for COLMAP,
-    with `images` its names of the photos. Pixels are of that size, centres at +0.5.
+    EXIF or None, `features` the number found; all by photo number. `folder` holds the same for COLMAP, whose
+    image numbers are ours plus one. Pixels are of that size, centres at +0.5.
     """
 
     folder: Path
-    images: tuple[str, ...]
     sizes: tuple[tuple[int, int], ...]
     focals: tuple[float | None, ...]
     features: tuple[int, ...]
@@ -68,82 +71,142 @@ class Matches:
         """The focal length to start from, in pixels."""
         return self.focals[photo] or DEFAULT_FOCAL * max(self.sizes[photo])
 
+    def largest_group(self) -> list[int]:
+        """The largest group of photos that pairs connect, directly or through others."""
+        group = list(range(len(self.sizes)))
+        for pair in self.pairs:
+            one, two = group[pair.first], group[pair.second]
+            group = [one if member == two else member for member in group]
+        largest = max(group, key=group.count)
+        return [photo for photo, member in enumerate(group) if member == largest]
+
 
 @contextmanager
-def matched(photos: Sequence[Photo], *, seed: int, progress: Progress) -> Iterator[Matches]:
+def matched(
+    photos: Sequence[Photo],
+    *,
+    seed: int,
+    progress: Progress,
+    thorough: bool = False,
+    known: Sequence[PhotoCamera] | None = None,
+) -> Iterator[Matches]:
     """Features and matches of the photos. What they need on disk is there only inside the `with`.
 
-    Photos of one size and EXIF focal length share one lens; the first lens found is COLMAP's camera 1.
+    `thorough` takes several times as long and relates photos that are wide apart. Photos of one size and
+    EXIF focal length share one lens; `known` gives each its own instead.
     """
     # COLMAP reports to the terminal, on which standard output may be somebody's JSON.
     pycolmap.logging.minloglevel = pycolmap.logging.FATAL.value
     with TemporaryDirectory(prefix="querysplat-") as name:
         folder = Path(name)
         progress("finding features", 0.0)
-        sizes, focals, images = _write_grey(photos, folder)
-        database = folder / "matches.db"
-        options = pycolmap.FeatureExtractionOptions()
-        options.use_gpu = False
-        pycolmap.extract_features(
-            database, folder, camera_mode=pycolmap.CameraMode.PER_FOLDER, extraction_options=options
+        sizes = _write_grey(photos, folder, THOROUGH_SIZE if thorough else FEATURE_SIZE)
+        focals = tuple(
+            photo.focal * size[1] / photo.width if photo.focal else None
+            for photo, size in zip(photos, sizes, strict=True)
         )
-        with pycolmap.Database.open(database) as store:
-            numbers = {images.index(image.name): image.image_id for image in store.read_all_images()}
-            keypoints = [store.read_keypoints(numbers[i])[:, :2].astype(np.float64) for i in range(len(photos))]
-            _write_focals(store, numbers, focals)
-            chosen = _choose_pairs(store, [numbers[i] for i in range(len(photos))])
+        lenses = _known_lenses(known, sizes) if known else _shared_lenses(sizes, focals)
+        matches = Matches(folder, sizes, focals, (), ())
+        with pycolmap.Database.open(matches.database) as store:
+            _write_images(store, lenses)
+        _extract(matches.database, folder, thorough=thorough)
+        with pycolmap.Database.open(matches.database) as store:
+            keypoints = [store.read_keypoints(i + 1)[:, :2].astype(np.float64) for i in range(len(photos))]
+            chosen = _choose_pairs(store, len(photos))
         progress("matching", 0.3)
-        _match(database, folder, [(images[i], images[j]) for i, j in chosen], seed)
-        with pycolmap.Database.open(database) as store:
-            pairs = _verified_pairs(store, {number: i for i, number in numbers.items()}, keypoints)
-        yield Matches(folder, images, sizes, focals, tuple(map(len, keypoints)), pairs)
+        _match(matches.database, folder, chosen, seed, thorough=thorough)
+        with pycolmap.Database.open(matches.database) as store:
+            pairs = _verified_pairs(store, keypoints)
+        yield replace(matches, features=tuple(map(len, keypoints)), pairs=pairs)
 
 
-def _write_grey(
-    photos: Sequence[Photo], folder: Path
-) -> tuple[tuple[tuple[int, int], ...], tuple[float | None, ...], tuple[str, ...]]:
-    """Write the photos as grey pictures, a folder for each lens: their sizes, focal lengths and names."""
-    sizes, focals, images, lenses = [], [], [], dict[tuple[int, int, float | None], str]()
+def _image_name(photo: int) -> str:
+    return f"{photo:06d}.pgm"
+
+
+def _write_grey(photos: Sequence[Photo], folder: Path, size: int) -> tuple[tuple[int, int], ...]:
+    """Write the photos as grey pictures of a longer side of at most `size`, and return their sizes."""
+    sizes = []
     for number, photo in enumerate(photos):
-        scale = min(1.0, FEATURE_SIZE / max(photo.height, photo.width))
+        scale = min(1.0, size / max(photo.height, photo.width))
         height, width = round(photo.height * scale), round(photo.width * scale)
-        focal = photo.focal * width / photo.width if photo.focal else None
-        lens = lenses.setdefault((height, width, focal and round(focal / width, 2)), str(len(lenses)))
         grey = cv2.cvtColor(photo.pixels, cv2.COLOR_RGB2GRAY)
-        (folder / lens).mkdir(exist_ok=True)
-        images.append(f"{lens}/{number:06d}.pgm")
-        cv2.imwrite(str(folder / images[-1]), cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA))
+        picture = cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA)
+        cv2.imwrite(str(folder / _image_name(number)), picture)
         sizes.append((height, width))
-        focals.append(focal)
-    return tuple(sizes), tuple(focals), tuple(images)
+    return tuple(sizes)
 
 
-def _write_focals(store: pycolmap.Database, numbers: dict[int, int], focals: Sequence[float | None]) -> None:
-    for photo, focal in enumerate(focals):
-        if focal:
-            camera = store.read_camera(store.read_image(numbers[photo]).camera_id)
-            camera.focal_length = focal
-            camera.has_prior_focal_length = True
-            store.update_camera(camera)
+def _shared_lenses(
+    sizes: Sequence[tuple[int, int]], focals: Sequence[float | None]
+) -> list[tuple[Hashable, pycolmap.Camera]]:
+    lenses: list[tuple[Hashable, pycolmap.Camera]] = []
+    for (height, width), focal in zip(sizes, focals, strict=True):
+        guess = focal or DEFAULT_FOCAL * max(height, width)
+        camera = pycolmap.Camera.create_from_model_name(1, "SIMPLE_RADIAL", guess, width, height)
+        camera.has_prior_focal_length = focal is not None
+        lenses.append(((height, width, focal and round(focal / width, 2)), camera))
+    return lenses
 
 
-def _choose_pairs(store: pycolmap.Database, numbers: Sequence[int]) -> list[tuple[int, int]]:
-    count = len(numbers)
+def _known_lenses(
+    known: Sequence[PhotoCamera], sizes: Sequence[tuple[int, int]]
+) -> list[tuple[Hashable, pycolmap.Camera]]:
+    lenses: list[tuple[Hashable, pycolmap.Camera]] = []
+    for photo, ((height, width), camera) in enumerate(zip(sizes, known, strict=True)):
+        lens = rescaled(camera, height, width)
+        params = (*lens.focal, *lens.principal, *lens.distortion)
+        found = pycolmap.Camera(model="OPENCV", width=width, height=height, params=params, has_prior_focal_length=True)
+        lenses.append((photo, found))
+    return lenses
+
+
+def _write_images(store: pycolmap.Database, lenses: Sequence[tuple[Hashable, pycolmap.Camera]]) -> None:
+    """One image for each lens; those with the same key share it.
+
+    Written before the features are searched, since that numbers images in the order in which threads finish.
+    """
+    numbers = dict[Hashable, int]()
+    for photo, (key, camera) in enumerate(lenses):
+        if key not in numbers:
+            numbers[key] = camera.camera_id = len(numbers) + 1
+            rig = pycolmap.Rig(rig_id=camera.camera_id)
+            rig.add_ref_sensor(camera.sensor_id)
+            store.write_camera(camera, use_camera_id=True)
+            store.write_rig(rig, use_rig_id=True)
+        image = pycolmap.Image(name=_image_name(photo), camera_id=numbers[key], image_id=photo + 1)
+        frame = pycolmap.Frame(frame_id=photo + 1, rig_id=numbers[key])
+        frame.add_data_id(image.data_id)
+        store.write_frame(frame, use_frame_id=True)
+        store.write_image(image, use_image_id=True)
+
+
+def _extract(database: Path, folder: Path, *, thorough: bool) -> None:
+    options = pycolmap.FeatureExtractionOptions()
+    options.use_gpu = False
+    if thorough:
+        options.sift.estimate_affine_shape = True
+        options.sift.domain_size_pooling = True
+        options.sift.peak_threshold = 0.003
+    pycolmap.extract_features(database, folder, extraction_options=options)
+
+
+def _choose_pairs(store: pycolmap.Database, count: int) -> list[tuple[int, int]]:
     everything = [(i, j) for i in range(count) for j in range(i + 1, count)]
     if count <= EXHAUSTIVE:
         return everything
-    similarity = _similarity([_largest_features(store, number) for number in numbers])
+    similarity = _similarity([_largest_features(store, photo) for photo in range(count)])
     order = np.argsort(-similarity, axis=1, kind="stable")[:, :PARTNERS]
     near = {(min(i, j), max(i, j)) for i in range(count) for j in order[i].tolist() if i != j}
     return [(i, j) for i, j in everything if (i, j) in near or j - i <= 2]
 
 
-def _largest_features(store: pycolmap.Database, number: int) -> np.ndarray:
+def _largest_features(store: pycolmap.Database, photo: int) -> np.ndarray:
     """Unit descriptors [n, 128] of a photo's largest features."""
-    keypoints = store.read_keypoints(number)
+    keypoints = store.read_keypoints(photo + 1)
     scale = np.hypot(keypoints[:, 2], keypoints[:, 4]) if keypoints.shape[1] == 6 else keypoints[:, 2]
     largest = np.argsort(-scale, kind="stable")[:SAMPLED_FEATURES]
-    descriptors = store.read_descriptors(number).data[largest].astype(np.float32)
+    descriptors = store.read_descriptors(photo + 1).data[largest].astype(np.float32)
     return np.asarray(descriptors / np.maximum(np.linalg.norm(descriptors, axis=1, keepdims=True), 1))
 
 
@@ -161,29 +224,31 @@ def _similarity(descriptors: Sequence[np.ndarray]) -> np.ndarray:
     return similarity + similarity.T
 
 
-def _match(database: Path, folder: Path, pairs: Sequence[tuple[str, str]], seed: int) -> None:
+def _match(database: Path, folder: Path, pairs: Sequence[tuple[int, int]], seed: int, *, thorough: bool) -> None:
     listing = folder / "pairs.txt"
-    listing.write_text("".join(f"{first} {second}\n" for first, second in pairs))
+    listing.write_text("".join(f"{_image_name(first)} {_image_name(second)}\n" for first, second in pairs))
     pairing = pycolmap.ImportedPairingOptions()
     pairing.match_list_path = listing
     matching = pycolmap.FeatureMatchingOptions()
     matching.use_gpu = False
+    matching.guided_matching = thorough
+    matching.sift.max_ratio = 0.9 if thorough else 0.8
     verification = pycolmap.TwoViewGeometryOptions()
     verification.ransac.random_seed = seed
+    # Among many more candidates, more of them agree by chance.
+    verification.min_num_inliers = 25 if thorough else 15
     pycolmap.match_image_pairs(
         database, matching_options=matching, pairing_options=pairing, verification_options=verification
     )
 
 
-def _verified_pairs(
-    store: pycolmap.Database, photos: dict[int, int], keypoints: Sequence[np.ndarray]
-) -> tuple[Pair, ...]:
+def _verified_pairs(store: pycolmap.Database, keypoints: Sequence[np.ndarray]) -> tuple[Pair, ...]:
     pairs = []
     for pair_id, geometry in zip(*store.read_two_view_geometries(), strict=True):
         matches = geometry.inlier_matches
         if geometry.config in UNRELATED or not len(matches):
             continue
-        one, two = (photos[number] for number in pycolmap.pair_id_to_image_pair(pair_id))
+        one, two = (number - 1 for number in pycolmap.pair_id_to_image_pair(pair_id))
         pixels = {one: keypoints[one][matches[:, 0]], two: keypoints[two][matches[:, 1]]}
         first, second = min(one, two), max(one, two)
         pairs.append(Pair(first, second, pixels[first], pixels[second]))

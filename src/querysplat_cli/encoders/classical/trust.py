@@ -1,0 +1,109 @@
+"""What speaks against a model that looks complete.
+
+The number of placed photos and the reprojection error do not tell: the global mapper once placed all of
+`fox` with 0.3 px of error, 30 % of the scene's extent away from the truth.
+"""
+
+from itertools import pairwise
+
+import numpy as np
+
+from querysplat_cli.encoders.classical.epipolar import AGREEING, COVERED, supported
+from querysplat_cli.encoders.classical.matches import Matches
+from querysplat_cli.encoders.classical.sparse_model import SparseModel
+
+FEW_POINTS = 100
+SMALL_ANGLE = 2.0
+"""Degrees between the rays of a point below which its depth is loose."""
+FLAT = 0.01
+"""Thickness of a plane in units of its narrower side."""
+FIELD_OF_VIEW = (15.0, 120.0)
+"""Degrees along the longer side within which ordinary lenses lie."""
+EXIF_AGREEMENT = 0.25
+"""Relative difference from EXIF's focal length that zoom, crop and rounding do not explain."""
+FORWARD = 0.9
+"""Cosine between motion and viewing direction from which the camera mostly moved forward."""
+
+
+def doubts(model: SparseModel, matches: Matches) -> tuple[str, ...]:
+    """Sentences that say why the cameras may be wrong; none when nothing speaks against them."""
+    support = supported(model, matches)
+    angle = median_angle(model)
+    sentences = [
+        (
+            support.share < AGREEING,
+            f"only {support.share:.0%} of the matches between photos agree with the cameras, which may be wrong",
+        ),
+        (
+            support.coverage < COVERED or len(model.points) < FEW_POINTS,
+            f"only {len(model.points)} points tie the cameras together, which may be wrong",
+        ),
+        (angle < SMALL_ANGLE, f"the camera hardly moved (rays meet at {angle:.1f}°), so depth is uncertain"),
+        (
+            is_flat(model) and not all(matches.focals[photo] for photo in model.cameras),
+            "all matched points lie in one plane, which leaves the focal length and the cameras' tilt uncertain",
+        ),
+        (is_forward(model), "the camera moved along its viewing direction, where depth is hardest to measure"),
+        *_focal_doubts(model, matches),
+        *_behind(model),
+    ]
+    return tuple(text for applies, text in sentences if applies)
+
+
+def median_angle(model: SparseModel) -> float:
+    """Degrees between the rays of a point, from its first camera and the one farthest from that; the median."""
+    first = np.full((len(model.points), 3), np.nan)
+    smallest = np.ones(len(model.points))
+    for photo, rows in model.seen.items():
+        rays = model.points[rows] - model.centre(photo)
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        new = np.isnan(first[rows, 0])
+        first[rows[new]] = rays[new]
+        smallest[rows] = np.minimum(smallest[rows], (first[rows] * rays).sum(1))
+    return float(np.degrees(np.median(np.arccos(np.clip(smallest, -1, 1))))) if len(first) else 0.0
+
+
+def is_flat(model: SparseModel) -> bool:
+    """Do nearly all points lie in one plane?"""
+    if len(model.points) < 4:
+        return True
+    offset = model.points - np.median(model.points, axis=0)
+    distance = np.linalg.norm(offset, axis=1)
+    near = offset[distance <= np.quantile(distance, 0.9)]
+    _, axes = np.linalg.eigh(near.T @ near)
+    thickness, width, _ = np.quantile(np.abs(near @ axes), 0.8, axis=0)
+    return bool(thickness <= FLAT * width)
+
+
+def is_forward(model: SparseModel) -> bool:
+    """Does the line between most neighbouring cameras run along their viewing directions?"""
+    order = list(model.cameras)
+    cosines = []
+    for one, two in pairwise(order):
+        step = model.centre(two) - model.centre(one)
+        axis = model.cameras[one].w2c[2, :3]
+        cosines.append(abs(step @ axis) / max(float(np.linalg.norm(step)), 1e-12))
+    return bool(cosines) and float(np.median(cosines)) > FORWARD
+
+
+def _focal_doubts(model: SparseModel, matches: Matches) -> list[tuple[bool, str]]:
+    longer = np.array([max(camera.height, camera.width) for camera in model.cameras.values()])
+    focal = np.array([max(camera.focal) for camera in model.cameras.values()])
+    field = float(np.degrees(2 * np.arctan(np.median(longer / focal) / 2)))
+    low, high = FIELD_OF_VIEW
+    stated = [(camera.focal[0], matches.focals[photo]) for photo, camera in model.cameras.items()]
+    apart = [found / exif - 1 for found, exif in stated if exif]
+    furthest = max(apart, key=abs, default=0.0)
+    return [
+        (not low <= field <= high, f"the photos seem to span {field:.0f}°, unusual for a lens"),
+        (
+            abs(furthest) > EXIF_AGREEMENT,
+            f"the focal length found differs by {furthest:+.0%} from the one that the photos state",
+        ),
+    ]
+
+
+def _behind(model: SparseModel) -> list[tuple[bool, str]]:
+    depths = np.concatenate([model.depths(photo) for photo in model.cameras])
+    share = float(np.mean(depths <= 0)) if len(depths) else 0.0
+    return [(share > 0.01, f"{share:.0%} of the points lie behind the cameras that see them")]
