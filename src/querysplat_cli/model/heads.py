@@ -22,10 +22,14 @@ SHRINK, GROW = -4.0, 2.0
 
 
 def signed_exponential(raw: Tensor) -> Tensor:
-    """sign(x)·(e^|x| − 1), continued by its tangent beyond |x| = 20."""
-    size = raw.abs()
-    inside = size.clamp_max(LARGEST_EXPONENT)
-    return raw.sign() * (torch.expm1(inside) + (size - inside) * math.exp(LARGEST_EXPONENT))
+    """sign(x)·(e^|x| − 1), continued by its tangent beyond |x| = 20.
+
+    Its slope at 0 is 1. Written with |x| and sign(x), automatic differentiation would make it 0, and centres
+    that start at their prior would never move.
+    """
+    inside = raw.clamp(-LARGEST_EXPONENT, LARGEST_EXPONENT)
+    value = torch.where(raw > 0, torch.expm1(inside), -torch.expm1(-inside))
+    return value + (raw - inside) * math.exp(LARGEST_EXPONENT)
 
 
 def activate_geometry(
