@@ -1,4 +1,4 @@
-"""Shared fixtures. Every jaxtyping annotation of the package is checked while the tests run."""
+"""Shared fixtures. Every jaxtyping annotation outside compiled code is checked while the tests run."""
 
 from pathlib import Path
 
@@ -6,7 +6,16 @@ import hypothesis
 import pytest
 from jaxtyping import install_import_hook
 
-install_import_hook("querysplat_cli", "beartype.beartype")
+SOURCE = Path(__file__).resolve().parents[1] / "src"
+# numba compiles plain functions only: its modules keep out of the hook's reach, and packages with them.
+install_import_hook(
+    [
+        ".".join(path.relative_to(SOURCE).with_suffix("").parts)
+        for path in SOURCE.glob("querysplat_cli/**/[a-z]*.py")
+        if "import numba" not in path.read_text()
+    ],
+    "beartype.beartype",
+)
 
 hypothesis.settings.register_profile("querysplat", deadline=None, derandomize=True)
 hypothesis.settings.load_profile("querysplat")

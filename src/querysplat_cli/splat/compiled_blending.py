@@ -37,8 +37,7 @@ SIGMA_LIMIT = np.float32(6)
 # exp(−s) on [0, 6] is the 8th power of a polynomial in s/8, fitted to relative error on [0, 3/4]: 2e-6 in all,
 # most of it float32 rounding, and no branches.
 E0, E1, E2, E3, E4, E5, E6 = (
-    np.float32(c)
-    for c in (1.0, -0.99999958, 0.49999216, -0.16660661, 0.041443445, -0.0078977337, 0.00094978482)
+    np.float32(c) for c in (1.0, -0.99999958, 0.49999216, -0.16660661, 0.041443445, -0.0078977337, 0.00094978482)
 )
 
 
@@ -195,9 +194,7 @@ def blend_backward(rows, starts, lists, bounds, tiles_x, limits, planes, given, 
                         alpha = alpha if goes_on else ZERO
                         live[r, c] = live[r, c] if goes_on else ZERO
                         weight = through[r, c] * alpha
-                        value = (
-                            g[0, r, c] * red + g[1, r, c] * green + g[2, r, c] * blue + g[3, r, c] + g[4, r, c] * z
-                        )
+                        value = g[0, r, c] * red + g[1, r, c] * green + g[2, r, c] * blue + g[3, r, c] + g[4, r, c] * z
                         rest = behind[r, c] - weight * value
                         behind[r, c] = rest
                         slope = through[r, c] * value - rest / (ONE - alpha)

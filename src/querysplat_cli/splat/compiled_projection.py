@@ -255,8 +255,16 @@ def project_backward(
             d_quats[i, 2] += (f2 - along * q2) / length
             d_quats[i, 3] += (f3 - along * q3) / length
             # The Jacobian: B = J·W.
-            d00, d01, d02 = e00 * r00 + e01 * r01 + e02 * r02, e00 * r10 + e01 * r11 + e02 * r12, e00 * r20 + e01 * r21 + e02 * r22
-            d10, d11, d12 = e10 * r00 + e11 * r01 + e12 * r02, e10 * r10 + e11 * r11 + e12 * r12, e10 * r20 + e11 * r21 + e12 * r22
+            d00, d01, d02 = (
+                e00 * r00 + e01 * r01 + e02 * r02,
+                e00 * r10 + e01 * r11 + e02 * r12,
+                e00 * r20 + e01 * r21 + e02 * r22,
+            )
+            d10, d11, d12 = (
+                e10 * r00 + e11 * r01 + e12 * r02,
+                e10 * r10 + e11 * r11 + e12 * r12,
+                e10 * r20 + e11 * r21 + e12 * r22,
+            )
             k00 = d00 * view[0] + d01 * view[1] + d02 * view[2]
             k02 = d00 * view[6] + d01 * view[7] + d02 * view[8]
             k11 = d10 * view[3] + d11 * view[4] + d12 * view[5]

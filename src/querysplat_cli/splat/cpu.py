@@ -66,9 +66,7 @@ class _Blend(torch.autograd.Function):
     ) -> Tensor:
         arrays = [tensor.detach().numpy() for tensor in (means, quats, scales, opacities, sh)]
         planes = np.empty((len(cameras), PLANES, cameras.height, cameras.width), np.float32)
-        views = [
-            _forward_view(arrays, camera, settings, planes[v]) for v, camera in enumerate(_camera_rows(cameras))
-        ]
+        views = [_forward_view(arrays, camera, settings, planes[v]) for v, camera in enumerate(_camera_rows(cameras))]
         result = torch.from_numpy(planes)
         ctx.save_for_backward(means, quats, scales, opacities, sh, result)
         ctx.views, ctx.settings = views, settings

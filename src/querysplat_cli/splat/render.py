@@ -11,7 +11,7 @@ from torch import Tensor
 from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.splat.conventions import RenderSettings
+from querysplat_cli.splat.conventions import SH_0, RenderSettings
 
 __all__ = ["RenderSettings", "Rendering", "contributions", "render"]
 
@@ -42,7 +42,9 @@ def render(
     tensors, the plain torch reference for float64, and the compiled CPU kernel otherwise. Raises
     QuerySplatError when a tensor holds NaN or Inf, and MissingPart when the backend is not there.
     """
-    _refuse_non_finite(gaussians)
+    _refuse_other_lengths(gaussians)
+    _refuse_non_finite({field.name: getattr(gaussians, field.name) for field in fields(gaussians)})
+    _refuse_non_finite({"w2c": cameras.w2c, "K": cameras.K})
     blend: Callable[..., tuple[Tensor, Tensor, Tensor]] = _backend(gaussians, backend).blend
     colour, alpha, weighted_depth = blend(gaussians, cameras, settings or RenderSettings())
     if background is not None:
@@ -50,9 +52,7 @@ def render(
     return Rendering(colour, alpha, weighted_depth / alpha.clamp_min(1e-10))
 
 
-def contributions(
-    gaussians: Gaussians, cameras: Cameras, settings: RenderSettings | None = None
-) -> Float[Tensor, "n"]:
+def contributions(gaussians: Gaussians, cameras: Cameras, settings: RenderSettings | None = None) -> Float[Tensor, "n"]:
     """The blending weight of each Gaussian, summed over all pixels of all views."""
     # The weights are what the colour's gradient with respect to a flat colour adds up to.
     flat = Gaussians(
@@ -62,9 +62,10 @@ def contributions(
         gaussians.opacities.detach(),
         torch.zeros_like(gaussians.sh[:, :1]).requires_grad_(),
     )
-    red = render(flat, cameras, settings=settings).colour[:, 0]
-    (gradient,) = torch.autograd.grad(red.sum(), flat.sh)
-    return gradient[:, 0, 0] / 0.28209479177387814
+    with torch.enable_grad():
+        red = render(flat, cameras, settings=settings).colour[:, 0]
+        (gradient,) = torch.autograd.grad(red.sum(), flat.sh)
+    return gradient[:, 0, 0] / SH_0
 
 
 def _backend(gaussians: Gaussians, name: str):  # type: ignore[no-untyped-def]
@@ -75,16 +76,27 @@ def _backend(gaussians: Gaussians, name: str):  # type: ignore[no-untyped-def]
     return import_module(f"querysplat_cli.splat.{BACKENDS[name]}")
 
 
-def _refuse_non_finite(gaussians: Gaussians) -> None:
-    for field in fields(gaussians):
-        tensor = getattr(gaussians, field.name).detach()
+def _refuse_other_lengths(gaussians: Gaussians) -> None:
+    shapes = {field.name: tuple(getattr(gaussians, field.name).shape) for field in fields(gaussians)}
+    n = len(gaussians)
+    bands = shapes["sh"][1] if len(shapes["sh"]) == 3 else 0
+    expected = {"means": (n, 3), "quats": (n, 4), "scales": (n, 3), "opacities": (n,), "sh": (n, bands, 3)}
+    if shapes != expected or bands not in (1, 4, 9, 16):
+        raise QuerySplatError(
+            f"these are no Gaussians: {', '.join(f'{name} {list(shape)}' for name, shape in shapes.items())}",
+            "Give n × 3 means, n × 4 quats, n × 3 scales, n opacities, and n × 1, 4, 9 or 16 × 3 sh.",
+        )
+
+
+def _refuse_non_finite(tensors: dict[str, Tensor]) -> None:
+    for name, tensor in tensors.items():
         # A sum is finite only if every summand is; the count is taken only when it is not.
-        if not bool(tensor.sum(dtype=torch.float64).isfinite()):
+        if not bool(tensor.detach().sum(dtype=torch.float64).isfinite()):
             wrong = ~tensor.isfinite()
             if bool(wrong.any()):
                 first = tuple(wrong.nonzero()[0].tolist())
                 raise QuerySplatError(
-                    f"{int(wrong.sum())} of the {tensor.numel()} numbers in `{field.name}` are NaN or infinite, "
+                    f"{int(wrong.sum())} of the {tensor.numel()} numbers in `{name}` are NaN or infinite, "
                     f"the first at {list(first)}",
-                    "Remove those Gaussians, or find out what made them.",
+                    "Remove those Gaussians or cameras, or find out what made them.",
                 )

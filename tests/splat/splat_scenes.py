@@ -1,0 +1,128 @@
+"""Random scenes, and the comparison of a picture and its gradients with the float64 reference."""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.splat.render import Rendering, RenderSettings, render
+
+FIELDS = ("means", "quats", "scales", "opacities", "sh")
+
+
+def camera(height: int, width: int, *, field_of_view: float = 50.0, views: int = 1) -> Cameras:
+    """Cameras on a small arc that look at (0, 0, 4); `field_of_view` in degrees, along the longer side."""
+    focal = max(height, width) / (2 * math.tan(math.radians(field_of_view) / 2))
+    K = torch.tensor([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]], dtype=torch.float64)
+    w2c = torch.eye(4, dtype=torch.float64).repeat(views, 1, 1)
+    for v in range(views):
+        angle = 0.15 * v
+        turn = torch.tensor(
+            [[math.cos(angle), 0, math.sin(angle)], [0, 1, 0], [-math.sin(angle), 0, math.cos(angle)]],
+            dtype=torch.float64,
+        )
+        target = torch.tensor([0.0, 0, 4], dtype=torch.float64)
+        w2c[v, :3, :3], w2c[v, :3, 3] = turn, target - turn @ target
+    return Cameras(w2c, K.repeat(views, 1, 1), height, width)
+
+
+def cloud(
+    seed: int,
+    count: int,
+    cameras: Cameras,
+    *,
+    degree: int = 1,
+    pixels: float = 2.5,
+    opacity: tuple[float, float] = (0.05, 0.95),
+) -> Gaussians:
+    """Float64 Gaussians all over the first view, z in [2, 6], about `pixels` of standard deviation."""
+    generator = torch.Generator().manual_seed(seed)
+
+    def uniform(*shape: int) -> Tensor:
+        return torch.rand(*shape, generator=generator, dtype=torch.float64)
+
+    def normal(*shape: int) -> Tensor:
+        return torch.randn(*shape, generator=generator, dtype=torch.float64)
+
+    focal = float(cameras.K[0, 0, 0])
+    z = 2 + 4 * uniform(count)
+    spread = torch.tensor([cameras.width, cameras.height], dtype=torch.float64) / focal
+    xy = (uniform(count, 2) - 0.5) * 1.2 * spread * z[:, None]
+    return Gaussians(
+        torch.cat([xy, z[:, None]], 1),
+        normal(count, 4),
+        torch.exp(0.5 * normal(count, 3)) * (pixels / focal * z[:, None]),
+        opacity[0] + (opacity[1] - opacity[0]) * uniform(count),
+        0.4 * normal(count, (degree + 1) ** 2, 3),
+    )
+
+
+@dataclass(frozen=True)
+class Outcome:
+    rendering: Rendering
+    gradients: dict[str, Tensor]
+
+
+def outcome(
+    gaussians: Gaussians, cameras: Cameras, backend: str, *, seed: int = 0, settings: RenderSettings | None = None
+) -> Outcome:
+    """Picture and gradients of a random linear functional of colour, alpha and depth."""
+    dtype = torch.float64 if backend == "reference" else torch.float32
+    leaves = gaussians.detach().map(lambda field: field.to(dtype).clone().requires_grad_())
+    result = render(leaves, cameras, backend=backend, settings=settings)
+    generator = torch.Generator().manual_seed(seed)
+    loss = torch.zeros((), dtype=dtype)
+    for picture in (result.colour, result.alpha, result.depth):
+        loss = loss + (picture * torch.randn(picture.shape, generator=generator, dtype=torch.float64).to(dtype)).sum()
+    slopes = torch.autograd.grad(loss, [getattr(leaves, name) for name in FIELDS])
+    return Outcome(result, dict(zip(FIELDS, slopes, strict=True)))
+
+
+def as_kernel_sees(gaussians: Gaussians) -> Gaussians:
+    """Rounded to float32 and back, so that the comparison is of arithmetic and not of the inputs' rounding."""
+    return gaussians.to(torch.float32).to(torch.float64)
+
+
+def assert_agree(
+    gaussians: Gaussians,
+    cameras: Cameras,
+    *,
+    settings: RenderSettings | None = None,
+    image: float = 1e-5,
+    gradient: float = 1e-4,
+    flips: float = 0.0,
+) -> None:
+    """Kernel and float64 reference: colour and alpha within `image`, each gradient within `gradient`.
+
+    Depth is held relative to the far end of the scene. Gradients are held as a whole (relative L2), in
+    direction (cosine), and each number to 100 × `gradient` of the largest of its field, so that a missing
+    part cannot hide. `flips` is the share of pixels that may differ by up to two steps of 1/255, because an
+    alpha at the cut-off falls to one side or the other.
+    """
+    gaussians = as_kernel_sees(gaussians)
+    fast = outcome(gaussians, cameras, "cpu", settings=settings)
+    exact = outcome(gaussians, cameras, "reference", settings=settings)
+    for name, scale in (("colour", 1.0), ("alpha", 1.0), ("depth", float(exact.rendering.depth.max().clamp_min(1)))):
+        difference = (getattr(fast.rendering, name) - getattr(exact.rendering, name)).abs() / scale
+        assert difference.isfinite().all(), name
+        outside = difference > image
+        assert outside.double().mean() <= flips, f"{name}: {float(difference.max()):.2e}"
+        assert difference.max() <= (2 / 255 if flips else image), name
+    for name in FIELDS:
+        close_gradients(fast.gradients[name].double(), exact.gradients[name], gradient, name)
+
+
+def close_gradients(found: Tensor, exact: Tensor, tolerance: float, name: str) -> None:
+    assert found.isfinite().all(), name
+    size = exact.norm()
+    if size == 0:
+        assert found.abs().max() == 0, name
+        return
+    relative = float((found - exact).norm() / size)
+    assert relative <= tolerance, f"{name}: relative L2 error {relative:.2e}"
+    assert float((found * exact).sum() / (found.norm() * size)) >= 1 - tolerance, name
+    worst = float((found - exact).abs().max() / exact.abs().max())
+    assert worst <= 100 * tolerance, f"{name}: worst element {worst:.2e} of the largest"
