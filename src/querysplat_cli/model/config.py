@@ -42,6 +42,11 @@ class ModelConfig:
         return (self.sh_degree + 1) ** 2
 
     @property
+    def has_eye(self) -> bool:
+        """Whether there is an eye token: it stands among learned queries, and weighs layers where there are several."""
+        return self.queries == "learned" or self.mixed_layers > 1
+
+    @property
     def appearance_channels(self) -> int:
         """Raw numbers of the appearance head for each Gaussian: SH for three colours, and opacity."""
         return 3 * self.sh_bands + 1

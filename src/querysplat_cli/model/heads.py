@@ -15,14 +15,14 @@ GEOMETRY_CHANNELS = 10
 """Centre 3, scale 3, quaternion 4."""
 SH_BAND_0 = 0.28209479177387814
 OPACITY_BIAS = 2.0
-LARGEST_EXPONENT = 20.0
-"""exp is linear beyond this: a raw number of 1e4 stays finite, and so does its gradient."""
+LARGEST_EXPONENT = 40.0
+"""exp is linear beyond this: a raw number of 1e4 stays finite, and so does the square of its gradient."""
 SHRINK, GROW = -4.0, 2.0
 """Bounds of the change of a prior's log-scale."""
 
 
 def signed_exponential(raw: Tensor) -> Tensor:
-    """sign(x)·(e^|x| − 1), continued by its tangent beyond |x| = 20.
+    """sign(x)·(e^|x| − 1), continued by its tangent beyond |x| = 40.
 
     Its slope at 0 is 1. Written with |x| and sign(x), automatic differentiation would make it 0, and centres
     that start at their prior would never move.

@@ -57,7 +57,7 @@ class LayerMixer(nn.Module):
         super().__init__()
         self.special_tokens = config.special_tokens
         self.proj = nn.Identity() if config.vgm_width == config.width else nn.Linear(config.vgm_width, config.width)
-        if config.mixed_layers > 1:
+        if config.has_eye:
             self.weigh = nn.Sequential(
                 nn.LayerNorm(config.width),
                 nn.Linear(config.width, config.width // 2),

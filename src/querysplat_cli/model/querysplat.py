@@ -29,7 +29,7 @@ class QuerySplat(nn.Module):
         super().__init__()
         self.config = config
         width, heads = config.width, config.heads
-        self.eye_token = nn.Parameter(0.01 * torch.randn(1, width)) if config.mixed_layers > 1 else None
+        self.eye_token = nn.Parameter(0.01 * torch.randn(1, width)) if config.has_eye else None
         self.layer_mixer = LayerMixer(config)
         self.geometry_memory = KeyValue(width, heads)
         self.geometry_decoder = Decoder(config.geometry_blocks, width, heads, config.mlp_ratio)
