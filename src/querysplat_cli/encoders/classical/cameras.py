@@ -85,7 +85,7 @@ def _without_copies(photos: Sequence[Photo]) -> tuple[list[Photo], list[LeftOut]
 
 def _place(photos: Sequence[Photo], *, seed: int, progress: Progress) -> Placement:
     matches, model = _mapped(photos, seed=seed, progress=progress, thorough=False)
-    if len(photos) <= THOROUGH_PHOTOS and (model is None or len(model.cameras) < len(photos)):
+    if len(photos) <= THOROUGH_PHOTOS and _missing(matches, model):
         more, second = _mapped(photos, seed=seed, progress=progress, thorough=True)
         if second and (model is None or _better(second, more, model)):
             matches, model = more, second
@@ -113,6 +113,19 @@ def _mapped(
     with matched(photos, seed=seed, progress=progress, thorough=thorough) as matches:
         progress("placing cameras", 0.6)
         return matches, map_photos(matches, seed=seed)
+
+
+def _missing(matches: Matches, model: SparseModel | None) -> list[int]:
+    """Photos that a longer search may place: not the blurred ones, nor those of another place."""
+    placed = set(model.cameras) if model else set()
+    enough = FEW_FEATURES * float(np.median(matches.features))
+    missing = []
+    for photo, features in enumerate(matches.features):
+        partners = matches.partners(photo)
+        elsewhere = bool(placed and partners) and placed.isdisjoint(partners)
+        if photo not in placed and features >= enough and not elsewhere:
+            missing.append(photo)
+    return missing
 
 
 def _better(second: SparseModel, matches: Matches, first: SparseModel) -> bool:
@@ -152,7 +165,7 @@ def _left_out(photos: Sequence[Photo], matches: Matches, model: SparseModel) -> 
     for number, photo in enumerate(photos):
         if number in model.cameras:
             continue
-        partners = [pair.first + pair.second - number for pair in matches.pairs if number in (pair.first, pair.second)]
+        partners = matches.partners(number)
         if matches.features[number] < FEW_FEATURES * usual:
             why = "it has too little detail to match: blurred, dark or plain"
         elif set(partners) & set(model.cameras):

@@ -11,6 +11,7 @@ import pycolmap
 from querysplat_cli.encoders.classical.epipolar import supported
 from querysplat_cli.encoders.classical.matches import Matches
 from querysplat_cli.encoders.classical.sparse_model import SparseModel
+from querysplat_cli.encoders.classical.trust import has_ordinary_lens
 from querysplat_cli.scene.cameras import PhotoCamera
 
 DISTORTION: dict[str, Callable[..., tuple[float, float, float, float]]] = {
@@ -28,6 +29,7 @@ class Attempt:
     """How much the mapper asks of its first pair and of the photos it adds.
 
     Angles in degrees: between the rays of the first pair (`start_angle`) and of any point (`point_angle`).
+    `fit_lens` False keeps the focal length at its first guess.
     """
 
     start_angle: float
@@ -35,6 +37,7 @@ class Attempt:
     point_angle: float
     pose_inliers: int
     forward_motion: float
+    fit_lens: bool = True
 
 
 ATTEMPTS = (
@@ -42,6 +45,8 @@ ATTEMPTS = (
     Attempt(start_angle=4, start_inliers=50, point_angle=1.5, pose_inliers=20, forward_motion=0.95),
     Attempt(start_angle=1, start_inliers=20, point_angle=0.5, pose_inliers=15, forward_motion=1.0),
     Attempt(start_angle=12, start_inliers=80, point_angle=1.5, pose_inliers=20, forward_motion=0.95),
+    # Where the camera hardly moved, nothing holds the focal length.
+    Attempt(start_angle=0.2, start_inliers=20, point_angle=0.1, pose_inliers=15, forward_motion=1.0, fit_lens=False),
 )
 EXTENDING = Attempt(start_angle=1, start_inliers=20, point_angle=0.5, pose_inliers=12, forward_motion=1.0)
 
@@ -56,11 +61,13 @@ def map_photos(matches: Matches, *, seed: int) -> SparseModel | None:
     best: tuple[float, pycolmap.Reconstruction] | None = None
     for attempt in ATTEMPTS:
         for reconstruction in _mapped(matches, attempt, seed):
-            support = supported(from_colmap(reconstruction), matches)
-            if best is None or support.score > best[0]:
-                best = support.score, reconstruction
-            if reconstruction.num_reg_images() >= connected and support.sound:
-                return from_colmap(reconstruction)
+            model = from_colmap(reconstruction)
+            support, ordinary = supported(model, matches), has_ordinary_lens(model)
+            score = support.score if ordinary else support.score / 2
+            if best is None or score > best[0]:
+                best = score, reconstruction
+            if len(model.cameras) >= connected and support.sound and ordinary:
+                return model
     return _extended(best[1], matches, seed) if best else None
 
 
@@ -132,6 +139,10 @@ def _options(attempt: Attempt, seed: int) -> pycolmap.IncrementalPipelineOptions
     options.mapper.init_max_forward_motion = attempt.forward_motion
     options.mapper.abs_pose_min_num_inliers = attempt.pose_inliers
     options.mapper.filter_min_tri_angle = attempt.point_angle
+    options.mapper.abs_pose_refine_focal_length = attempt.fit_lens
+    options.mapper.abs_pose_refine_extra_params = attempt.fit_lens
+    options.ba_refine_focal_length = attempt.fit_lens
+    options.ba_refine_extra_params = attempt.fit_lens
     options.triangulation.min_angle = attempt.point_angle
     options.triangulation.ignore_two_view_tracks = False
     return options

@@ -71,6 +71,10 @@ class Matches:
         """The focal length to start from, in pixels."""
         return self.focals[photo] or DEFAULT_FOCAL * max(self.sizes[photo])
 
+    def partners(self, photo: int) -> list[int]:
+        """The photos that have matches with this one."""
+        return [pair.first + pair.second - photo for pair in self.pairs if photo in (pair.first, pair.second)]
+
     def largest_group(self) -> list[int]:
         """The largest group of photos that pairs connect, directly or through others."""
         group = list(range(len(self.sizes)))

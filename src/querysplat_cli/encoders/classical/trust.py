@@ -11,6 +11,7 @@ import numpy as np
 from querysplat_cli.encoders.classical.epipolar import AGREEING, COVERED, supported
 from querysplat_cli.encoders.classical.matches import Matches
 from querysplat_cli.encoders.classical.sparse_model import SparseModel
+from querysplat_cli.scene.cameras import PhotoCamera
 
 FEW_POINTS = 100
 SMALL_ANGLE = 2.0
@@ -86,16 +87,32 @@ def is_forward(model: SparseModel) -> bool:
     return bool(cosines) and float(np.median(cosines)) > FORWARD
 
 
-def _focal_doubts(model: SparseModel, matches: Matches) -> list[tuple[bool, str]]:
-    longer = np.array([max(camera.height, camera.width) for camera in model.cameras.values()])
-    focal = np.array([max(camera.focal) for camera in model.cameras.values()])
-    field = float(np.degrees(2 * np.arctan(np.median(longer / focal) / 2)))
+def has_ordinary_lens(model: SparseModel) -> bool:
+    """Do all photos span an angle that ordinary lenses have?"""
     low, high = FIELD_OF_VIEW
+    return all(low <= _field_of_view(camera) <= high for camera in model.cameras.values())
+
+
+def _field_of_view(camera: PhotoCamera) -> float:
+    """Degrees along the longer side."""
+    return float(np.degrees(2 * np.arctan(max(camera.height, camera.width) / max(camera.focal) / 2)))
+
+
+def _focal_doubts(model: SparseModel, matches: Matches) -> list[tuple[bool, str]]:
+    fields = [_field_of_view(camera) for camera in model.cameras.values()]
     stated = [(camera.focal[0], matches.focals[photo]) for photo, camera in model.cameras.items()]
+    stated_focals = [exif for _, exif in stated if exif]
     apart = [found / exif - 1 for found, exif in stated if exif]
     furthest = max(apart, key=abs, default=0.0)
     return [
-        (not low <= field <= high, f"the photos seem to span {field:.0f}°, unusual for a lens"),
+        (
+            not has_ordinary_lens(model),
+            f"the photos seem to span {min(fields):.0f}° to {max(fields):.0f}°, unusual for a lens",
+        ),
+        (
+            len(model.cameras) == 2 and not stated_focals,
+            "two photos that do not state a focal length hardly fix it, so proportions in depth may be off",
+        ),
         (
             abs(furthest) > EXIF_AGREEMENT,
             f"the focal length found differs by {furthest:+.0%} from the one that the photos state",
