@@ -76,8 +76,8 @@ def attend(
     With `near`, query i sees only the memory rows near.index[i], whose logits get near.bias[i]; without, all.
     """
     if near is None:
-        heads_first = (part.transpose(0, 1)[None] for part in (query, keys, values))
-        return F.scaled_dot_product_attention(*heads_first)[0].transpose(0, 1).flatten(1)
+        q, k, v = (part.transpose(0, 1)[None] for part in (query, keys, values))
+        return F.scaled_dot_product_attention(q, k, v)[0].transpose(0, 1).flatten(1)
     # `embedding` gathers rows, and its backward adds them up in a fixed order.
     seen_keys = F.embedding(near.index, keys.flatten(1)).unflatten(-1, keys.shape[1:])
     seen_values = F.embedding(near.index, values.flatten(1)).unflatten(-1, values.shape[1:])

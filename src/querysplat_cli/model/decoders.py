@@ -60,6 +60,17 @@ class DecoderBlock(nn.Module):
             tokens = tokens + self.mlp_scale(self.mlp(tokens))
         yield tokens
 
+    def forward(
+        self,
+        tokens: Float[Tensor, "queries width"],
+        keys: Float[Tensor, "memory heads channels"],
+        values: Float[Tensor, "memory heads channels"],
+        near_memory: Neighbours | None = None,
+        near_queries: Neighbours | None = None,
+    ) -> Float[Tensor, "queries width"]:
+        *_, tokens = self.steps(tokens, keys, values, near_memory, near_queries)
+        return tokens
+
 
 class Decoder(nn.Module):
     """Blocks in a row, all reading the same memory."""
@@ -78,7 +89,7 @@ class Decoder(nn.Module):
     ) -> Iterator[Float[Tensor, "queries width"]]:
         """The tokens after each block."""
         for block in self.blocks:
-            *_, tokens = block.steps(tokens, keys, values, near_memory, near_queries)
+            tokens = block(tokens, keys, values, near_memory, near_queries)
             yield tokens
 
     def forward(

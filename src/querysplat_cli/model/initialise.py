@@ -14,6 +14,7 @@ import torch
 
 from querysplat_cli.model.checkpoints import save
 from querysplat_cli.model.config import ModelConfig, preset
+from querysplat_cli.model.decoders import DecoderBlock
 from querysplat_cli.model.querysplat import QuerySplat
 
 GAINS = {"centre": 0.3, "scale": 1.0, "quaternion": 0.5, "sh_0": 1.0, "sh_rest": 0.25, "opacity": 2.0}
@@ -34,6 +35,7 @@ def initial_model(config: ModelConfig, seed: int) -> QuerySplat:
             memory.k_norm.weight.fill_(KEY_GAIN)
         for decoder in (model.geometry_decoder, model.appearance_decoder):
             for i, block in enumerate(decoder.blocks):
+                assert isinstance(block, DecoderBlock)
                 block.cross_scale.gamma.fill_(1.0 if i == 0 else 0.0)
                 block.among_scale.gamma.zero_()
                 block.mlp_scale.gamma.zero_()

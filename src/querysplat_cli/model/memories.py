@@ -107,9 +107,9 @@ class PhotoEmbedding(nn.Module):
 def plucker_rays(cameras: Cameras) -> Float[Tensor, "views 6 height width"]:
     """Moment o × d and unit world direction d of the ray through every pixel centre."""
     fx, fy, cx, cy = (cameras.K[:, i, j, None, None] for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
-    like = {"dtype": cameras.K.dtype, "device": cameras.K.device}
-    x = (torch.arange(cameras.width, **like) + 0.5 - cx) / fx
-    y = (torch.arange(cameras.height, **like)[:, None] + 0.5 - cy) / fy
+    columns, rows = (torch.arange(size).to(cameras.K) + 0.5 for size in (cameras.width, cameras.height))
+    x = (columns - cx) / fx
+    y = (rows[:, None] - cy) / fy
     x, y = torch.broadcast_tensors(x, y)
     local = F.normalize(torch.stack([x, y, torch.ones_like(x)], 1), dim=1)
     c2w = cameras.c2w

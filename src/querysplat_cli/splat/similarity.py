@@ -24,7 +24,9 @@ def taps() -> np.ndarray:
     return weights / weights.sum()
 
 
-def psnr(image: Float[Tensor, "3 h w"], target: Float[Tensor, "3 h w"], mask: Bool[Tensor, "h w"] | None = None) -> float:
+def psnr(
+    image: Float[Tensor, "3 h w"], target: Float[Tensor, "3 h w"], mask: Bool[Tensor, "h w"] | None = None
+) -> float:
     """Peak signal-to-noise ratio in dB over the pixels of `mask`; infinite for equal pictures."""
     error = (image - target).square().mean(0)
     mean = error.mean() if mask is None else error[mask].mean()
@@ -86,14 +88,14 @@ def photometric_loss(
 
 class _Photometric(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, image: Tensor, target: Tensor, mask: Tensor) -> Tensor:  # type: ignore[override]
+    def forward(ctx: Any, image: Tensor, target: Tensor, mask: Tensor) -> Tensor:
         views, _, height, width = image.shape
         gradient = np.empty((views, 3, height, width), np.float32)
         losses = np.zeros((views, 3))
         share = 1 / (3 * views * mask.sum((1, 2)).clamp_min(1).double())
         _loss_and_gradient(
             image.detach().contiguous().numpy(),
-            target.contiguous().numpy(),
+            target.detach().contiguous().numpy(),
             mask.contiguous().numpy(),
             share.numpy(),
             taps().astype(np.float32),
@@ -104,12 +106,20 @@ class _Photometric(torch.autograd.Function):
         return image.new_tensor(losses.sum())
 
     @staticmethod
-    def backward(ctx: Any, given: Tensor) -> tuple[Tensor | None, ...]:  # type: ignore[override]
+    def backward(ctx: Any, given: Tensor) -> tuple[Tensor | None, ...]:
         return given * ctx.gradient, None, None
 
 
 @nb.njit(cache=True, error_model="numpy", parallel=True)
-def _loss_and_gradient(image, target, mask, share, weights, losses, gradient):
+def _loss_and_gradient(
+    image: np.ndarray,
+    target: np.ndarray,
+    mask: np.ndarray,
+    share: np.ndarray,
+    weights: np.ndarray,
+    losses: np.ndarray,
+    gradient: np.ndarray,
+) -> None:
     for job in nb.prange(image.shape[0] * 3):
         view, channel = job // 3, job % 3
         losses[view, channel] = _plane(
@@ -118,15 +128,16 @@ def _loss_and_gradient(image, target, mask, share, weights, losses, gradient):
 
 
 @nb.njit(cache=True, error_model="numpy", fastmath={"contract"})
-def _plane(a, b, mask, share, weights, gradient):
+def _plane(
+    a: np.ndarray, b: np.ndarray, mask: np.ndarray, share: float, weights: np.ndarray, gradient: np.ndarray
+) -> float:
     """Loss of one channel of one picture, times `share`, and its gradient with respect to `a`.
 
     With m the blur, SSIM = f(m(a), m(b), m(a²), m(b²), m(ab)) pixel by pixel; the blur is its own transpose,
     so the gradient is m(∂f/∂m(a)) + 2a·m(∂f/∂m(a²)) + b·m(∂f/∂m(ab)).
     """
     height, width = a.shape
-    half = np.float32(0.5 * SSIM_WEIGHT * share)
-    share = np.float32(share)
+    half, whole = np.float32(0.5 * SSIM_WEIGHT * share), np.float32(share)
     one, two, zero, c1, c2 = np.float32(1), np.float32(2), np.float32(0), np.float32(C1), np.float32(C2)
     maps = np.empty((5, height, width), np.float32)
     for y in range(height):
@@ -150,7 +161,7 @@ def _plane(a, b, mask, share, weights, gradient):
             similarity = min(max(light * structure, -one), one)
             total += weight * (one - similarity)
             weight = -weight if similarity == light * structure else zero
-            by_square = -weight * light * structure / structure_down if raw_a > zero else zero
+            by_square = -weight * light * structure / structure_down if raw_a >= zero else zero
             by_product = weight * light * two / structure_down
             by_mean = weight * structure * two * (mean_b - light * mean_a) / light_down
             maps[0, y, x] = by_mean - two * mean_a * by_square - mean_b * by_product
@@ -162,14 +173,14 @@ def _plane(a, b, mask, share, weights, gradient):
             value = maps[0, y, x] + two * a[y, x] * maps[1, y, x] + b[y, x] * maps[2, y, x]
             difference = a[y, x] - b[y, x]
             if mask[y, x]:
-                total += share * abs(difference)
-                value += share if difference > zero else (-share if difference < zero else zero)
+                total += whole * abs(difference)
+                value += whole if difference > zero else (-whole if difference < zero else zero)
             gradient[y, x] = value
     return total
 
 
 @nb.njit(cache=True, error_model="numpy", fastmath={"contract"})
-def _blur(plane, scratch, weights):
+def _blur(plane: np.ndarray, scratch: np.ndarray, weights: np.ndarray) -> None:
     """Blur `plane` in place with the separable window, zeros beyond the border."""
     height, width = plane.shape
     for y in range(height):
