@@ -1,86 +1,120 @@
-"""Writing files so that an interruption leaves what was there before."""
+"""Files that appear whole or not at all."""
 
 import errno
 import os
+import secrets
 import shutil
-import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
 from querysplat_cli.errors import QuerySplatError
 
+NEARLY_FULL = 1 << 20
+"""Free bytes below which a failed write without a reason is put down to a full disk."""
+
+NO_SPACE = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
+FORBIDDEN = {errno.EACCES, errno.EPERM, errno.EROFS}
+NO_FOLDER = {errno.ENOTDIR, errno.EEXIST}
+
 
 def refuse_existing(paths: Sequence[Path], *, force: bool) -> None:
-    """Raises QuerySplatError if one of `paths` exists (unless `force`) or its folder cannot be written to."""
-    for path in paths:
-        if path.exists() and not force:
-            raise QuerySplatError(f"{path} exists already", "Choose another name with -o, or replace it with --force.")
-        folder = next(parent for parent in path.absolute().parents if parent.exists())
-        if not folder.is_dir() or not os.access(folder, os.W_OK):
-            raise QuerySplatError(f"no permission to write in {folder}", "Choose another place with -o.")
+    """Raise QuerySplatError when one of `paths` is there already, unless `force`."""
+    existing = [str(path) for path in paths if path.exists() or path.is_symlink()]
+    if existing and not force:
+        raise QuerySplatError(
+            f"{' and '.join(existing)}: there already", "Add --force to replace, or choose another output."
+        )
+
+
+def check_writable(folder: Path) -> None:
+    """Make `folder` if it is missing, and raise QuerySplatError unless files can be made in it.
+
+    Worth calling before long work whose result goes there.
+    """
+    with _draft(folder / "probe") as draft:
+        draft.touch()
 
 
 @contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
-    """A temporary file beside `path` that takes its place when the block ends well, and goes when it does not."""
-    with _in_words(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
-        os.close(handle)
-        draft = Path(name)
-        try:
-            yield draft
-            with draft.open("rb") as file:
-                os.fsync(file.fileno())
-            draft.chmod(0o666 & ~_umask())
-            draft.replace(path)
-        finally:
-            draft.unlink(missing_ok=True)
+    """A name beside `path`, with the same suffix, for a file that takes `path`'s place at the end.
+
+    On any exception, Ctrl-C included, the new file is removed and `path` is as it was. A full disk and
+    missing permission become QuerySplatError.
+    """
+    with _draft(path) as draft:
+        yield draft
+        _sync(draft)
+        os.replace(draft, path)
 
 
 @contextmanager
 def atomic_folder(path: Path) -> Iterator[Path]:
-    """The same for a folder: what was there before is replaced as a whole."""
-    with _in_words(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        draft = Path(tempfile.mkdtemp(prefix=f".{path.name}-", dir=path.parent))
-        old = draft.with_name(f"{draft.name}-old")
-        try:
-            yield draft
-            draft.chmod(0o777 & ~_umask())
-            if path.exists():
-                path.rename(old)
-            try:
-                draft.rename(path)
-            except BaseException:
-                if old.exists():
-                    old.rename(path)
-                raise
-        finally:
-            for leftover in (draft, old):
-                if leftover.is_dir():
-                    shutil.rmtree(leftover, ignore_errors=True)
-                else:
-                    leftover.unlink(missing_ok=True)
+    """An empty folder beside `path`, which takes `path`'s place, with all it then holds, at the end.
+
+    On any exception the new folder is removed and the old one is as it was. A full disk and missing
+    permission become QuerySplatError.
+    """
+    with _draft(path) as draft:
+        draft.mkdir()
+        yield draft
+        for file in draft.rglob("*"):
+            if file.is_file():
+                _sync(file)
+        _swap(draft, path)
 
 
 @contextmanager
-def _in_words(path: Path) -> Iterator[None]:
-    """Operating system errors in words that say what to do."""
+def _draft(path: Path) -> Iterator[Path]:
+    draft = path.with_name(f".{path.stem}-{secrets.token_hex(4)}{path.suffix}")
     try:
-        yield
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield draft
     except OSError as error:
-        if error.errno in (errno.ENOSPC, errno.EDQUOT):
-            raise QuerySplatError(
-                f"the disk is full: {path} could not be written", "Free some space and run again."
-            ) from error
-        if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
-            raise QuerySplatError(f"no permission to write {path}", "Choose another place with -o.") from error
+        why = _in_words(error, path)
+        if why is None:
+            raise
+        raise why from error
+    finally:
+        _remove(draft)
+
+
+def _in_words(error: OSError, path: Path) -> QuerySplatError | None:
+    if error.errno in FORBIDDEN:
+        return QuerySplatError(
+            f"{path}: no permission to write there", "Choose another output, or change the folder's permissions."
+        )
+    if error.errno in NO_FOLDER and not path.parent.is_dir():
+        return QuerySplatError(f"{path}: a file is where a folder is needed", "Choose another output.")
+    full = error.errno is None and path.parent.exists() and shutil.disk_usage(path.parent).free < NEARLY_FULL
+    if error.errno in NO_SPACE or full:
+        return QuerySplatError(f"{path}: the disk is full", "Free some space, or choose an output on another disk.")
+    return None
+
+
+def _swap(draft: Path, path: Path) -> None:
+    """Put `draft` in the place of `path`; two renames, since no portable call exchanges folders."""
+    if not (path.exists() or path.is_symlink()):
+        os.rename(draft, path)
+        return
+    before = draft.with_name(f"{draft.name}-before")
+    os.rename(path, before)
+    try:
+        os.rename(draft, path)
+    except BaseException:
+        os.rename(before, path)
         raise
+    _remove(before)
 
 
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
+def _sync(file: Path) -> None:
+    with file.open("rb+") as handle:
+        os.fsync(handle.fileno())
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
+    else:
+        path.unlink(missing_ok=True)

@@ -1,47 +1,103 @@
-"""Camera paths through and around a scene."""
+"""Camera paths for films of a scene."""
 
+import numpy as np
 import torch
 from jaxtyping import Float
+from scipy.interpolate import PchipInterpolator
+from scipy.spatial.transform import Rotation, Slerp
 from torch import Tensor
-from torch.nn import functional as F
 
+from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
 
+RING_GAP = 2.1
+"""Cameras around something leave no gap wider than this, in radians; otherwise they stand on one side."""
+LEAST_SWAY = 0.05
+"""Radians to either side, where the inputs stand in one place."""
+REACH = 0.8
+"""How much of the inputs' range the path uses: at its ends fewer photos support the picture."""
 
-def orbit(cameras: Cameras, centre: Float[Tensor, "3"], frames: int) -> Cameras:
-    """A closed path that looks at `centre` and stays where the input cameras are.
 
-    Seen from `centre`, the inputs fill a patch of directions; the path is an ellipse in that patch, at their
-    median distance. A ring of inputs gives a wide turn, a handful of neighbours a gentle sway. Up is the
-    inputs' mean up.
+def orbit(cameras: Cameras, middle: Float[Tensor, "3"], frames: int) -> Cameras:
+    """A closed, smooth path around `middle`, looking at it, at the inputs' typical distance and height.
+
+    Where the inputs surround `middle` the path does too; where they stand on one side (a forward-facing
+    capture) it is an ellipse on that side, within their reach. The up direction is the inputs' mean one,
+    the lens the median of theirs. Raises QuerySplatError when all inputs stand in `middle`.
     """
-    offsets = cameras.centres.double() - centre.double()
-    distance = offsets.norm(dim=1).median()
-    forward = F.normalize(F.normalize(offsets, dim=1).mean(0), dim=0)
-    up = -cameras.w2c[:, 1, :3].double().mean(0)
-    right = F.normalize(torch.linalg.cross(up, forward), dim=0)
-    up = torch.linalg.cross(forward, right)
-    directions = F.normalize(offsets, dim=1)
-    azimuth = torch.atan2(directions @ right, directions @ forward)
-    elevation = torch.asin((directions @ up).clamp(-1, 1))
-    turn = torch.arange(frames, dtype=torch.float64) * (2 * torch.pi / frames)
-    width, height = (float(part.abs().max().clamp_min(0.03)) for part in (azimuth, elevation))
-    across, above = 0.8 * width * torch.sin(turn), elevation.mean() + 0.5 * min(height, 0.2) * torch.cos(turn)
-    positions = centre.double() + distance * (
-        (torch.cos(above) * torch.cos(across))[:, None] * forward
-        + (torch.cos(above) * torch.sin(across))[:, None] * right
-        + torch.sin(above)[:, None] * up
-    )
-    w2c = torch.stack([look_at(position, centre.double(), up) for position in positions])
-    K = cameras.K.median(0).values.expand(frames, 3, 3)
-    return Cameras(w2c.to(cameras.w2c.dtype), K.contiguous(), cameras.height, cameras.width)
+    centres, target = cameras.centres.double().numpy(), middle.double().numpy()
+    up = _unit(-cameras.w2c[:, 1, :3].double().numpy().sum(0))
+    arms = centres - target
+    radius = float(np.median(np.linalg.norm(arms, axis=1)))
+    if radius == 0:
+        raise QuerySplatError("the cameras stand where they should look", "Give a path with --cameras FILE.")
+    forward = _unit(np.cross(up, _least_parallel_axis(up)))
+    side = np.cross(up, forward)
+    azimuth = np.arctan2(arms @ side, arms @ forward)
+    elevation = np.arctan2(arms @ up, np.hypot(arms @ side, arms @ forward))
+    turn = 2 * np.pi * np.arange(frames) / frames
+    start, covered = _widest_gap(azimuth)
+    if 2 * np.pi - covered < RING_GAP:
+        path_azimuth = azimuth[0] + turn
+        path_elevation = np.full(frames, np.median(elevation))
+    else:
+        path_azimuth = start + covered / 2 + max(LEAST_SWAY, REACH * covered / 2) * np.sin(turn)
+        height = max(LEAST_SWAY, REACH * float(np.ptp(elevation)) / 2)
+        path_elevation = (elevation.min() + elevation.max()) / 2 + height * np.cos(turn)
+    path_elevation = path_elevation.clip(-1.4, 1.4)[:, None]
+    level = np.cos(path_azimuth)[:, None] * forward + np.sin(path_azimuth)[:, None] * side
+    places = target + radius * (np.cos(path_elevation) * level + np.sin(path_elevation) * up)
+    return look_at(places, target, up, cameras)
 
 
-def look_at(position: Float[Tensor, "3"], target: Float[Tensor, "3"], up: Float[Tensor, "3"]) -> Float[Tensor, "4 4"]:
-    """World-to-camera of a camera at `position` that looks at `target` with `up` upwards (OpenCV axes)."""
-    forward = F.normalize(target - position, dim=0)
-    right = F.normalize(torch.linalg.cross(forward, up), dim=0)
-    rotation = torch.stack([right, torch.linalg.cross(forward, right), forward])
-    w2c = torch.eye(4, dtype=position.dtype)
-    w2c[:3, :3], w2c[:3, 3] = rotation, -rotation @ position
-    return w2c
+def interpolate(cameras: Cameras, frames: int) -> Cameras:
+    """A smooth path through the inputs in their order, first to last.
+
+    Centres follow a monotone cubic, rotations the shortest way at constant speed between two inputs, and
+    lenses change linearly.
+    """
+    if len(cameras) == 1:
+        return cameras[[0] * frames]
+    knots, times = np.arange(len(cameras)), np.linspace(0, len(cameras) - 1, frames)
+    c2w = cameras.c2w.double().numpy()
+    path = np.tile(np.eye(4), (frames, 1, 1))
+    path[:, :3, :3] = Slerp(knots, Rotation.from_matrix(c2w[:, :3, :3]))(times).as_matrix()
+    path[:, :3, 3] = PchipInterpolator(knots, c2w[:, :3, 3])(times)
+    before = np.minimum(times.astype(int), len(cameras) - 2)
+    share = torch.from_numpy(times - before).to(cameras.K.dtype)[:, None, None]
+    K = torch.lerp(cameras.K[before], cameras.K[before + 1], share)
+    return _cameras(path, K, cameras)
+
+
+def look_at(places: np.ndarray, target: np.ndarray, up: np.ndarray, like: Cameras) -> Cameras:
+    """Cameras at `places` [n, 3] towards `target` [3] or [n, 3]; canvas and median lens of `like`."""
+    z = target - places
+    z = z / np.linalg.norm(z, axis=1, keepdims=True)
+    x = np.cross(z, up)
+    x = x / np.linalg.norm(x, axis=1, keepdims=True)
+    path = np.tile(np.eye(4), (len(places), 1, 1))
+    path[:, :3, :3] = np.stack([x, np.cross(z, x), z], 2)
+    path[:, :3, 3] = places
+    return _cameras(path, like.K.median(0).values.expand(len(places), 3, 3), like)
+
+
+def _cameras(c2w: np.ndarray, K: Tensor, like: Cameras) -> Cameras:
+    # A rigid inverse is the same in both directions.
+    w2c = Cameras(torch.from_numpy(c2w), K, like.height, like.width).c2w
+    return Cameras(w2c.to(like.w2c.dtype), K.clone(), like.height, like.width)
+
+
+def _widest_gap(azimuth: np.ndarray) -> tuple[float, float]:
+    """Where the range of the angles begins, and how far it reaches, when the widest gap is left out."""
+    ordered = np.sort(azimuth)
+    gaps = np.diff(ordered, append=ordered[0] + 2 * np.pi)
+    widest = int(gaps.argmax())
+    return float(ordered[(widest + 1) % len(ordered)]), float(2 * np.pi - gaps[widest])
+
+
+def _least_parallel_axis(direction: np.ndarray) -> np.ndarray:
+    return np.eye(3)[np.abs(direction).argmin()]
+
+
+def _unit(vector: np.ndarray) -> np.ndarray:
+    return vector / np.linalg.norm(vector)

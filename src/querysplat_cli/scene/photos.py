@@ -1,10 +1,13 @@
-"""Photo files to pixels."""
+"""Photos of any kind, read into one kind: upright, 8-bit RGB, not too large."""
 
+import os
 import re
+from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
+from pathlib import Path, PurePath
 
+import cv2
 import numpy as np
 from PIL import ExifTags, Image, ImageOps, UnidentifiedImageError
 
@@ -12,139 +15,205 @@ from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.progress import Progress
 from querysplat_cli.scene.views import LeftOut, Photo
 
-SUFFIXES = {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".ppm", ".pgm", ".heic", ".heif"}
+SUFFIXES = {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".ppm", ".pgm", ".heic", ".heif", ".avif"}
+HEIF_SUFFIXES = {".heic", ".heif"}
 PICTURE_FOLDERS = ("images", "images_2", "images_4", "images_8")
-"""Where datasets keep their pictures, finest first."""
+"""Where DL3DV and nerfstudio keep the pictures of a scene, largest first."""
 SMALLEST_SIDE = 64
-LONGEST_SIDE = 1600
-FILM_WIDTH = 36.0
-"""Millimetres: the film that a 35 mm equivalent focal length refers to."""
+FULL_FRAME_DIAGONAL = 43.2666
+"""Millimetres: FocalLengthIn35mmFilm is the focal length that has the same diagonal field of view on 36 × 24."""
+SENSIBLE_FOCAL = (0.3, 20.0)
+"""In units of the longer side; EXIF that says anything else is not believed."""
+MILLIMETRES = {1: 25.4, 2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}
+"""Length of EXIF's FocalPlaneResolutionUnit; 1 means "none", which cameras write for inches."""
 
 
 def find_photos(inputs: Sequence[Path]) -> list[Path]:
-    """Photo files of a folder, or the files given, in natural order (2 before 10).
+    """The files to read, in natural order (2 before 10) within each folder, none twice.
 
-    A dataset folder (DL3DV, nerfstudio) stands for its finest pictures folder. Raises QuerySplatError when
-    there is nothing to read.
+    A folder stands for all files in it that are not hidden, or, where it has no pictures of its own, for
+    those in its largest `images`, `images_2`, `images_4` or `images_8` (a DL3DV, nerfstudio or COLMAP
+    scene). Raises QuerySplatError when an input is missing or has no pictures.
     """
-    if len(inputs) == 1 and inputs[0].is_dir():
-        folder = inputs[0]
-        files = _pictures(folder)
-        for name in PICTURE_FOLDERS:
-            files = files or (_pictures(folder / name) if (folder / name).is_dir() else [])
-        if not files:
-            raise QuerySplatError(
-                f"there are no photos in {folder}", f"Expected files such as {', '.join(sorted(SUFFIXES)[:6])}."
-            )
-        return files
-    missing = [path for path in inputs if not path.exists()]
-    if missing:
-        raise QuerySplatError(f"{missing[0]}: no such file or folder", "Give a folder of photos, or photo files.")
-    folders = [path for path in inputs if path.is_dir()]
-    if folders:
-        raise QuerySplatError(f"{folders[0]} is one folder among several inputs", "Give one folder, or files.")
-    return sorted(dict.fromkeys(inputs), key=_natural)
+    found: dict[Path, Path] = {}
+    for path in inputs:
+        if not path.exists():
+            raise QuerySplatError(f"{path}: no such file or folder", "Give a folder of photos, or photos.")
+        for file in _folder_photos(path) if path.is_dir() else [path]:
+            found.setdefault(file.resolve(), file)
+    return list(found.values())
 
 
-def load_photos(paths: Sequence[Path], *, progress: Progress) -> tuple[list[Photo], list[LeftOut]]:
-    """Decode photos, reduced to at most 1,600 pixels on the longer side; what cannot be used is left out by name.
+def load_photos(
+    paths: Sequence[Path],
+    max_side: int = 1600,
+    progress: Progress = lambda text, fraction: None,
+) -> tuple[list[Photo], list[LeftOut]]:
+    """Decoded photos in the order of `paths`, and the files that are no usable photo, with the reason.
 
-    Raises QuerySplatError when none is left.
+    Sides longer than `max_side` pixels are reduced (area filter). Transparency is laid over white; 16-bit
+    values keep their high byte; of several frames the first is taken; colour profiles are not applied.
+    Photos with the same file name are told apart by as much of their folders as that needs. Raises
+    QuerySplatError when there is no usable photo at all.
     """
-    names = _names(paths)
     photos: list[Photo] = []
     left_out: list[LeftOut] = []
-    with ThreadPoolExecutor() as pool:
-        for done, (name, result) in enumerate(zip(names, pool.map(_decode, paths, names), strict=True), 1):
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        results = pool.map(lambda path, name: _load(path, name, max_side), paths, short_names(paths))
+        for number, result in enumerate(results, start=1):
             if isinstance(result, Photo):
                 photos.append(result)
             else:
-                left_out.append(LeftOut(name, result))
-            progress(name, done / len(paths))
+                left_out.append(result)
+            progress(result.name, number / len(paths))
     if not photos:
-        told = "; ".join(f"{photo.name}: {photo.why}" for photo in left_out[:3])
-        raise QuerySplatError(f"none of the {len(paths)} files is a usable photo ({told})", "Give JPEG or PNG photos.")
+        raise QuerySplatError(
+            f"none of the {len(paths)} files is a usable photo: "
+            + "; ".join(f"{each.name} ({each.why})" for each in left_out[:3])
+            + ("; …" if len(left_out) > 3 else ""),
+            "Give JPEG, PNG, TIFF, WebP or BMP pictures.",
+        )
     return photos, left_out
 
 
-def _pictures(folder: Path) -> list[Path]:
-    files = (path for path in folder.iterdir() if path.is_file() and path.suffix.lower() in SUFFIXES)
-    return sorted((path for path in files if not path.name.startswith(".")), key=_natural)
+def short_names(paths: Sequence[PurePath]) -> list[str]:
+    """The last parts of each path, as few of them as tell it from all others."""
+    names = [path.name for path in paths]
+    longest = max((len(path.parts) for path in paths), default=0)
+    for depth in range(2, longest + 1):
+        count = Counter(names)
+        names = [
+            name if count[name] == 1 else "/".join(path.parts[-depth:]) for path, name in zip(paths, names, strict=True)
+        ]
+    return names
 
 
-def _natural(path: Path) -> list[tuple[int, int, str]]:
-    parts = re.split(r"(\d+)", str(path))
-    return [(1, int(part), "") if part.isdecimal() else (0, 0, part) for part in parts]
+def natural_key(path: Path) -> list[tuple[int, int | str]]:
+    """Sorts names as people do: photo_2 before photo_10, and upper case with lower case."""
+    parts = re.split(r"(\d+)", path.name.casefold())
+    return [(0, int(part)) if part.isdecimal() else (1, part) for part in parts]
 
 
-def _names(paths: Sequence[Path]) -> list[str]:
-    """The files' own names, with the folder before them where a name comes twice."""
-    plain = [path.name for path in paths]
-    return [f"{path.parent.name}_{path.name}" if plain.count(path.name) > 1 else path.name for path in paths]
+def _folder_photos(folder: Path) -> list[Path]:
+    for place in (folder, *(folder / name for name in PICTURE_FOLDERS)):
+        files = _visible_files(place) if place.is_dir() else []
+        if any(file.suffix.lower() in SUFFIXES for file in files):
+            return files
+    if not any(folder.iterdir()):
+        raise QuerySplatError(f"{folder}: an empty folder", "Put the photos there, or give another folder.")
+    inside = [each.name for each in sorted(folder.iterdir()) if each.is_dir() and any(map(_is_picture, each.iterdir()))]
+    hint = f"There are pictures in its folder {inside[0]}." if inside else "Give a folder of JPEG or PNG photos."
+    raise QuerySplatError(f"{folder}: no pictures in this folder", hint)
 
 
-def _decode(path: Path, name: str) -> Photo | str:
-    """The photo, or why it cannot be used."""
+def _visible_files(folder: Path) -> list[Path]:
+    files = [file for file in folder.iterdir() if file.is_file() and not file.name.startswith(".")]
+    return sorted(files, key=lambda file: (natural_key(file), file.name))
+
+
+def _is_picture(path: Path) -> bool:
+    return path.suffix.lower() in SUFFIXES
+
+
+def _load(path: Path, name: str, max_side: int) -> Photo | LeftOut:
     try:
-        if path.stat().st_size == 0:
-            return "the file is empty"
-        if path.suffix.lower() in (".heic", ".heif") and not _can_read_heic():
-            return "HEIC needs `pip install pillow-heif`"
-        with Image.open(path) as image:
-            if min(image.size) < SMALLEST_SIDE:
-                return f"only {image.width} × {image.height} pixels"
-            exif = image.getexif()
-            focal = _focal(exif, max(image.size))
-            if image.format == "JPEG":
-                image.draft("RGB", (LONGEST_SIDE, LONGEST_SIDE))
-            upright = ImageOps.exif_transpose(_to_rgb(image))
-        scale = min(1.0, LONGEST_SIDE / max(upright.size))
-        if scale < 1:
-            size = (round(upright.width * scale), round(upright.height * scale))
-            upright = upright.resize(size, Image.Resampling.BOX, reducing_gap=None)
-    except (UnidentifiedImageError, OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        return f"not a readable picture ({_brief(error)})"
-    return Photo(name, path, np.asarray(upright), focal and focal * max(upright.size))
+        if not path.stat().st_size:
+            return LeftOut(name, "the file is empty")
+        pixels, focal = _decode(path, max_side)
+    except UnidentifiedImageError:
+        return LeftOut(name, _why_not_a_picture(path))
+    except Image.DecompressionBombError:
+        return LeftOut(name, "far too many pixels for a photo")
+    # Pillow raises many kinds of error for damaged files.
+    except (OSError, SyntaxError, ValueError, EOFError, IndexError, TypeError) as error:
+        return LeftOut(name, f"it cannot be decoded: {error}")
+    if min(pixels.shape[:2]) < SMALLEST_SIDE:
+        return LeftOut(name, f"{pixels.shape[1]} × {pixels.shape[0]} pixels are too few")
+    return Photo(name, path, pixels, focal)
 
 
-def _to_rgb(image: Image.Image) -> Image.Image:
-    """8-bit RGB; 16-bit grey is scaled, transparency is laid over black, as the scene's background is."""
-    if image.mode.startswith("I") or image.mode == "F":
-        values = np.asarray(image, dtype=np.float64)
-        top = 65535 if values.max() > 255 else 255
-        converted = Image.fromarray((values / top * 255).round().clip(0, 255).astype(np.uint8)).convert("RGB")
-        converted.info["exif"] = image.info.get("exif", b"")
-        return converted
-    if image.mode in ("RGBA", "LA", "PA") or "transparency" in image.info:
-        layered = image.convert("RGBA")
-        flat = Image.new("RGB", image.size)
-        flat.paste(layered, mask=layered.getchannel("A"))
-        flat.info["exif"] = image.info.get("exif", b"")
-        return flat
-    return image.convert("RGB")
+def _decode(path: Path, max_side: int) -> tuple[np.ndarray, float | None]:
+    """Upright, reduced RGB, and the focal length in its pixels."""
+    if path.suffix.lower() in HEIF_SUFFIXES:
+        _understand_heif()
+    try:
+        image = Image.open(path)
+    except UnidentifiedImageError:
+        return _reduced(_decode_deep_tiff(path), max_side), None
+    with image:
+        focal = _focal(image)
+        width, height = image.size
+        scale = min(1.0, max_side / max(width, height))
+        image.draft("RGB", (round(width * scale), round(height * scale)))
+        pixels = _reduced(_rgb(ImageOps.exif_transpose(image)), max_side)
+    return pixels, focal and focal * max(pixels.shape) / max(width, height)
 
 
-def _focal(exif: Image.Exif, longer_side: int) -> float | None:
-    """Focal length in units of the longer side, from the 35 mm equivalent or the sensor's resolution."""
-    details = exif.get_ifd(ExifTags.IFD.Exif)
-    equivalent = details.get(ExifTags.Base.FocalLengthIn35mmFilm)
-    if equivalent:
-        return float(equivalent) / FILM_WIDTH
-    length, dots = details.get(ExifTags.Base.FocalLength), details.get(ExifTags.Base.FocalPlaneXResolution)
-    millimetres = {2: 25.4, 3: 10.0, 4: 1.0}.get(details.get(ExifTags.Base.FocalPlaneResolutionUnit, 2))
-    if length and dots and millimetres:
-        return float(length) * float(dots) / millimetres / longer_side
-    return None
+def _rgb(image: Image.Image) -> np.ndarray:
+    if image.mode.startswith("I"):
+        high = np.asarray(image, dtype=np.int64) >> 8
+        return np.repeat(high.clip(0, 255).astype(np.uint8)[..., None], 3, axis=2)
+    if image.mode == "F":
+        raise ValueError("floating-point pixels have no agreed white")
+    if image.mode in ("RGBA", "LA", "La", "RGBa", "PA") or "transparency" in image.info:
+        colour = image.convert("RGBA")
+        image = Image.alpha_composite(Image.new("RGBA", colour.size, "white"), colour)
+    return np.array(image.convert("RGB"))
 
 
-def _can_read_heic() -> bool:
+def _decode_deep_tiff(path: Path) -> np.ndarray:
+    """TIFF kinds that Pillow does not know, such as three channels of 16 bits."""
+    pixels = cv2.imread(str(path), cv2.IMREAD_COLOR) if path.suffix.lower() in (".tif", ".tiff") else None
+    if pixels is None:
+        raise UnidentifiedImageError(path)
+    return np.ascontiguousarray(pixels[..., ::-1])
+
+
+def _reduced(pixels: np.ndarray, max_side: int) -> np.ndarray:
+    height, width = pixels.shape[:2]
+    scale = max_side / max(height, width)
+    if scale >= 1:
+        return pixels
+    return cv2.resize(pixels, (round(width * scale), round(height * scale)), interpolation=cv2.INTER_AREA)
+
+
+def _focal(image: Image.Image) -> float | None:
+    """EXIF's focal length in pixels of the picture as stored, if it makes sense."""
+    width, height = image.size
+    try:
+        exif = image.getexif().get_ifd(ExifTags.IFD.Exif)
+        focal = _focal_from_film(exif, width, height) or _focal_from_sensor(exif, width)
+    except (ValueError, TypeError, ZeroDivisionError, KeyError, SyntaxError, OSError):
+        return None
+    low, high = SENSIBLE_FOCAL
+    return focal if focal and low < focal / max(width, height) < high else None
+
+
+def _focal_from_film(exif: dict[int, float], width: int, height: int) -> float | None:
+    film = float(exif.get(ExifTags.Base.FocalLengthIn35mmFilm, 0))
+    return film * float(np.hypot(width, height)) / FULL_FRAME_DIAGONAL if film else None
+
+
+def _focal_from_sensor(exif: dict[int, float], width: int) -> float | None:
+    """Focal length times the sensor's pixels per millimetre, for a file that was perhaps reduced since."""
+    millimetres = float(exif.get(ExifTags.Base.FocalLength, 0))
+    density = float(exif.get(ExifTags.Base.FocalPlaneXResolution, 0))
+    if not (millimetres and density):
+        return None
+    unit = MILLIMETRES[int(exif.get(ExifTags.Base.FocalPlaneResolutionUnit, 2))]
+    full_width = float(exif.get(ExifTags.Base.ExifImageWidth, 0)) or width
+    return millimetres * density / unit * width / full_width
+
+
+def _understand_heif() -> None:
     try:
         from pillow_heif import register_heif_opener
     except ImportError:
-        return False
+        return
     register_heif_opener()
-    return True
 
 
-def _brief(error: Exception) -> str:
-    return str(error).splitlines()[0].split(" '")[0][:80] if str(error) else type(error).__name__
+def _why_not_a_picture(path: Path) -> str:
+    if path.suffix.lower() in HEIF_SUFFIXES:
+        return "HEIC needs one more package: pip install pillow-heif"
+    return "not a picture that can be read"

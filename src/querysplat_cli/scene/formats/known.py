@@ -1,26 +1,32 @@
-"""Cameras that the user has already."""
+"""Cameras that the user already has, in whichever form they are."""
 
 from pathlib import Path
 
 from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.scene.cameras import PhotoCamera
+from querysplat_cli.scene.formats.colmap import find_model, read_colmap
 from querysplat_cli.scene.formats.transforms import read_transforms
+
+JSON_NAMES = ("transforms.json", "cameras.json", "colmap/transforms.json", "nerfstudio/transforms.json")
+"""Where nerfstudio, our scene folder and DL3DV keep the file."""
 
 
 def read_known_cameras(path: Path) -> dict[str, PhotoCamera]:
-    """Cameras by photo name from a transforms.json, a folder that holds one, or a COLMAP model folder.
+    """Cameras by photo name from a transforms.json, a folder that holds one, or a COLMAP model's folder.
 
-    Raises QuerySplatError when there is neither.
+    Raises QuerySplatError when there are none, or they cannot be read.
     """
+    if not path.exists():
+        raise QuerySplatError(f"{path}: no such file or folder", "Give a transforms.json or a COLMAP folder.")
     if path.is_file():
-        return read_transforms(path)
-    if (path / "transforms.json").is_file():
-        return read_transforms(path / "transforms.json")
-    for folder in (path, path / "sparse" / "0", path / "sparse", path / "colmap" / "sparse" / "0"):
-        if any((folder / f"cameras.{suffix}").is_file() for suffix in ("bin", "txt")):
-            from querysplat_cli.scene.formats.colmap import read_colmap
-
-            return read_colmap(folder)
-    raise QuerySplatError(
-        f"{path} holds no cameras", "Give a transforms.json, or a COLMAP model folder (cameras.bin or .txt)."
-    )
+        return read_transforms(path) if path.suffix.lower() == ".json" else read_known_cameras(path.parent)
+    for name in JSON_NAMES:
+        if (path / name).is_file():
+            return read_transforms(path / name)
+    model = find_model(path)
+    if model is None:
+        raise QuerySplatError(
+            f"{path}: neither a transforms.json nor a COLMAP model in it",
+            "Give a transforms.json, or the folder with COLMAP's cameras and images files.",
+        )
+    return read_colmap(model)

@@ -1,5 +1,11 @@
-"""The 3DGS .ply that viewers take: logits, logs and channel-major SH on disk, plain numbers in memory."""
+"""The standard 3D Gaussian splatting .ply.
 
+One element `vertex`, float32, binary little-endian: x y z, normals (zero), f_dc_0…2, f_rest_* colour by
+colour (all bands of red, of green, of blue), opacity as a logit, scale_0…2 as logarithms, rot_0…3 as
+w x y z. Readers go by the properties' names.
+"""
+
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,89 +18,115 @@ from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.scene.files import atomic_path
 from querysplat_cli.scene.gaussians import Gaussians
 
-OPACITY_LIMIT = 1e-8
-"""Opacities are kept this far from 0 and 1, in float64: in float32, 1 − 1e-8 is 1 and its logit infinite."""
-REST_COUNTS = {0: 1, 9: 4, 24: 9, 45: 16}
-"""Number of f_rest properties → SH bands."""
+NORMALS = ["nx", "ny", "nz"]
+LOWEST_OPACITY = 1e-8
+HIGHEST_OPACITY = 1 - 6e-8
+"""The largest float32 below 1: its logit, 16.6, is the largest finite one."""
+SCALE_FLOOR = 1e-8
+LARGEST_LOG_SCALE = 88.0
+"""Its exponential is still finite in float32."""
+REST_COUNTS = {0: 0, 9: 1, 24: 2, 45: 3}
+"""SH degree by the number of f_rest properties."""
 
 
-def write_ply(path: Path, gaussians: Gaussians) -> int:
-    """Write binary little-endian float32 with zero normals; returns the number of rows.
+def write_ply(path: Path, gaussians: Gaussians, comments: Sequence[str] = ()) -> int:
+    """Write `gaussians` to `path`, whole or not at all; returns how many are in the file.
 
-    Rows that hold NaN or Inf are left out. The file appears whole or not at all.
+    Rows with a NaN or an infinity are left out, so that number can be less than `len(gaussians)`.
     """
-    columns = _columns(gaussians, normals=True)
-    table = np.stack(list(columns.values()), 1).astype("<f4")
-    table = table[np.isfinite(table).all(1)]
-    rows = np.ascontiguousarray(table).view([(name, "<f4") for name in columns])[:, 0]
+    rows = export_rows(gaussians)
+    finite = rows[torch.isfinite(rows).all(1)]
+    names = columns(gaussians.sh_degree)
+    vertices = np.zeros(len(finite), [(name, "<f4") for name in names[:3] + NORMALS + names[3:]])
+    for name, column in zip(names, finite.numpy().T, strict=True):
+        vertices[name] = column
+    element = PlyElement.describe(vertices, "vertex")
     with atomic_path(path) as draft:
-        PlyData([PlyElement.describe(rows, "vertex")], byte_order="<").write(str(draft))
-    return len(rows)
-
-
-def export_rows(gaussians: Gaussians, opacity_threshold: float) -> tuple[list[str], Float[Tensor, "rows columns"]]:
-    """Column names and rows as the authors' release exports them: no normals, opaque enough rows only."""
-    columns = _columns(gaussians[gaussians.opacities >= opacity_threshold], normals=False)
-    return list(columns), torch.from_numpy(np.stack(list(columns.values()), 1).astype(np.float32))
+        PlyData([element], byte_order="<", comments=list(comments)).write(str(draft))
+    return len(finite)
 
 
 def read_ply(path: Path) -> Gaussians:
-    """Gaussians from any 3DGS .ply of SH degree 0 to 3, whatever the order of its properties.
+    """The Gaussians in any 3DGS .ply (SH degree 0 to 3, binary or ASCII), float32.
 
-    Raises QuerySplatError when the file is missing, damaged, or no Gaussian splatting scene.
+    Saturated numbers are kept within float32: opacities below 1, scales finite. Rows with a NaN are left
+    out. Raises QuerySplatError when the file is no .ply, not one of Gaussians, or damaged.
     """
-    if not path.is_file():
-        raise QuerySplatError(f"{path}: no such file", "Give a .ply that holds 3D Gaussians.")
-    try:
-        vertices = PlyData.read(str(path))["vertex"].data
-    except (PlyParseError, KeyError, ValueError, EOFError, OSError) as error:
-        raise QuerySplatError(f"{path} is not a readable .ply: {error}", "It may be cut off; make it again.") from error
-    names = set(vertices.dtype.names or ())
-    rest = sum(name.startswith("f_rest_") for name in names)
-    needed = ["x", "y", "z", "f_dc_0", "f_dc_1", "f_dc_2", "opacity", "scale_0", "scale_1", "scale_2"]
-    needed += ["rot_0", "rot_1", "rot_2", "rot_3", *(f"f_rest_{i}" for i in range(rest))]
-    missing = [name for name in needed if name not in names]
-    if missing or rest not in REST_COUNTS:
-        what = f"it has no {', '.join(missing[:4])}" if missing else f"{rest} f_rest properties fit no SH degree"
+    vertices = _vertices(path)
+    present = vertices.dtype.names or ()
+    rest = sum(name.startswith("f_rest_") for name in present)
+    missing = [name for name in columns(0) if name not in present]
+    if missing:
         raise QuerySplatError(
-            f"{path} is a .ply, but not of 3D Gaussians: {what}", "A mesh or a point cloud cannot be used."
+            f"{path}: a .ply, but not one of Gaussians: it has no {', '.join(missing[:4])}",
+            "Meshes and point clouds cannot be rendered; give a 3D Gaussian splatting .ply.",
         )
-
-    def columns(*wanted: str) -> np.ndarray:
-        return np.stack([vertices[name].astype(np.float64) for name in wanted], 1)
-
-    bands = REST_COUNTS[rest]
-    first = columns("f_dc_0", "f_dc_1", "f_dc_2")[:, None]
-    parts = [first]
-    if rest:
-        by_colour = columns(*(f"f_rest_{i}" for i in range(rest))).reshape(-1, 3, bands - 1)
-        parts.append(by_colour.transpose(0, 2, 1))
-    arrays = (
-        columns("x", "y", "z"),
-        columns("rot_0", "rot_1", "rot_2", "rot_3"),
-        np.exp(columns("scale_0", "scale_1", "scale_2")),
-        1 / (1 + np.exp(-columns("opacity")[:, 0])),
-        np.concatenate(parts, 1),
-    )
-    return Gaussians(*(torch.from_numpy(array.astype(np.float32)) for array in arrays))
+    if rest not in REST_COUNTS:
+        raise QuerySplatError(f"{path}: {rest} f_rest properties fit no SH degree from 0 to 3", "Export it again.")
+    names = columns(REST_COUNTS[rest])
+    rows = torch.from_numpy(np.stack([vertices[name] for name in names], 1).astype(np.float64))
+    return _gaussians(rows[~rows.isnan().any(1)])
 
 
-def _columns(gaussians: Gaussians, *, normals: bool) -> dict[str, np.ndarray]:
-    """Every property of the file by name, in its order, in float64."""
-    means, quats, scales, opacities, sh = (
-        part.detach().double().cpu().numpy()
-        for part in (gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.sh)
-    )
-    opacity = np.clip(opacities, OPACITY_LIMIT, 1 - OPACITY_LIMIT)
-    length = np.maximum(np.linalg.norm(quats, axis=1, keepdims=True), 1e-30)
-    rest = sh[:, 1:].transpose(0, 2, 1).reshape(len(sh), -1)
-    zero = np.zeros(len(means))
-    named = {axis: means[:, i] for i, axis in enumerate("xyz")}
-    if normals:
-        named |= dict.fromkeys(("nx", "ny", "nz"), zero)
-    groups = [("f_dc", sh[:, 0]), ("f_rest", rest), ("opacity", np.log(opacity / (1 - opacity))[:, None])]
-    groups += [("scale", np.log(scales + 1e-8)), ("rot", quats / length)]
-    for name, values in groups:
-        several = name != "opacity"
-        named |= {f"{name}_{i}" if several else name: values[:, i] for i in range(values.shape[1])}
-    return named
+def columns(sh_degree: int) -> list[str]:
+    """Property names in the order of `export_rows`."""
+    rest = 3 * ((sh_degree + 1) ** 2 - 1)
+    return [
+        *"xyz",
+        *(f"f_dc_{i}" for i in range(3)),
+        *(f"f_rest_{i}" for i in range(rest)),
+        "opacity",
+        *(f"scale_{i}" for i in range(3)),
+        *(f"rot_{i}" for i in range(4)),
+    ]
+
+
+def export_rows(gaussians: Gaussians, opacity_threshold: float = 0.0) -> Float[Tensor, "rows columns"]:
+    """The rows of the file, float32, in the order of `columns(gaussians.sh_degree)`; no normals.
+
+    Gaussians of an opacity below the threshold are left out. Logits and logarithms are taken in float64
+    of clamped values (opacity to [1e-8, 1 − 6e-8], scale + 1e-8), so that they are finite where the input
+    is; quaternions are normalised, one of zero length becomes the identity.
+    """
+    kept = gaussians.detach().to("cpu").to(torch.float64)
+    kept = kept[kept.opacities.isnan() | (kept.opacities >= opacity_threshold)]
+    length = kept.quats.norm(dim=1, keepdim=True)
+    identity = torch.tensor([1.0, 0.0, 0.0, 0.0], dtype=torch.float64)
+    parts = [
+        kept.means,
+        kept.sh[:, 0],
+        kept.sh[:, 1:].mT.flatten(1),
+        kept.opacities.clamp(LOWEST_OPACITY, HIGHEST_OPACITY).logit()[:, None],
+        (kept.scales.clamp_min(0) + SCALE_FLOOR).log(),
+        torch.where(length == 0, identity, kept.quats / length),
+    ]
+    return torch.cat(parts, 1).float()
+
+
+def _gaussians(rows: Float[Tensor, "rows columns"]) -> Gaussians:
+    means, dc, rest, opacity, scale, rotation = rows.split([3, 3, rows.shape[1] - 14, 1, 3, 4], 1)
+    bands = torch.cat([dc[:, None], rest.unflatten(1, (3, -1)).mT], 1) if rest.shape[1] else dc[:, None]
+    return Gaussians(
+        means=means,
+        quats=rotation,
+        scales=scale.clamp_max(LARGEST_LOG_SCALE).exp(),
+        opacities=opacity[:, 0].sigmoid().clamp_max(HIGHEST_OPACITY),
+        sh=bands,
+    ).to(torch.float32)
+
+
+def _vertices(path: Path) -> np.ndarray:
+    if not path.is_file():
+        raise QuerySplatError(f"{path}: no such file", "Give a 3D Gaussian splatting .ply.")
+    try:
+        with path.open("rb") as stream:
+            data = PlyData.read(stream)
+            surplus = not data.text and stream.read(1)
+        vertices = data["vertex"].data
+    except KeyError:
+        raise QuerySplatError(f"{path}: a .ply without vertices", "Give a 3D Gaussian splatting .ply.") from None
+    except (PlyParseError, UnicodeDecodeError, ValueError, MemoryError) as error:
+        raise QuerySplatError(f"{path}: damaged, or no .ply: {error}", "Export or download it again.") from error
+    if surplus:
+        raise QuerySplatError(f"{path}: holds more data than its header says", "Export or download it again.")
+    return vertices

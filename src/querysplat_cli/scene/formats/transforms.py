@@ -1,9 +1,13 @@
-"""Cameras as nerfstudio, DL3DV and instant-ngp write them: transforms.json, OpenGL camera-to-world."""
+"""Cameras in nerfstudio's transforms.json, which DL3DV uses too, and in our own cameras.json of that form.
+
+Files hold OpenGL camera-to-world matrices (x right, y up, z backward); everything else here is OpenCV
+world-to-camera. Principal points count from the picture's corner: pixel centres at +0.5.
+"""
 
 import json
-import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
@@ -12,159 +16,168 @@ import torch
 from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera
 from querysplat_cli.scene.files import atomic_path
+from querysplat_cli.scene.photos import short_names
 from querysplat_cli.scene.views import Views
 
-OPENGL_TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
+OPENGL_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
+LENSES = {"PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"}
+ORTHONORMAL = 1e-3
+"""What rounding in a file may do to a rotation."""
 
 
 @dataclass(frozen=True)
 class NamedCameras:
-    """Cameras with the names and sizes (height, width) of their pictures."""
+    """Cameras of a cameras.json, with each picture's name and size (height, width) on their canvas."""
 
     names: tuple[str, ...]
     cameras: Cameras
     sizes: tuple[tuple[int, int], ...]
 
 
-def opengl_to_w2c(transform: np.ndarray) -> np.ndarray:
-    """OpenCV world-to-camera [4, 4] of an OpenGL camera-to-world matrix; its own inverse, up to the inverse."""
-    return np.linalg.inv(transform @ OPENGL_TO_OPENCV)
-
-
 def read_transforms(path: Path) -> dict[str, PhotoCamera]:
-    """Cameras by the photos' own names. Intrinsics may be per file or per frame.
+    """Cameras by photo name, as the file has them: for the lens and the full-size picture that it states.
 
-    Raises QuerySplatError, naming the frame, for matrices that are no rigid motion.
+    A photo's name is the file name in `file_path` (the folder often does not exist as written), with as
+    much of the folder as tells frames of one name apart. Intrinsics may be given for each frame. A matrix
+    that is no rigid motion is passed on as it is: the encoder leaves that photo out by name. Raises
+    QuerySplatError when the file is unreadable, incomplete, or states a lens other than OpenCV's.
     """
-    document = _load(path)
-    found = {}
-    for frame in document.get("frames", []):
-        name = Path(str(frame.get("file_path", ""))).name
-        values = {**document, **frame}
-        transform = np.array(frame.get("transform_matrix", []), dtype=float)
-        if transform.shape != (4, 4) or not _rigid(transform):
-            raise QuerySplatError(
-                f"{path}: the matrix of frame {name} is no rigid motion", "Correct or remove that frame."
-            )
-        try:
-            width, height = int(values["w"]), int(values["h"])
-            focal = values.get("fl_x") or width / (2 * math.tan(values["camera_angle_x"] / 2))
-            found[name] = PhotoCamera(
-                w2c=opengl_to_w2c(transform),
-                focal=(float(focal), float(values.get("fl_y") or focal)),
-                principal=(float(values.get("cx", width / 2)), float(values.get("cy", height / 2))),
-                distortion=tuple(float(values.get(key, 0)) for key in ("k1", "k2", "p1", "p2")),  # type: ignore[arg-type]
-                height=height,
-                width=width,
-            )
-        except (KeyError, TypeError, ValueError) as error:
-            raise QuerySplatError(
-                f"{path}: frame {name} has no usable {error}", "A frame needs w, h, and fl_x or camera_angle_x."
-            ) from error
-    if not found:
-        raise QuerySplatError(f"{path} lists no frames", "Give a nerfstudio or DL3DV transforms.json.")
-    return found
+    content = _load(path)
+    frames = [*content["frames"], *content.get("heldout_frames", [])]
+    names = short_names([PurePosixPath(_file_path(path, frame)) for frame in frames])
+    return {name: _photo_camera(path, name, {**content, **frame}) for name, frame in zip(names, frames, strict=True)}
 
 
-def write_cameras(path: Path, cameras: Cameras, views: Views, heldout: tuple[Views, Cameras] | None = None) -> None:
-    """Write pinhole cameras in nerfstudio's form; held-out views go under "heldout_frames"."""
-    document = {"camera_model": "PINHOLE", "frames": _frames(cameras, views)}
-    if heldout:
-        document["heldout_frames"] = _frames(heldout[1], heldout[0])
+def write_cameras(path: Path, cameras: Cameras, views: Views, *, heldout: tuple[Views, Cameras] | None = None) -> None:
+    """Write pinhole cameras of undistorted pictures; `read_cameras` gives the same back within 1e-6.
+
+    The pictures are `images/` and their name; held-out ones are under `heldout_frames`. `canvas` is the
+    (height, width) that all of them share.
+    """
+    content = {
+        "camera_model": "PINHOLE",
+        "canvas": [cameras.height, cameras.width],
+        "frames": _frames(cameras, views),
+        **({"heldout_frames": _frames(heldout[1], heldout[0])} if heldout else {}),
+    }
     with atomic_path(path) as draft:
-        draft.write_text(json.dumps(document, indent=2) + "\n")
+        draft.write_text(json.dumps(content, indent=1) + "\n")
 
 
 def read_cameras(path: Path) -> tuple[NamedCameras, NamedCameras | None]:
-    """Input and held-out cameras of a cameras.json, or of any transforms.json without distortion.
+    """Cameras in float32, and the held-out ones if there are any, of a cameras.json or a transforms.json.
 
-    All share a canvas as large as the largest picture, in whole blocks of 12 pixels as the encoders make it.
+    The views are pinholes: a distortion in the file is not applied. Raises QuerySplatError as
+    `read_transforms` does, and for a matrix that is no rigid motion.
     """
-    document = _load(path)
-    groups = [_named(path, document, document.get(key, [])) for key in ("frames", "heldout_frames")]
-    if not groups[0]:
-        raise QuerySplatError(f"{path} lists no frames", "Give the cameras.json of a scene folder.")
-    height = max(size[0] for group in groups for _, _, _, size in group)
-    width = max(size[1] for group in groups for _, _, _, size in group)
-    canvas = (math.ceil(height / 12) * 12, math.ceil(width / 12) * 12)
-    inputs, heldout = (
-        NamedCameras(
-            tuple(name for name, *_ in group),
-            Cameras(
-                torch.from_numpy(np.stack([w2c for _, w2c, _, _ in group])).float(),
-                torch.from_numpy(np.stack([K for _, _, K, _ in group])).float(),
-                *canvas,
-            ),
-            tuple(size for *_, size in group),
-        )
-        if group
-        else None
-        for group in groups
-    )
-    assert inputs is not None
-    return inputs, heldout
+    content = _load(path)
+    inputs = _named_cameras(path, content, content["frames"])
+    heldout = content.get("heldout_frames")
+    return inputs, _named_cameras(path, content, heldout) if heldout else None
 
 
-def _named(
-    path: Path, document: dict[str, Any], frames: list[dict[str, Any]]
-) -> list[tuple[str, np.ndarray, np.ndarray, tuple[int, int]]]:
-    """(name, w2c, K, size) of each frame."""
-    found = []
-    for frame in frames:
-        values = {**document, **frame}
-        if any(values.get(key) for key in ("k1", "k2", "k3", "p1", "p2")):
-            raise QuerySplatError(
-                f"{path} has lens distortion", "Rendering needs pinhole cameras: undistort them first."
-            )
-        try:
-            K = np.eye(3)
-            K[0, 0], K[1, 1] = values["fl_x"], values.get("fl_y", values["fl_x"])
-            size = (int(values["h"]), int(values["w"]))
-            K[0, 2], K[1, 2] = values.get("cx", size[1] / 2), values.get("cy", size[0] / 2)
-            w2c = opengl_to_w2c(np.array(values["transform_matrix"], dtype=float))
-        except (KeyError, ValueError, np.linalg.LinAlgError) as error:
-            raise QuerySplatError(
-                f"{path}: a frame has no usable {error}", "A frame needs fl_x, w, h, transform_matrix."
-            ) from error
-        name = str(values["file_path"])
-        found.append((name.removeprefix("images/"), w2c, K, size))
-    return found
+def opencv_from_opengl(c2w: np.ndarray) -> np.ndarray:
+    """OpenCV world-to-camera [4, 4] of a rigid OpenGL camera-to-world [4, 4]."""
+    return _rigid_inverse(c2w @ OPENGL_AXES)
+
+
+def opengl_from_opencv(w2c: np.ndarray) -> np.ndarray:
+    """The reverse of `opencv_from_opengl`."""
+    return _rigid_inverse(w2c) @ OPENGL_AXES
+
+
+def _rigid_inverse(matrix: np.ndarray) -> np.ndarray:
+    inverse = np.eye(4)
+    inverse[:3, :3] = matrix[:3, :3].T
+    inverse[:3, 3] = -matrix[:3, :3].T @ matrix[:3, 3]
+    return inverse
 
 
 def _frames(cameras: Cameras, views: Views) -> list[dict[str, Any]]:
-    frames = []
-    for name, (height, width), w2c, K in zip(
-        views.names, views.sizes, cameras.w2c.double().numpy(), cameras.K.double().numpy(), strict=True
-    ):
-        frames.append(
-            {
-                "file_path": f"images/{name}",
-                "w": width,
-                "h": height,
-                "fl_x": K[0, 0],
-                "fl_y": K[1, 1],
-                "cx": K[0, 2],
-                "cy": K[1, 2],
-                "transform_matrix": (np.linalg.inv(w2c) @ OPENGL_TO_OPENCV).tolist(),
-            }
+    return [
+        {
+            "file_path": f"images/{name}",
+            "w": width,
+            "h": height,
+            "fl_x": float(K[0, 0]),
+            "fl_y": float(K[1, 1]),
+            "cx": float(K[0, 2]),
+            "cy": float(K[1, 2]),
+            "transform_matrix": opengl_from_opencv(w2c).tolist(),
+        }
+        for name, (height, width), K, w2c in zip(
+            views.names, views.sizes, cameras.K.double().numpy(), cameras.w2c.double().numpy(), strict=True
         )
-    return frames
+    ]
 
 
-def _rigid(transform: np.ndarray) -> bool:
-    rotation = transform[:3, :3]
-    return bool(
-        np.isfinite(transform).all()
-        and np.abs(rotation @ rotation.T - np.eye(3)).max() < 1e-3
-        and np.linalg.det(rotation) > 0
-    )
+def _named_cameras(path: Path, content: Mapping[str, Any], frames: Sequence[Mapping[str, Any]]) -> NamedCameras:
+    names = tuple(_file_path(path, frame).removeprefix("./").removeprefix("images/") for frame in frames)
+    lenses = [_photo_camera(path, name, {**content, **frame}) for name, frame in zip(names, frames, strict=True)]
+    for name, lens in zip(names, lenses, strict=True):
+        if not _is_rigid(lens.w2c):
+            raise QuerySplatError(f"{path}: the matrix of {name} is no rigid motion", "Remove that frame.")
+    sizes = tuple((lens.height, lens.width) for lens in lenses)
+    K = torch.zeros(len(lenses), 3, 3, dtype=torch.float64)
+    K[:, (0, 1), (0, 1)] = torch.tensor([lens.focal for lens in lenses], dtype=torch.float64)
+    K[:, :2, 2] = torch.tensor([lens.principal for lens in lenses], dtype=torch.float64)
+    K[:, 2, 2] = 1
+    height, width = content.get("canvas") or (max(size[0] for size in sizes), max(size[1] for size in sizes))
+    w2c = torch.from_numpy(np.stack([lens.w2c for lens in lenses]))
+    return NamedCameras(names, Cameras(w2c.float(), K.float(), int(height), int(width)), sizes)
+
+
+def _is_rigid(w2c: np.ndarray) -> bool:
+    rotation = w2c[:3, :3]
+    if not np.isfinite(w2c).all():
+        return False
+    return bool(np.abs(rotation @ rotation.T - np.eye(3)).max() < ORTHONORMAL and np.linalg.det(rotation) > 0)
+
+
+def _photo_camera(path: Path, name: str, frame: Mapping[str, Any]) -> PhotoCamera:
+    """One frame's camera; `frame` has the file's common settings under its own."""
+    lens = frame.get("camera_model", "OPENCV")
+    if lens not in LENSES or any(frame.get(key) for key in ("k3", "k4", "is_fisheye")):
+        raise QuerySplatError(
+            f"{path}: the lens of {name} is not one of OpenCV's with k1, k2, p1, p2 ({lens})",
+            "Undistort the photos first, for instance with `colmap image_undistorter`.",
+        )
+    try:
+        width, height, focal = int(frame["w"]), int(frame["h"]), float(frame["fl_x"])
+        c2w = np.array(frame["transform_matrix"], dtype=np.float64)
+        if c2w.shape not in ((4, 4), (3, 4)):
+            raise ValueError("transform_matrix is not 4 × 4")
+        if not (width > 0 and height > 0 and focal > 0):
+            raise ValueError("w, h and fl_x must be positive")
+        k1, k2, p1, p2 = (float(frame.get(key, 0)) for key in ("k1", "k2", "p1", "p2"))
+        return PhotoCamera(
+            w2c=opencv_from_opengl(np.vstack([c2w[:3], [0, 0, 0, 1]])),
+            focal=(focal, float(frame.get("fl_y", focal))),
+            principal=(float(frame.get("cx", width / 2)), float(frame.get("cy", height / 2))),
+            distortion=(k1, k2, p1, p2),
+            height=height,
+            width=width,
+        )
+    except KeyError as error:
+        raise QuerySplatError(f"{path}: {name} has no {error}", "Every frame needs w, h, fl_x and a matrix.") from None
+    except (TypeError, ValueError) as error:
+        raise QuerySplatError(f"{path}: the camera of {name} makes no sense: {error}") from None
+
+
+def _file_path(path: Path, frame: Any) -> str:
+    try:
+        return str(frame["file_path"])
+    except (TypeError, KeyError):
+        raise QuerySplatError(f"{path}: a frame has no file_path", "Export the file again.") from None
 
 
 def _load(path: Path) -> dict[str, Any]:
     try:
-        document = json.loads(path.read_text())
-    except (OSError, ValueError) as error:
-        raise QuerySplatError(f"{path} cannot be read: {error}", "Give a transforms.json.") from error
-    if not isinstance(document, dict):
-        raise QuerySplatError(f"{path} holds no camera list", "Give a transforms.json.")
-    return document
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise QuerySplatError(f"{path}: cannot be read as JSON: {error}", "Export the file again.") from None
+    if not isinstance(content, dict) or not isinstance(content.get("frames"), list) or not content["frames"]:
+        raise QuerySplatError(
+            f"{path}: no cameras in it (a list called `frames`)", "Give a file in nerfstudio's transforms.json form."
+        )
+    return content
