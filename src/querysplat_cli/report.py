@@ -59,7 +59,7 @@ def heldout_entry(
     kept = scores.get(chosen)
     if kept is None:
         return None
-    brief = {
+    brief: dict[str, Any] = {
         name: quality and {"psnr": round(quality.psnr, 3), "ssim": round(quality.ssim, 4)}
         for name, quality in scores.items()
     }

@@ -76,7 +76,8 @@ def write_scene(ply: Path, scene: StoredScene, gaussians: Gaussians, report: dic
             _write_images(draft / "images", views)
         write_cameras(draft / "cameras.json", scene.cameras, scene.views, heldout=scene.heldout)
         masks = torch.cat([views.masks for views, _ in scene.groups.values()])
-        tensors = {"masks": masks, **_flatten("memories", scene.memories)}
+        # Half precision is far finer than a step of the optimiser, and halves the folder.
+        tensors = {"masks": masks, **_flatten("memories", scene.memories.map(Tensor.half))}
         if scene.anchors is not None:
             tensors |= _flatten("anchors", scene.anchors)
         save_file(tensors, draft / "memories.safetensors", metadata={"model": scene.model})
@@ -105,10 +106,10 @@ def read_scene(path: Path) -> tuple[StoredScene, dict[str, Any]]:
         inputs, heldout = read_cameras(folder / "cameras.json")
         count = len(inputs.names)
         views = _read_images(folder / "images", inputs.names, inputs.sizes, tensors["masks"][:count])
-        held = heldout and (
-            _read_images(folder / "images", heldout.names, heldout.sizes, tensors["masks"][count:]),
-            heldout.cameras,
-        )
+        held = None
+        if heldout:
+            masks = tensors["masks"][count:]
+            held = _read_images(folder / "images", heldout.names, heldout.sizes, masks), heldout.cameras
         anchors = _unflatten(Anchors, "anchors", tensors) if "anchors.means" in tensors else None
         scene = StoredScene(views, inputs.cameras, held, _unflatten(Memories, "memories", tensors), anchors, model)
     except (OSError, SafetensorError, KeyError, ValueError) as error:
@@ -128,8 +129,9 @@ def _flatten(name: str, part: Any) -> dict[str, Tensor]:
 
 def _unflatten(kind: Any, name: str, tensors: dict[str, Tensor]) -> Any:
     if not is_dataclass(kind):
-        return tensors[name]
-    return kind(**{field.name: _unflatten(field.type, f"{name}.{field.name}", tensors) for field in fields(kind)})
+        return tensors[name].float() if tensors[name].is_floating_point() else tensors[name]
+    parts = {field.name: _unflatten(field.type, f"{name}.{field.name}", tensors) for field in fields(kind)}
+    return kind(**parts)  # type: ignore[operator]
 
 
 def _stored_name(name: str) -> str:

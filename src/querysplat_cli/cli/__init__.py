@@ -2,11 +2,15 @@
 
 import sys
 import traceback
+from typing import Any
 
-import click
+import typer
 
 from querysplat_cli.cli.app import app
 from querysplat_cli.errors import ExitCode, QuerySplatError
+
+UsageError: Any = typer.BadParameter.__bases__[0]
+"""typer's, wherever it takes its click from."""
 
 
 def main() -> None:
@@ -17,17 +21,17 @@ def main() -> None:
 def run(arguments: list[str]) -> int:
     """Run one command; errors become two lines on standard error and the exit code that is returned."""
     try:
-        app(arguments, standalone_mode=False)
-        return ExitCode.DONE
+        stopped = app(arguments, standalone_mode=False)  # typer returns 130 for Ctrl-C
+        if not stopped:
+            return ExitCode.DONE
     except QuerySplatError as error:
         _say(error.message, error.hint)
         return error.code
-    except click.UsageError as error:
+    except UsageError as error:
         _say(error.format_message(), f"See `{error.ctx.command_path if error.ctx else 'querysplat'} --help`.")
         return ExitCode.BAD_INPUT
-    except (KeyboardInterrupt, click.Abort):
-        _say("stopped", "Nothing half-written was left behind.")
-        return ExitCode.INTERRUPTED
+    except (KeyboardInterrupt, typer.Abort):
+        pass
     except OSError as error:
         _say(str(error), "Check the path, its permissions and the free space.")
         return ExitCode.BAD_INPUT
@@ -38,6 +42,8 @@ def run(arguments: list[str]) -> int:
         traceback.print_exc()
         _say("this is a bug in querysplat", "Please report it with the traceback above.")
         return ExitCode.BUG
+    _say("stopped", "Nothing half-written was left behind.")
+    return ExitCode.INTERRUPTED
 
 
 def _say(message: str, hint: str) -> None:

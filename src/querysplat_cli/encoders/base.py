@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from jaxtyping import Float
 from torch import Tensor
@@ -45,6 +45,7 @@ class Geometry:
     doubts: tuple[str, ...] = ()
 
 
+@runtime_checkable
 class Encoder(Protocol):
     """A frozen VGM. `locate` finds cameras, `perceive` finds depth and features for known cameras."""
 

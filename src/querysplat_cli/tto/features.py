@@ -69,7 +69,7 @@ def optimise_memories(
     with torch.no_grad():
         loss_before = target.value(model.decode(memories, anchors), everything)
     variables = memories.map(lambda tensor: tensor.detach().clone().requires_grad_())
-    optimiser = torch.optim.Adam(_tensors(variables), lr=settings.lr)
+    optimiser = torch.optim.Adam(_tensors(variables), lr=settings.lr, fused=True)
     rate = settings.lr
     history: list[TtoStep] = []
     start = time.perf_counter()
@@ -80,7 +80,7 @@ def optimise_memories(
         torch.autograd.backward(_tensors(gaussians), _tensors(gradient))
         history.append(TtoStep(step, loss, time.perf_counter() - start))
         progress(history[-1])
-        if not (math.isfinite(loss) and all(bool(tensor.grad.isfinite().all()) for tensor in _tensors(variables))):
+        if not (math.isfinite(loss) and _finite(variables)):
             rate /= 2
             continue
         optimiser.param_groups[0]["lr"] = rate * (0.55 + 0.45 * math.cos(math.pi * step / settings.steps))
@@ -91,6 +91,10 @@ def optimise_memories(
     if not loss_after <= loss_before:
         adapted, loss_after = memories, loss_before
     return TtoResult(adapted, loss_before, loss_after, tuple(history))
+
+
+def _finite(variables: Memories) -> bool:
+    return all(tensor.grad is not None and bool(tensor.grad.isfinite().all()) for tensor in _tensors(variables))
 
 
 def _tensors(holder: Memories | Gaussians) -> list[Tensor]:

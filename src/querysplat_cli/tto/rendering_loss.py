@@ -38,7 +38,7 @@ class RenderingLoss:
         total = 0.0
         for part in self._parts(leaves, chosen):
             part.backward()
-            total += float(part)
+            total += float(part.detach())
         return total, leaves.map(lambda field: torch.zeros_like(field) if field.grad is None else field.grad)
 
     def _parts(self, gaussians: Gaussians, chosen: list[int]) -> Iterator[Tensor]:

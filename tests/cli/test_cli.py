@@ -1,0 +1,113 @@
+"""The command line as a user meets it: what it says, and the code it exits with."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from querysplat_cli.cli import run
+from querysplat_cli.errors import ExitCode, ImpossibleScene, MissingPart
+
+
+def one_error(capsys: pytest.CaptureFixture[str]) -> str:
+    """The message on standard error: one line, and nothing that looks like a traceback."""
+    captured = capsys.readouterr()
+    lines = [line for line in captured.err.splitlines() if line.startswith("error: ")]
+    assert len(lines) == 1, captured.err
+    assert "Traceback" not in captured.err
+    assert captured.out == ""
+    return lines[0]
+
+
+def photo(path: Path, seed: int = 0) -> Path:
+    cv2.imwrite(str(path), np.random.default_rng(seed).integers(0, 255, (96, 128, 3), dtype=np.uint8))
+    return path
+
+
+def test_a_missing_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["reconstruct", str(tmp_path / "nowhere"), "-o", str(tmp_path / "a.ply")]) == ExitCode.BAD_INPUT
+    assert "nowhere" in one_error(capsys)
+
+
+def test_an_empty_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    assert run(["reconstruct", str(empty), "-o", str(tmp_path / "a.ply"), "-q"]) == ExitCode.BAD_INPUT
+    assert "empty folder" in one_error(capsys)
+
+
+def test_nothing_is_overwritten_without_force(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "a.ply").write_text("mine")
+    picture = photo(tmp_path / "p.png")
+    assert run(["reconstruct", str(picture), "-o", str(tmp_path / "a.ply"), "-q"]) == ExitCode.BAD_INPUT
+    assert "there already" in one_error(capsys)
+    assert (tmp_path / "a.ply").read_text() == "mine"
+
+
+def test_files_that_are_no_pictures(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "a.jpg").write_bytes(b"not a picture")
+    (tmp_path / "b.jpg").write_bytes(b"")
+    assert run(["reconstruct", str(tmp_path), "-o", str(tmp_path / "s.ply"), "-q"]) == ExitCode.BAD_INPUT
+    message = one_error(capsys)
+    assert "a.jpg" in message
+    assert "b.jpg" in message
+
+
+@pytest.mark.parametrize("arguments", [["--tto", "-3"], ["--tto", "many"], ["--queries", "0"], ["--nonsense"]])
+def test_bad_options(arguments: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["reconstruct", str(photo(tmp_path / "p.png")), *arguments]) == ExitCode.BAD_INPUT
+    one_error(capsys)
+
+
+def test_an_unknown_preset_and_encoder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    picture = str(photo(tmp_path / "p.png"))
+    for option in ("--preset", "--encoder"):
+        assert run(["reconstruct", picture, "-o", str(tmp_path / "s.ply"), "-q", option, "magic"]) == ExitCode.BAD_INPUT
+        assert "magic" in one_error(capsys)
+
+
+def test_official_weights_are_named_as_missing(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    picture = str(photo(tmp_path / "p.png"))
+    arguments = ["reconstruct", picture, "-o", str(tmp_path / "s.ply"), "-q", "--preset", "official-paper"]
+    assert run(arguments) == ExitCode.MISSING_PART
+    assert "weights" in one_error(capsys)
+
+
+@pytest.mark.parametrize("verb", ["tto", "render"])
+def test_a_path_that_is_no_scene(verb: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run([verb, str(tmp_path / "nothing")]) == ExitCode.BAD_INPUT
+    assert "nothing" in one_error(capsys)
+
+
+@pytest.mark.parametrize(
+    ("raised", "code"),
+    [
+        (ImpossibleScene("no overlap"), ExitCode.IMPOSSIBLE),
+        (MissingPart("no weights"), ExitCode.MISSING_PART),
+        (KeyboardInterrupt(), ExitCode.INTERRUPTED),
+        (OSError(28, "No space left on device"), ExitCode.BAD_INPUT),
+    ],
+)
+def test_exit_codes(
+    raised: BaseException,
+    code: ExitCode,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def fail(*arguments: object, **options: object) -> None:
+        raise raised
+
+    monkeypatch.setattr("querysplat_cli.pipeline.load_photos", fail)
+    assert run(["reconstruct", str(photo(tmp_path / "p.png")), "-o", str(tmp_path / "s.ply"), "-q"]) == code
+    one_error(capsys)
+    assert [path.name for path in tmp_path.iterdir()] == ["p.png"]
+
+
+def test_a_bug_keeps_its_traceback(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("querysplat_cli.pipeline.load_photos", lambda *a, **k: 1 / 0)
+    assert run(["reconstruct", str(photo(tmp_path / "p.png")), "-o", str(tmp_path / "s.ply"), "-q"]) == ExitCode.BUG
+    assert "ZeroDivisionError" in capsys.readouterr().err
