@@ -6,6 +6,7 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 from querysplat_cli.model.anchors import Neighbours
+from querysplat_cli.model.local_attention import attend_near
 
 
 class LayerScale(nn.Module):
@@ -78,8 +79,4 @@ def attend(
     if near is None:
         q, k, v = (part.transpose(0, 1)[None] for part in (query, keys, values))
         return F.scaled_dot_product_attention(q, k, v)[0].transpose(0, 1).flatten(1)
-    # `embedding` gathers rows, and its backward adds them up in a fixed order.
-    seen_keys = F.embedding(near.index, keys.flatten(1)).unflatten(-1, keys.shape[1:])
-    seen_values = F.embedding(near.index, values.flatten(1)).unflatten(-1, values.shape[1:])
-    logits = (query[:, None] * seen_keys).sum(-1) / query.shape[-1] ** 0.5 + near.bias[..., None]
-    return (logits.softmax(1)[..., None] * seen_values).sum(1).flatten(1)
+    return attend_near(query, keys, values, near).flatten(1)

@@ -29,7 +29,8 @@ def signed_exponential(raw: Tensor) -> Tensor:
     """
     inside = raw.clamp(-LARGEST_EXPONENT, LARGEST_EXPONENT)
     value = torch.where(raw > 0, torch.expm1(inside), -torch.expm1(-inside))
-    return value + (raw - inside) * math.exp(LARGEST_EXPONENT)
+    # A choice, not a sum: the tangent's slope of e^40 would swallow the other's in rounding.
+    return torch.where(raw == inside, value, value + (raw - inside) * math.exp(LARGEST_EXPONENT))
 
 
 def activate_geometry(

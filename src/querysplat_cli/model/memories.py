@@ -1,13 +1,14 @@
 """What the queries read: a geometry memory from the VGM's layers, an appearance memory from the photos."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from querysplat_cli.model.anchors import Anchors, Neighbours
 from querysplat_cli.model.config import ModelConfig
 from querysplat_cli.scene.cameras import Cameras
 
@@ -27,6 +28,29 @@ class Memories:
     def map(self, change: Callable[[Tensor], Tensor]) -> "Memories":
         """The result of applying `change` to every tensor."""
         return Memories(**{field.name: change(getattr(self, field.name)) for field in fields(self)})
+
+
+def attended_rows(memories: Memories, anchors: Anchors) -> tuple[Memories, Anchors]:
+    """Only the memory rows that some anchor attends to, and the anchors with their rows' new numbers.
+
+    Decoding gives the same, bit for bit; the rows left out would never receive a gradient.
+    """
+    geometry, near_geometry = _renumbered(anchors.geometry, len(memories.geometry_keys))
+    appearance, near_appearance = _renumbered(anchors.appearance, len(memories.appearance_keys))
+    fewer = Memories(
+        geometry_keys=memories.geometry_keys[geometry],
+        geometry_values=memories.geometry_values[geometry],
+        appearance_keys=memories.appearance_keys[appearance],
+        appearance_values=memories.appearance_values[appearance],
+    )
+    return fewer, replace(anchors, geometry=near_geometry, appearance=near_appearance)
+
+
+def _renumbered(near: Neighbours, rows: int) -> tuple[Int[Tensor, "attended"], Neighbours]:
+    """The rows that are attended to, ascending, and the same neighbours counted among these."""
+    attended = torch.zeros(rows, dtype=torch.bool, device=near.index.device)
+    attended[near.index.flatten()] = True
+    return attended.nonzero()[:, 0], Neighbours((attended.cumsum(0) - 1)[near.index], near.bias)
 
 
 class KeyValue(nn.Module):

@@ -1,0 +1,111 @@
+"""The model as a whole: the official sizes, the compact start, and what optimisation of the memories reaches."""
+
+import pytest
+import torch
+from model_scenes import PATCHES, VIEWS, anchors, compact, memories, photos
+
+from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.model.config import ModelConfig, preset
+from querysplat_cli.model.heads import SH_BAND_0
+from querysplat_cli.model.initialise import initial_model
+from querysplat_cli.model.memories import attended_rows, plucker_rays
+from querysplat_cli.model.querysplat import QuerySplat
+
+
+def test_official_tensor_and_value_counts() -> None:
+    with torch.device("meta"):
+        state = QuerySplat(preset("official-8192")).state_dict()
+    assert len(state) == 521
+    assert sum(tensor.numel() for tensor in state.values()) == 1_117_923_780
+
+
+def test_initial_model_gives_the_prior() -> None:
+    config = compact()
+    model = initial_model(config, seed=3).requires_grad_(False)
+    scene = anchors(config)
+    seen = model.remember(*photos(config))
+    assert len(seen.geometry_keys) == len(seen.appearance_keys) == VIEWS * PATCHES
+    assert not seen.geometry_values.any()
+    assert not seen.appearance_values.any()
+    made = model.decode(seen, scene)
+    assert torch.equal(made.means, scene.means.flatten(0, 1))
+    assert torch.equal(made.scales, scene.scales.flatten(0, 1))
+    torch.testing.assert_close(made.quats, scene.quats.flatten(0, 1), rtol=1e-6, atol=1e-7)
+    torch.testing.assert_close(made.opacities, scene.opacities.flatten(), rtol=1e-6, atol=1e-6)
+    torch.testing.assert_close(0.5 + SH_BAND_0 * made.sh[:, 0], scene.colours.flatten(0, 1), rtol=1e-6, atol=1e-6)
+
+
+def test_values_drive_every_property_of_every_gaussian_from_the_start() -> None:
+    """What test-time optimisation needs: at the prior, no property is cut off from the memories."""
+    config = compact()
+    model = initial_model(config, seed=0).requires_grad_(False)
+    scene = anchors(config)
+    start = model.remember(*photos(config))
+    for name, field in (("means", "geometry_values"), ("scales", "geometry_values"), ("quats", "geometry_values"),
+                        ("opacities", "appearance_values"), ("sh", "appearance_values")):  # fmt: skip
+        variables = start.map(lambda tensor: tensor.detach().clone().requires_grad_())
+        part = getattr(model.decode(variables, scene), name)
+        given = torch.randn(part.shape, generator=torch.Generator().manual_seed(1))
+        (slope,) = torch.autograd.grad(part, getattr(variables, field), given)
+        rows = slope[scene.geometry.index.unique() if field == "geometry_values" else scene.appearance.index.unique()]
+        assert (rows.flatten(1) != 0).any(1).all(), name
+
+
+def test_same_seed_same_weights_and_global_randomness_untouched() -> None:
+    torch.manual_seed(5)
+    expected = torch.randn(3)
+    torch.manual_seed(5)
+    first, second, other = (initial_model(compact(), seed).state_dict() for seed in (1, 1, 2))
+    assert torch.equal(torch.randn(3), expected)
+    assert all(torch.equal(first[name], second[name]) for name in first)
+    assert any(not torch.equal(first[name], other[name]) for name in first)
+
+
+def test_rows_that_nobody_attends_to_can_go() -> None:
+    config = compact()
+    model = initial_model(config, seed=0).requires_grad_(False)
+    scene, everything = anchors(config, queries=7), memories(config)
+    fewer, renumbered = attended_rows(everything, scene)
+    assert len(fewer.geometry_keys) == len(scene.geometry.index.unique())
+    assert len(fewer.appearance_values) == len(scene.appearance.index.unique())
+    before, after = model.decode(everything, scene), model.decode(fewer, renumbered)
+    assert all(torch.equal(a, b) for a, b in zip(before.__dict__.values(), after.__dict__.values(), strict=True))
+
+
+def test_local_decoding_equals_global_decoding_when_everything_is_near() -> None:
+    """Every query near every row: the anchored road and the learned one are the same decoder."""
+    config = compact(width=16, heads=2, gaussians_per_query=1)
+    torch.manual_seed(0)
+    model = QuerySplat(config).double().requires_grad_(False)
+    tokens, keys, values = (torch.randn(*shape, dtype=torch.float64) for shape in ((5, 16), (9, 2, 8), (9, 2, 8)))
+    from querysplat_cli.model.anchors import Neighbours
+
+    def everyone(rows: int) -> Neighbours:
+        return Neighbours(torch.arange(rows).expand(5, -1), torch.zeros(5, rows, dtype=torch.float64))
+
+    local = model.geometry_decoder(tokens, keys, values, everyone(9), everyone(5))
+    torch.testing.assert_close(local, model.geometry_decoder(tokens, keys, values), rtol=1e-12, atol=1e-12)
+
+
+def test_anchors_and_learned_queries_are_not_mixed_up() -> None:
+    config = compact()
+    with pytest.raises(QuerySplatError):
+        QuerySplat(config).decode(memories(config))
+    learned = ModelConfig(
+        width=16, heads=2, geometry_blocks=1, appearance_blocks=1, query_count=3, gaussians_per_query=2
+    )
+    with pytest.raises(QuerySplatError):
+        QuerySplat(learned).decode(memories(learned), anchors(config))
+
+
+def test_plucker_rays_pass_through_their_camera_and_their_pixel() -> None:
+    _, _, cameras = photos(compact())
+    cameras = cameras.to(torch.float64)
+    moment, direction = plucker_rays(cameras).split(3, 1)
+    torch.testing.assert_close(direction.norm(dim=1), torch.ones_like(direction[:, 0]))
+    view, row, column = 2, 3, 7
+    point = cameras.centres[view] + 5 * direction[view, :, row, column]
+    torch.testing.assert_close(torch.linalg.cross(point, direction[view, :, row, column]), moment[view, :, row, column])
+    local = cameras.w2c[view, :3, :3] @ point + cameras.w2c[view, :3, 3]
+    pixel = cameras.K[view] @ local / local[2]
+    torch.testing.assert_close(pixel[:2], torch.tensor([column + 0.5, row + 0.5], dtype=torch.float64))
