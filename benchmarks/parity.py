@@ -27,6 +27,8 @@ from querysplat_cli.model.heads import GEOMETRY_CHANNELS, activate_appearance, a
 from querysplat_cli.model.memories import Memories, plucker_rays
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.formats.ply import columns, export_rows
+from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.splat.similarity import RADIUS, photometric_loss, ssim_map, ssim_metric
 
 Tensors = dict[str, Tensor]
@@ -208,6 +210,16 @@ def ssim(fixture: Fixture) -> Tensors:
     }
 
 
+def ply_export(fixture: Fixture) -> Tensors:
+    bands = 3 * (fixture.settings["sh_degree"] + 1) ** 2
+    parts = fixture.tensors["gaussians"].flatten(0, -2).split([3, 1, 3, 4, bands], 1)
+    centres, opacities, scales, quats, sh = parts
+    gaussians = Gaussians(centres, quats, scales, opacities[:, 0], sh.unflatten(1, (-1, 3)))
+    names = columns(gaussians.sh_degree)
+    rows = export_rows(gaussians, fixture.settings["threshold"])
+    return {"rows": rows[:, [names.index(name) for name in fixture.settings["columns"]]]}
+
+
 BY_SCENE: dict[str, Callable[[Fixture, QuerySplat, Tensors], Tensors]] = {
     "decoder_block": decoder_block,
     "geometry_decoder": geometry_decoder,
@@ -220,7 +232,7 @@ BY_SCENE: dict[str, Callable[[Fixture, QuerySplat, Tensors], Tensors]] = {
     "querysplat": querysplat,
 }
 """Units of the model, which run one scene at a time."""
-WHOLE: dict[str, Callable[[Fixture], Tensors]] = {"ssim": ssim}
+WHOLE: dict[str, Callable[[Fixture], Tensors]] = {"ply_export": ply_export, "ssim": ssim}
 """Units without weights, which take the fixture as it is."""
 
 

@@ -21,6 +21,7 @@ UNITS = [
     "geometry_head",
     "layer_mixer",
     "plucker_rays",
+    "ply_export",
     "querysplat",
     "ssim",
 ]
