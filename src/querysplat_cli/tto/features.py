@@ -62,39 +62,47 @@ def optimise_memories(
 ) -> TtoResult:
     """Adam (β 0.9, 0.999) on the four memory tensors, its rate falling to a tenth along a cosine.
 
-    A step whose loss or gradient is not finite is left out and the rate halved; a last state that is worse
-    than the first over all views is dropped.
+    When Gaussians or gradients stop being finite it starts again at half the rate, with the steps that are
+    left; a last state that is worse than the first over all views is dropped.
     """
     everything = list(range(len(target.views)))
     with torch.no_grad():
         loss_before = target.value(model.decode(memories, anchors), everything)
-    variables = memories.map(lambda tensor: tensor.detach().clone().requires_grad_())
-    optimiser = torch.optim.Adam(_tensors(variables), lr=settings.lr, fused=True)
-    rate = settings.lr
+    variables, optimiser, rate = _start(memories, settings.lr)
     history: list[TtoStep] = []
     start = time.perf_counter()
     for step, chosen in enumerate(islice(_draws(len(everything), settings.views_per_step, generator), settings.steps)):
         gaussians = model.decode(variables, anchors)
+        if not _finite(_tensors(gaussians)):
+            variables, optimiser, rate = _start(memories, rate / 2)
+            continue
         loss, gradient = target.value_and_gradient(gaussians, chosen)
         optimiser.zero_grad(set_to_none=True)
         torch.autograd.backward(_tensors(gaussians), _tensors(gradient))
         history.append(TtoStep(step, loss, time.perf_counter() - start))
         progress(history[-1])
-        if not (math.isfinite(loss) and _finite(variables)):
-            rate /= 2
+        if not _finite([tensor.grad for tensor in _tensors(variables) if tensor.grad is not None]):
+            variables, optimiser, rate = _start(memories, rate / 2)
             continue
         optimiser.param_groups[0]["lr"] = rate * (0.55 + 0.45 * math.cos(math.pi * step / settings.steps))
         optimiser.step()
     adapted = variables.map(Tensor.detach)
     with torch.no_grad():
-        loss_after = target.value(model.decode(adapted, anchors), everything)
+        gaussians = model.decode(adapted, anchors)
+        loss_after = target.value(gaussians, everything) if _finite(_tensors(gaussians)) else math.inf
     if not loss_after <= loss_before:
         adapted, loss_after = memories, loss_before
     return TtoResult(adapted, loss_before, loss_after, tuple(history))
 
 
-def _finite(variables: Memories) -> bool:
-    return all(tensor.grad is not None and bool(tensor.grad.isfinite().all()) for tensor in _tensors(variables))
+def _start(memories: Memories, rate: float) -> tuple[Memories, torch.optim.Optimizer, float]:
+    """Fresh variables at `memories`, and an optimiser for them."""
+    variables = memories.map(lambda tensor: tensor.detach().clone().requires_grad_())
+    return variables, torch.optim.Adam(_tensors(variables), lr=rate, fused=True), rate
+
+
+def _finite(tensors: list[Tensor]) -> bool:
+    return all(bool(tensor.detach().isfinite().all()) for tensor in tensors)
 
 
 def _tensors(holder: Memories | Gaussians) -> list[Tensor]:
