@@ -11,7 +11,7 @@ from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.holdout import CameraPass, CameraSource, locate_passes
 from querysplat_cli.model.anchors import AnchorReport, Anchors, build_anchors
 from querysplat_cli.model.checkpoints import load
-from querysplat_cli.model.memories import Memories
+from querysplat_cli.model.memories import Memories, attended_rows
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.progress import Progress, Stages
 from querysplat_cli.quality import Quality, score
@@ -143,7 +143,7 @@ def build_scene(
             views, cameras, geometry.depth, geometry.confidence, patch=geometry.patch, queries=settings.queries
         )
         with torch.no_grad():
-            memories = model.remember(geometry.features, views.images, cameras)
+            memories, anchors = attended_rows(model.remember(geometry.features, views.images, cameras), anchors)
     with stages("tto") as progress:
         plan = plan_tto(settings.tto, views=len(views))
         tto, gaussians = _optimise(model, memories, anchors, views, cameras, plan, settings.seed, progress)
