@@ -155,7 +155,8 @@ def _place_known(
         progress("triangulating", 0.6)
         model = triangulated(list(cameras.values()), matches, seed=seed)
     numbers = list(cameras)
-    own = SparseModel(cameras, model.points, {numbers[i]: rows for i, rows in model.seen.items()})
+    lenses = {numbers[i]: camera for i, camera in model.cameras.items()}
+    own = SparseModel(lenses, model.points, {numbers[i]: rows for i, rows in model.seen.items()})
     return Placement(own, tuple(left_out), doubts(model, matches))
 
 

@@ -13,7 +13,7 @@ TOLERANCE = 4.0
 """Pixels that a match may lie from where the cameras expect it (COLMAP's threshold for verified pairs)."""
 
 
-AGREEING = 0.7
+AGREEING = 0.8
 """Share of the matches between placed photos that a sound model explains."""
 COVERED = 0.3
 """Share of the matched features that became points in a sound model."""

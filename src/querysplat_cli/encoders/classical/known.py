@@ -10,7 +10,7 @@ import pycolmap
 
 from querysplat_cli.encoders.classical.mapping import from_colmap
 from querysplat_cli.encoders.classical.matches import Matches
-from querysplat_cli.encoders.classical.sparse_model import SparseModel
+from querysplat_cli.encoders.classical.sparse_model import SparseModel, rescaled
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.views import LeftOut, Photo
 
@@ -39,7 +39,12 @@ def match_cameras(
 
 
 def triangulated(cameras: Sequence[PhotoCamera], matches: Matches, *, seed: int) -> SparseModel:
-    """The given cameras, one for each photo, with the points that their matches make."""
+    """The given cameras, one for each photo and scaled to the size of the matches, with the points that these make."""
+    scaled = [rescaled(camera, *size) for camera, size in zip(cameras, matches.sizes, strict=True)]
+    if not matches.pairs:
+        return SparseModel(
+            dict(enumerate(scaled)), np.zeros((0, 3)), {i: np.zeros(0, np.int64) for i in range(len(scaled))}
+        )
     with pycolmap.Database.open(matches.database) as store:
         reconstruction = pycolmap.Reconstruction()
         for camera in store.read_all_cameras():
@@ -55,7 +60,7 @@ def triangulated(cameras: Sequence[PhotoCamera], matches: Matches, *, seed: int)
         found = from_colmap(
             pycolmap.triangulate_points(reconstruction, matches.database, matches.folder, Path(folder), options=options)
         )
-    return SparseModel(dict(enumerate(cameras)), found.points, found.seen)
+    return SparseModel(dict(enumerate(scaled)), found.points, found.seen)
 
 
 def _fault(photo: Photo, camera: PhotoCamera) -> str:

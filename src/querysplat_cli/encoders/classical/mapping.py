@@ -42,13 +42,13 @@ class Attempt:
 
 ATTEMPTS = (
     # Handfuls of photos need less than COLMAP asks of a thousand, and all their two-view tracks.
-    Attempt(start_angle=4, start_inliers=50, point_angle=1.5, pose_inliers=20, forward_motion=0.95),
-    Attempt(start_angle=1, start_inliers=20, point_angle=0.5, pose_inliers=15, forward_motion=1.0),
-    Attempt(start_angle=12, start_inliers=80, point_angle=1.5, pose_inliers=20, forward_motion=0.95),
+    Attempt(start_angle=4.0, start_inliers=50, point_angle=1.5, pose_inliers=20, forward_motion=0.95),
+    Attempt(start_angle=1.0, start_inliers=20, point_angle=0.5, pose_inliers=15, forward_motion=1.0),
+    Attempt(start_angle=12.0, start_inliers=80, point_angle=1.5, pose_inliers=20, forward_motion=0.95),
     # Where the camera hardly moved, nothing holds the focal length.
     Attempt(start_angle=0.2, start_inliers=20, point_angle=0.1, pose_inliers=15, forward_motion=1.0, fit_lens=False),
 )
-EXTENDING = Attempt(start_angle=1, start_inliers=20, point_angle=0.5, pose_inliers=12, forward_motion=1.0)
+EXTENDING = Attempt(start_angle=1.0, start_inliers=20, point_angle=0.5, pose_inliers=12, forward_motion=1.0)
 
 
 def map_photos(matches: Matches, *, seed: int) -> SparseModel | None:

@@ -21,7 +21,7 @@ THOROUGH_SIZE = 800
 """The same for the thorough search, which is slow and finds many features in few pixels."""
 DEFAULT_FOCAL = 1.2
 """Focal length in units of the longer side where nothing is known (COLMAP's choice; 45° of view)."""
-EXHAUSTIVE = 60
+EXHAUSTIVE = 40
 """Up to this many photos every pair is matched."""
 PARTNERS = 20
 """Beyond that, each photo is matched with the most similar ones, this many."""
@@ -215,16 +215,20 @@ def _largest_features(store: pycolmap.Database, photo: int) -> np.ndarray:
 
 
 def _similarity(descriptors: Sequence[np.ndarray]) -> np.ndarray:
-    """Features of i whose nearest feature in j is clearly nearer than the second [photos, photos]."""
+    """For each two photos, the features whose nearest feature in the other is clearly nearer than the second."""
     count = len(descriptors)
-    similarity = np.zeros((count, count))
-    for i, own in enumerate(descriptors):
-        for j, other in enumerate(descriptors):
-            if i == j or min(len(own), len(other)) < 2:
-                continue
-            cosines = np.partition(own @ other.T, -2, axis=1)[:, -2:]
-            second, first = (np.sqrt(np.maximum(2 - 2 * cosine, 0)) for cosine in cosines.T)
-            similarity[i, j] = np.count_nonzero(first < 0.8 * second)
+    everything = np.zeros((count, SAMPLED_FEATURES, descriptors[0].shape[1]), np.float32)
+    for photo, rows in enumerate(descriptors):
+        everything[photo, : len(rows)] = rows
+    similarity = np.zeros((count, count), np.int64)
+    for photo, rows in enumerate(descriptors):
+        cosines = (rows @ everything.reshape(count * SAMPLED_FEATURES, -1).T).reshape(len(rows), count, -1)
+        nearest = cosines.argmax(-1)[..., None]
+        first = np.take_along_axis(cosines, nearest, -1)[..., 0]
+        np.put_along_axis(cosines, nearest, -1, -1)
+        # |a − b|² = 2 − 2·cos for unit vectors, so this is the usual ratio of distances, 0.8, squared.
+        similarity[photo] = np.count_nonzero(1 - first < 0.64 * (1 - cosines.max(-1)), axis=0)
+    np.fill_diagonal(similarity, 0)
     return similarity + similarity.T
 
 
@@ -233,6 +237,8 @@ def _match(database: Path, folder: Path, pairs: Sequence[tuple[int, int]], seed:
     listing.write_text("".join(f"{_image_name(first)} {_image_name(second)}\n" for first, second in pairs))
     pairing = pycolmap.ImportedPairingOptions()
     pairing.match_list_path = listing
+    # Ctrl-C is heard between blocks.
+    pairing.block_size = 100
     matching = pycolmap.FeatureMatchingOptions()
     matching.use_gpu = False
     matching.guided_matching = thorough

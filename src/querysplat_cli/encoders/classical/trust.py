@@ -71,6 +71,7 @@ def is_flat(model: SparseModel) -> bool:
     offset = model.points - np.median(model.points, axis=0)
     distance = np.linalg.norm(offset, axis=1)
     near = offset[distance <= np.quantile(distance, 0.9)]
+    near = near - near.mean(0)
     _, axes = np.linalg.eigh(near.T @ near)
     thickness, width, _ = np.quantile(np.abs(near @ axes), 0.8, axis=0)
     return bool(thickness <= FLAT * width)

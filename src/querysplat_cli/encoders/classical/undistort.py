@@ -27,7 +27,8 @@ def undistorted(photos: Sequence[Photo], cameras: Sequence[PhotoCamera], *, max_
         scale = min(1.0, max_size / max(photo.height, photo.width))
         height, width = max(1, round(photo.height * scale)), max(1, round(photo.width * scale))
         if scale < 1:
-            flat = cv2.resize(flat, (width, height), interpolation=cv2.INTER_AREA)
+            # In float: with 8 bits each mean is rounded, and halves always upwards.
+            flat = cv2.resize(flat.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA)
         pictures.append(flat)
         lenses.append(np.diag([width / photo.width, height / photo.height, 1.0]) @ K)
     sizes = tuple(picture.shape[:2] for picture in pictures)

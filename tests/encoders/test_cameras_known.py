@@ -1,0 +1,104 @@
+"""Cameras that come from another tool."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from synthetic import arc, photograph, photographs, room
+
+from querysplat_cli.encoders.base import Located
+from querysplat_cli.encoders.classical.cameras import locate
+from querysplat_cli.encoders.classical.sparse_model import rescaled
+from querysplat_cli.errors import ImpossibleScene
+from querysplat_cli.scene.cameras import PhotoCamera
+from querysplat_cli.scene.views import Photo
+
+LENSES = arc(4, distortion=(-0.1, 0.02, 0.001, -0.001))
+
+
+@pytest.fixture(scope="module")
+def photos() -> list[Photo]:
+    return photographs(room(), LENSES)
+
+
+def place(photos: list[Photo], known: Mapping[str, PhotoCamera]) -> Located:
+    return locate(photos, max_size=256, seed=0, progress=lambda text, fraction: None, known=known)
+
+
+def given(lenses: list[PhotoCamera]) -> dict[str, PhotoCamera]:
+    return {f"{i}.png": lens for i, lens in enumerate(lenses)}
+
+
+@pytest.fixture(scope="module")
+def located(photos: list[Photo]) -> Located:
+    return place(photos, given(LENSES))
+
+
+def test_poses_are_kept_up_to_origin_and_scale(located: Located) -> None:
+    origin = np.linalg.inv(LENSES[0].w2c)
+    expected = np.stack([lens.w2c @ origin for lens in LENSES])
+    found = located.cameras.w2c.double().numpy()
+    assert found[:, :3, :3] == pytest.approx(expected[:, :3, :3], abs=1e-6)
+    scale = np.linalg.norm(found[3, :3, 3]) / np.linalg.norm(expected[3, :3, 3])
+    assert found[:, :3, 3] == pytest.approx(scale * expected[:, :3, 3], abs=1e-6)
+    assert torch.equal(located.cameras.w2c[0], torch.eye(4))
+    assert not located.doubts
+
+
+def test_points_are_where_the_room_is(located: Located) -> None:
+    origin = np.linalg.inv(LENSES[0].w2c)
+    scale = located.cameras.centres[3].norm().item() / np.linalg.norm(
+        (LENSES[3].w2c @ origin)[:3, :3].T @ (LENSES[3].w2c @ origin)[:3, 3]
+    )
+    world = located.points.double().numpy() / scale @ origin[:3, :3].T + origin[:3, 3]
+    assert len(world) > 300
+    surfaces = np.stack([np.abs((world - plane.corner) @ _normal(plane.across, plane.down)) for plane in room()], 1)
+    assert np.median(surfaces.min(1)) < 0.01
+
+
+def _normal(across: tuple[float, ...], down: tuple[float, ...]) -> np.ndarray:
+    normal = np.cross(across, down)
+    return normal / np.linalg.norm(normal)
+
+
+def test_the_views_are_those_of_pinhole_cameras(located: Located) -> None:
+    for view, lens in enumerate(LENSES):
+        K, (height, width) = located.cameras.K[view].tolist(), located.views.sizes[view]
+        straight = PhotoCamera(lens.w2c, (K[0][0], K[1][1]), (K[0][2], K[1][2]), (0.0,) * 4, height, width)
+        expected = torch.from_numpy(photograph(room(), straight, "").pixels).permute(2, 0, 1) / 255
+        difference = (located.views.images[view][:, :height, :width] - expected).abs()
+        assert float(difference.median()) < 0.02
+        assert float(difference.quantile(0.9)) < 0.06
+
+
+def test_cameras_of_photos_at_another_size(photos: list[Photo], located: Located) -> None:
+    found = place(photos, given([rescaled(lens, 960, 1280) for lens in LENSES]))
+    assert found.cameras.K.numpy() == pytest.approx(located.cameras.K.numpy(), rel=1e-5)
+    assert not found.doubts
+
+
+def test_photos_without_a_usable_camera_are_named(photos: list[Photo]) -> None:
+    known = given(LENSES)
+    del known["0.png"]
+    known["1.png"] = replace(LENSES[1], height=400, width=300)
+    known["2.png"] = replace(LENSES[2], w2c=LENSES[2].w2c @ np.diag([1, 1, -1, 1]))
+    found = place(photos, known)
+    assert found.views.names == ("3.png",)
+    assert [left.name for left in found.left_out] == ["0.png", "1.png", "2.png"]
+    whys = [left.why for left in found.left_out]
+    assert "no camera" in whys[0]
+    assert "300 × 400" in whys[1]
+    assert "rotation" in whys[2]
+    assert len(found.points) == 0
+
+
+def test_names_that_do_not_match(photos: list[Photo]) -> None:
+    with pytest.raises(ImpossibleScene, match="none of the 4 photos"):
+        place(photos, {"a.png": LENSES[0]})
+
+
+def test_wrong_cameras_are_doubted(photos: list[Photo]) -> None:
+    found = place(photos, given([LENSES[i] for i in (2, 0, 3, 1)]))
+    assert any("agree with the cameras" in doubt for doubt in found.doubts)

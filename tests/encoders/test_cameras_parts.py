@@ -1,0 +1,178 @@
+"""The parts of the camera search, each against a closed form."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from synthetic import arc, camera
+
+from querysplat_cli.encoders.classical.encoder import ClassicalEncoder
+from querysplat_cli.encoders.classical.epipolar import epipolar_error, rays, supported
+from querysplat_cli.encoders.classical.matches import Matches, Pair
+from querysplat_cli.encoders.classical.sparse_model import SparseModel, normalised, rescaled
+from querysplat_cli.encoders.classical.trust import doubts, is_flat, median_angle
+from querysplat_cli.encoders.classical.undistort import undistorted
+from querysplat_cli.encoders.registry import find_encoder
+from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.scene.cameras import PhotoCamera
+from querysplat_cli.scene.views import Photo
+
+
+def project(points: np.ndarray, lens: PhotoCamera) -> np.ndarray:
+    """Pixels [n, 2] of world points under the Brown lens model, written out."""
+    local = points @ lens.w2c[:3, :3].T + lens.w2c[:3, 3]
+    x, y = (local[:, :2] / local[:, 2:]).T
+    k1, k2, p1, p2 = lens.distortion
+    r2 = x * x + y * y
+    radial = 1 + k1 * r2 + k2 * r2**2
+    u = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
+    v = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+    return np.stack([lens.focal[0] * u + lens.principal[0], lens.focal[1] * v + lens.principal[1]], 1)
+
+
+def scene(lenses: list[PhotoCamera], points: np.ndarray) -> tuple[SparseModel, Matches]:
+    """A perfect model and its matches: every camera sees every point."""
+    seen = {i: np.arange(len(points)) for i in range(len(lenses))}
+    pixels = [project(points, lens) for lens in lenses]
+    pairs = [Pair(i, j, pixels[i], pixels[j]) for i in range(len(lenses)) for j in range(i + 1, len(lenses))]
+    sizes = tuple((lens.height, lens.width) for lens in lenses)
+    count = len(lenses)
+    matches = Matches(Path(), sizes, (None,) * count, (len(points),) * count, tuple(pairs))
+    return SparseModel(dict(enumerate(lenses)), points, seen), matches
+
+
+@pytest.fixture
+def cloud() -> np.ndarray:
+    return np.random.default_rng(0).uniform([-1.5, -1, 4], [1.5, 1, 7], (300, 3))
+
+
+def test_rays_undo_the_lens(cloud: np.ndarray) -> None:
+    lens = camera((0.2, 0.1, 0), distortion=(-0.1, 0.02, 0.001, -0.002))
+    local = cloud @ lens.w2c[:3, :3].T + lens.w2c[:3, 3]
+    assert rays(project(cloud, lens), lens) == pytest.approx(local[:, :2] / local[:, 2:], abs=2e-4)
+
+
+def test_epipolar_error_is_zero_for_the_truth_and_pixels_for_a_shift(cloud: np.ndarray) -> None:
+    first, second = camera((0, 0, 0), (0, 0, 5)), camera((1, 0, 0), (1, 0, 5))
+    pixels = project(cloud, first), project(cloud, second)
+    assert epipolar_error(Pair(0, 1, *pixels), first, second) == pytest.approx(0, abs=1e-9)
+    # The motion is along x, so epipolar lines are rows; each photo takes half of the vertical shift.
+    shifted = Pair(0, 1, pixels[0], pixels[1] + [0, 2])
+    assert epipolar_error(shifted, first, second) == pytest.approx(2 / 2**0.5, rel=1e-6)
+
+
+def test_support_finds_a_turned_camera(cloud: np.ndarray) -> None:
+    model, matches = scene(arc(4), cloud)
+    assert supported(model, matches).share == 1
+    assert supported(model, matches).sound
+    assert not doubts(model, matches)
+    bent = replace(model, cameras={**model.cameras, 1: model.cameras[2], 2: model.cameras[1]})
+    assert not supported(bent, matches).sound
+    assert "agree with the cameras" in doubts(bent, matches)[0]
+
+
+def test_support_needs_points(cloud: np.ndarray) -> None:
+    model, matches = scene(arc(4), cloud)
+    bare = SparseModel(model.cameras, cloud[:10], {i: np.arange(10) for i in model.cameras})
+    assert supported(bare, matches).score < 0.2 * supported(model, matches).score
+    assert "only 10 points" in doubts(bare, matches)[0]
+
+
+def test_angle_of_a_right_triangle() -> None:
+    lenses = [camera((0, 0, 0)), camera((1, 0, 0)), camera((0.5, 0, 0))]
+    model, _ = scene(lenses, np.array([[0.0, 0.0, 1.0]]))
+    assert median_angle(model) == pytest.approx(45)
+
+
+def test_flatness(cloud: np.ndarray) -> None:
+    model, _ = scene(arc(3), cloud)
+    assert not is_flat(model)
+    tilted = cloud @ np.array([[1, 0, 0.3], [0, 1, -0.2], [0, 0, 0]]) + [0, 0, 5]
+    assert is_flat(replace(model, points=tilted))
+
+
+@given(st.floats(1e-6, 1e6), st.integers(0, 100))
+def test_normalised_undoes_any_similarity(scale: float, seed: int) -> None:
+    points = np.random.default_rng(0).uniform([-1.5, -1, 4], [1.5, 1, 7], (40, 3))
+    model, _ = scene(arc(3), points)
+    generator = np.random.default_rng(seed)
+    turn, _ = np.linalg.qr(generator.normal(size=(3, 3)))
+    turn *= np.linalg.det(turn)
+    shift = scale * generator.normal(size=3)
+    cameras = {}
+    for i, lens in model.cameras.items():
+        w2c = np.eye(4)
+        w2c[:3, :3] = lens.w2c[:3, :3] @ turn.T
+        w2c[:3, 3] = scale * lens.w2c[:3, 3] - w2c[:3, :3] @ shift
+        cameras[i] = replace(lens, w2c=w2c)
+    moved = normalised(SparseModel(cameras, scale * points @ turn.T + shift, model.seen))
+    expected = normalised(model)
+    assert moved.points == pytest.approx(expected.points, abs=1e-9)
+    for i in cameras:
+        assert moved.cameras[i].w2c == pytest.approx(expected.cameras[i].w2c, abs=1e-9)
+    assert np.array_equal(moved.cameras[0].w2c, np.eye(4))
+
+
+@given(st.integers(1, 2000), st.integers(1, 2000))
+def test_rescaled_keeps_the_corners(height: int, width: int) -> None:
+    lens = camera((0, 0, 0), size=(300, 400))
+    small = rescaled(lens, height, width)
+    for x, y in ((0, 0), (400, 300)):
+        before = (x - lens.principal[0]) / lens.focal[0], (y - lens.principal[1]) / lens.focal[1]
+        corner = x * width / 400, y * height / 300
+        after = (corner[0] - small.principal[0]) / small.focal[0], (corner[1] - small.principal[1]) / small.focal[1]
+        assert after == pytest.approx(before)
+
+
+@pytest.mark.parametrize("distortion", [(0.0, 0.0, 0.0, 0.0), (-0.2, 0.05, 0.0, 0.0), (0.15, 0.0, 0.002, -0.003)])
+@pytest.mark.parametrize("max_size", [1000, 200])
+def test_undistorted_pixels_are_where_the_pinhole_camera_sees_them(
+    distortion: tuple[float, float, float, float], max_size: int
+) -> None:
+    """A picture whose colour is its own ray's direction, so that any half-pixel error shows."""
+    lens = camera((0, 0, 0), size=(300, 400), focal=380.0, distortion=distortion)
+    v, u = np.mgrid[:300, :400] + 0.5
+    ray = rays(np.stack([u.ravel(), v.ravel()], 1), lens).reshape(300, 400, 2)
+    encoded = np.concatenate([ray, ray[..., :1]], -1) * 150 + 127.5
+    photo = Photo("ray.png", Path("ray.png"), np.round(encoded).astype(np.uint8))
+    views, cameras = undistorted([photo], [lens], max_size=max_size)
+    height, width = views.sizes[0]
+    assert max(height, width) == min(max_size, 400)
+    assert views.masks[0].sum() == height * width
+    K = cameras.K[0].double().numpy()
+    v, u = np.mgrid[:height, :width] + 0.5
+    expected = np.stack([(u - K[0, 2]) / K[0, 0], (v - K[1, 2]) / K[1, 1]])
+    found = (views.images[0, :2, :height, :width].double().numpy() * 255 - 127.5) / 150
+    error = found - expected
+    # Rounding to 8 bits scatters by ±0.5 / 150; half a pixel would shift the mean by 0.5 / 380.
+    assert np.abs(error).max() < 0.01
+    assert np.abs(error.mean((1, 2))).max() < 3e-4
+    assert cameras.height % 12 == cameras.width % 12 == 0
+
+
+def test_registry() -> None:
+    assert isinstance(find_encoder("classical"), ClassicalEncoder)
+    with pytest.raises(QuerySplatError, match="nonsense") as error:
+        find_encoder("nonsense")
+    assert "classical" in error.value.hint
+
+
+def test_doubts_about_the_lens(cloud: np.ndarray) -> None:
+    model, matches = scene(arc(4), cloud)
+    stated = replace(matches, focals=(600.0,) * 4)
+    assert "focal length found differs by -49%" in doubts(model, stated)[0]
+    assert not doubts(model, replace(matches, focals=(320.0,) * 4))
+
+
+def test_points_behind_cameras_are_doubted(cloud: np.ndarray) -> None:
+    model, matches = scene(arc(4), cloud)
+    behind = replace(model, points=np.concatenate([cloud[:250], -cloud[250:]]))
+    assert any("behind" in doubt for doubt in doubts(behind, matches))
+
+
+def test_visibility_is_integer(cloud: np.ndarray) -> None:
+    assert torch.from_numpy(scene(arc(2), cloud)[0].seen[0]).dtype == torch.int64

@@ -1,0 +1,59 @@
+"""Real photos: everything is placed, and where the truth is known, rightly."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from querysplat_cli.encoders.base import Located
+from querysplat_cli.encoders.classical.cameras import locate
+from querysplat_cli.scene.sim3 import align_cameras
+from querysplat_cli.scene.views import Photo
+
+FOLDERS = {"fox": "dl3dv/fox/images_4"}
+
+
+def photos(data: Path, name: str) -> list[Photo]:
+    files = sorted((data / FOLDERS.get(name, f"{name}/images")).iterdir())
+    return [Photo(file.name, file, cv2.cvtColor(cv2.imread(str(file)), cv2.COLOR_BGR2RGB)) for file in files]
+
+
+def place(chosen: list[Photo]) -> Located:
+    return locate(chosen, max_size=448, seed=42, progress=lambda text, fraction: None)
+
+
+def evenly(items: list[Photo], count: int) -> list[Photo]:
+    return [items[i] for i in np.linspace(0, len(items) - 1, count).round().astype(int)]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("part", ["all", "inputs"])
+@pytest.mark.parametrize("name", ["fortress", "dtu106", "sceaux", "kermit", "riverview"])
+def test_every_photo_is_placed(real_photos: Path, name: str, part: str) -> None:
+    everything = photos(real_photos, name)
+    chosen = [photo for i, photo in enumerate(everything) if part == "all" or i % 4]
+    found = place(chosen)
+    assert found.views.names == tuple(photo.name for photo in chosen)
+    assert not found.doubts
+    assert len(found.points) > 500
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("count", "degrees", "extent"), [(12, 0.6, 0.01), (4, 7, 0.06)])
+def test_fox_is_where_its_transforms_say(real_photos: Path, count: int, degrees: float, extent: float) -> None:
+    """Largest errors; four photos a quarter turn apart still find their places, roughly."""
+    found = place(evenly(photos(real_photos, "fox"), count))
+    assert len(found.views) == count
+    frames = json.loads((real_photos / "dl3dv/fox/transforms.json").read_text())["frames"]
+    poses = {Path(frame["file_path"]).stem: np.array(frame["transform_matrix"]) for frame in frames}
+    c2w = np.stack([poses[Path(name).stem] @ np.diag([1, -1, -1, 1]) for name in found.views.names])
+    truth = torch.from_numpy(np.linalg.inv(c2w))
+    similarity = align_cameras(found.cameras.w2c.double(), truth)
+    cameras = found.cameras.to(torch.float64).transformed(similarity)
+    turn = cameras.w2c[:, :3, :3] @ truth[:, :3, :3].mT - torch.eye(3)
+    centres = torch.from_numpy(c2w[:, :3, 3])
+    assert float(torch.rad2deg(2 * torch.asin(turn.flatten(1).norm(dim=1) / 8**0.5)).max()) < degrees
+    assert float(((cameras.centres - centres).norm(dim=1) / torch.pdist(centres).max()).max()) < extent
