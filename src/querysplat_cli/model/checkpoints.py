@@ -5,6 +5,7 @@ from collections.abc import Iterable
 from dataclasses import asdict
 from importlib import resources
 from pathlib import Path
+from pickle import UnpicklingError
 
 import torch
 from safetensors import SafetensorError, safe_open
@@ -14,6 +15,7 @@ from torch import Tensor
 from querysplat_cli.errors import MissingPart, QuerySplatError
 from querysplat_cli.model.config import ModelConfig, preset, preset_names
 from querysplat_cli.model.querysplat import QuerySplat
+from querysplat_cli.scene.files import atomic_path
 
 OFFICIAL_NAMES = (
     ("vggt_encoder.eye_token", "eye_token"),
@@ -76,17 +78,10 @@ def load(name: str) -> QuerySplat:
 
 
 def load_file(path: Path) -> QuerySplat:
-    """A frozen model from a .safetensors file, ours or official (told apart by the metadata)."""
-    try:
-        with safe_open(path, framework="pt") as file:
-            tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 - not a mapping
-            metadata = file.metadata() or {}
-    except (SafetensorError, OSError) as error:
-        raise QuerySplatError(
-            f"{path} is not a readable checkpoint: {error}", "Fetch or make the file again."
-        ) from error
+    """A frozen model from a .safetensors or .pt file, ours or official (told apart by the metadata)."""
+    tensors, metadata = read_tensors(path)
     if "config" in metadata:
-        config = ModelConfig.from_dict(json.loads(metadata["config"]))
+        config = _stored_config(path, metadata["config"])
     else:
         tensors = {our_name(key): tensor for key, tensor in tensors.items()}
         config = official_config(tensors)
@@ -97,10 +92,41 @@ def load_file(path: Path) -> QuerySplat:
     return model.requires_grad_(False).eval()
 
 
+def read_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
+    """Tensors by name, and the metadata (empty in a .pt file, of which nothing but tensors is ever executed).
+
+    Raises QuerySplatError when the file is damaged or holds something else.
+    """
+    try:
+        if path.suffix in {".pt", ".pth"}:
+            tensors = torch.load(path, map_location="cpu", weights_only=True)
+            metadata: dict[str, str] = {}
+        else:
+            with safe_open(path, framework="pt") as file:
+                tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 - not a mapping
+                metadata = file.metadata() or {}
+    except (SafetensorError, OSError, RuntimeError, EOFError, UnpicklingError) as error:
+        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise QuerySplatError(
+            f"{path} is not a readable checkpoint: {reason}", "Fetch or make the file again."
+        ) from error
+    if not isinstance(tensors, dict) or not all(isinstance(tensor, Tensor) for tensor in tensors.values()):
+        raise QuerySplatError(f"{path} holds other things than named tensors", "Give a file of weights alone.")
+    return tensors, metadata
+
+
 def save(model: QuerySplat, path: Path) -> None:
     """Half-precision weights with the configuration in the metadata, so that one file is enough."""
     tensors = {name: tensor.half().contiguous() for name, tensor in model.state_dict().items()}
-    save_file(tensors, path, metadata={"config": json.dumps(asdict(model.config))})
+    with atomic_path(path) as draft:
+        save_file(tensors, draft, metadata={"config": json.dumps(asdict(model.config))})
+
+
+def _stored_config(path: Path, stored: str) -> ModelConfig:
+    try:
+        return ModelConfig.from_dict(json.loads(stored))
+    except (ValueError, TypeError, AttributeError) as error:
+        raise QuerySplatError(f"{path}: its configuration cannot be read: {error}", "Make the file again.") from error
 
 
 def our_name(official: str) -> str:

@@ -37,6 +37,25 @@ class ModelConfig:
     z_offset: float = 1.0
     sh_rest_scale: float = 0.1
 
+    def __post_init__(self) -> None:
+        """Raises QuerySplatError when a size is not positive, or the heads do not share the width evenly."""
+        sizes = {field.name: getattr(self, field.name) for field in fields(self) if field.type is int}
+        may_be_zero = {"anchor_features", "special_tokens", "sh_degree"}
+        wrong = [
+            name
+            for name, size in sizes.items()
+            if not isinstance(size, int) or size < 0 or (size == 0 and name not in may_be_zero)
+        ]
+        if wrong:
+            raise QuerySplatError(f"model sizes must be positive: {', '.join(wrong)}", "See docs/method.md.")
+        if self.width % self.heads:
+            raise QuerySplatError(f"{self.heads} heads cannot share a width of {self.width}", "Choose a divisor.")
+        for name, known in (("queries", ("learned", "anchored")), ("colour_prior", ("none", "projected"))):
+            if getattr(self, name) not in known:
+                raise QuerySplatError(
+                    f"{name} cannot be '{getattr(self, name)}'", f"Choose one of: {', '.join(known)}."
+                )
+
     @property
     def sh_bands(self) -> int:
         return (self.sh_degree + 1) ** 2

@@ -77,11 +77,12 @@ def photometric_loss(
 
     Each view counts alike, whatever the size of its mask. float32 on a CPU takes the compiled kernel.
     """
+    target = target.detach()
     if mask is None:
         mask = torch.ones_like(image[:, 0], dtype=torch.bool)
     if image.dtype == torch.float32 and image.device.type == "cpu":
         return _Photometric.apply(image, target, mask)
-    loss = (image - target).abs() + SSIM_WEIGHT * (1 - ssim_map(image, target.detach())) / 2
+    loss = (image - target).abs() + SSIM_WEIGHT * (1 - ssim_map(image, target)) / 2
     count = mask.sum((1, 2)).clamp_min(1)
     return ((loss.mean(1) * mask).sum((1, 2)) / count).mean()
 
@@ -95,7 +96,7 @@ class _Photometric(torch.autograd.Function):
         share = 1 / (3 * views * mask.sum((1, 2)).clamp_min(1).double())
         _loss_and_gradient(
             image.detach().contiguous().numpy(),
-            target.detach().contiguous().numpy(),
+            target.contiguous().numpy(),
             mask.contiguous().numpy(),
             share.numpy(),
             taps().astype(np.float32),

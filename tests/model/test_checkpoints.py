@@ -1,0 +1,174 @@
+"""Files of weights: official names, strictness, damage, and the bundled checkpoint."""
+
+import json
+import pickle
+from pathlib import Path
+
+import pytest
+import torch
+from model_scenes import compact
+from safetensors.torch import load_file as read_safetensors
+from safetensors.torch import save_file
+
+from querysplat_cli.errors import MissingPart, QuerySplatError
+from querysplat_cli.model.checkpoints import check_tensors, load, load_file, official_config, our_name, save
+from querysplat_cli.model.config import ModelConfig, preset, preset_names
+from querysplat_cli.model.initialise import initial_model
+from querysplat_cli.model.querysplat import QuerySplat
+
+WEIGHT_AND_BIAS = {
+    "": """patch_embed.proj patch_embed.norm patch_plucker_embed.proj patch_plucker_embed.norm
+        vggt_encoder.eye_layer_mlp.0 vggt_encoder.eye_layer_mlp.1 vggt_encoder.eye_layer_mlp.3 vggt_encoder.output_norm
+        enc_dec_backbone.encoder_norm enc_dec_backbone.kv_proj enc_dec_backbone.k_proj_norm
+        original_encoder_norm original_kv_proj original_k_proj_norm non_rgb_activation_head.deconv
+        post_rgb_delta_head""",
+    "block": """gs_self_attn.norm gs_self_attn.gs_self_attn.qkv gs_self_attn.gs_self_attn.q_norm
+        gs_self_attn.gs_self_attn.k_norm gs_self_attn.gs_self_attn.proj gs_cross_attn.gs_token_norm gs_cross_attn.q_norm
+        gs_cross_attn.q_proj gs_cross_attn.out_proj mlp.norm mlp.mlp.fc1 mlp.mlp.fc2""",
+}
+GAMMAS = ("gs_self_attn_scale.gamma", "gs_cross_attn_scale.gamma", "mlp_scale.gamma")
+
+
+def official_names() -> list[str]:
+    """The 521 names of ../shared/spec/official-checkpoint.md, section 1."""
+    names = ["vggt_encoder.eye_token", "post_rgb_gs_tokens", "gs_tokens"]
+    names += [f"{name}.{part}" for name in WEIGHT_AND_BIAS[""].split() for part in ("weight", "bias")]
+    block = [f"{name}.{part}" for name in WEIGHT_AND_BIAS["block"].split() for part in ("weight", "bias")]
+    for branch, blocks in (("enc_dec_backbone.decoder_blocks", 12), ("post_rgb_decoder_blocks", 6)):
+        names += [f"{branch}.{i}.{name}" for i in range(blocks) for name in (*block, *GAMMAS)]
+    return names
+
+
+def small() -> ModelConfig:
+    return compact(width=8, heads=2, gaussians_per_query=1)
+
+
+def test_every_official_name_has_its_own_place() -> None:
+    names = official_names()
+    with torch.device("meta"):
+        model = QuerySplat(preset("official-8192"))
+    state = model.state_dict()
+    assert len(names) == 521
+    assert {our_name(name) for name in names} == state.keys()
+    assert our_name("enc_dec_backbone.decoder_blocks.11.gs_self_attn.gs_self_attn.proj.bias") == (
+        "geometry_decoder.blocks.11.among.out_proj.bias"
+    )
+    check_tensors(model, {our_name(name): state[our_name(name)] for name in names}, "the table")
+
+
+@pytest.mark.parametrize(("rows", "degree"), [(4 * 64, 0), (13 * 64, 1), (28 * 64, 2), (49 * 64, 3)])
+def test_sh_degree_is_read_from_the_head(rows: int, degree: int) -> None:
+    config = official_config({"appearance_head.bias": torch.empty(rows, device="meta")})
+    assert config.sh_degree == degree
+    assert config.appearance_channels * config.gaussians_per_query == rows
+
+
+def test_presets() -> None:
+    assert preset_names() == ["compact", "official-8192", "official-paper"]
+    assert preset("official-8192") == ModelConfig()
+    assert preset("official-paper") == ModelConfig(sh_degree=0)
+    assert preset("compact").queries == "anchored"
+    with pytest.raises(QuerySplatError, match="compcat") as raised:
+        preset("compcat")
+    assert "compact" in raised.value.hint
+
+
+@pytest.mark.parametrize("changes", [{"heads": 3}, {"width": 0}, {"patch": -6}])
+def test_impossible_configurations_are_refused(changes: dict[str, object]) -> None:
+    with pytest.raises(QuerySplatError):
+        compact(**changes)
+
+
+def test_bundled_checkpoint_is_the_documented_command_s() -> None:
+    bundled, made = load("compact"), initial_model(preset("compact"), seed=0)
+    assert bundled.config == preset("compact")
+    for name, tensor in made.state_dict().items():
+        torch.testing.assert_close(bundled.state_dict()[name], tensor, rtol=1e-3, atol=1e-6, msg=name)
+    assert all(not parameter.requires_grad for parameter in bundled.parameters())
+
+
+def test_a_file_gives_the_model_that_was_saved(tmp_path: Path) -> None:
+    model = initial_model(small(), seed=1)
+    save(model, tmp_path / "small.safetensors")
+    again = load(str(tmp_path / "small.safetensors"))
+    assert again.config == model.config
+    for name, tensor in model.state_dict().items():
+        assert torch.equal(again.state_dict()[name], tensor.half().float()), name
+
+
+@pytest.mark.parametrize("fault", ["missing", "unexpected", "of another shape"])
+def test_wrong_tensors_are_named(tmp_path: Path, fault: str) -> None:
+    path = tmp_path / "wrong.safetensors"
+    save(initial_model(small(), seed=1), path)
+    tensors = read_safetensors(path)
+    name = "geometry_head.bias"
+    if fault == "missing":
+        del tensors[name]
+    elif fault == "unexpected":
+        name = "stranger"
+        tensors[name] = torch.zeros(1)
+    else:
+        tensors[name] = torch.zeros(3)
+    save_file(tensors, path, metadata={"config": json.dumps(small().__dict__)})
+    with pytest.raises(QuerySplatError) as raised:
+        load_file(path)
+    assert f"1 {fault}" in raised.value.message
+    assert name in raised.value.message
+    assert len(raised.value.message.splitlines()) == 1
+
+
+def test_only_the_first_of_many_wrong_tensors_are_named(tmp_path: Path) -> None:
+    save_file({"a": torch.zeros(1)}, tmp_path / "foreign.safetensors")
+    with pytest.raises(QuerySplatError, match=r"521 missing .*, …\); 1 unexpected \(a\)"):
+        load_file(tmp_path / "foreign.safetensors")
+
+
+@pytest.mark.parametrize("suffix", [".safetensors", ".pt"])
+@pytest.mark.parametrize("content", [b"", b"no checkpoint at all", "cut"])
+def test_damaged_files_are_refused(tmp_path: Path, suffix: str, content: bytes | str) -> None:
+    path = tmp_path / f"damaged{suffix}"
+    if content == "cut":
+        if suffix == ".pt":
+            torch.save({"a": torch.zeros(100)}, path)
+        else:
+            save(initial_model(small(), seed=1), path)
+        content = path.read_bytes()[:-50]
+    assert isinstance(content, bytes)
+    path.write_bytes(content)
+    with pytest.raises(QuerySplatError, match="not a readable checkpoint"):
+        load_file(path)
+
+
+class Bomb:
+    def __reduce__(self) -> tuple[object, tuple[str]]:
+        return (eval, ("1 / 0",))
+
+
+@pytest.mark.filterwarnings("ignore:Detected pickle protocol")
+def test_a_pt_file_cannot_run_code(tmp_path: Path) -> None:
+    with (tmp_path / "bomb.pt").open("wb") as file:
+        pickle.dump(Bomb(), file)
+    torch.save({"a": Bomb()}, tmp_path / "bomb2.pt")
+    for name in ("bomb.pt", "bomb2.pt"):
+        with pytest.raises(QuerySplatError, match="not a readable checkpoint"):
+            load_file(tmp_path / name)
+
+
+def test_a_pt_file_of_something_else_is_refused(tmp_path: Path) -> None:
+    torch.save({"epoch": 3}, tmp_path / "other.pt")
+    with pytest.raises(QuerySplatError, match="named tensors"):
+        load_file(tmp_path / "other.pt")
+
+
+@pytest.mark.parametrize("stored", ["{", "[]", '{"wdith": 3}', '{"width": "wide"}', '{"queries": "both"}'])
+def test_a_broken_configuration_is_refused(tmp_path: Path, stored: str) -> None:
+    save_file({"a": torch.zeros(1)}, tmp_path / "broken.safetensors", metadata={"config": stored})
+    with pytest.raises(QuerySplatError):
+        load_file(tmp_path / "broken.safetensors")
+
+
+def test_weights_that_are_not_here() -> None:
+    with pytest.raises(MissingPart):
+        load("official-paper")
+    with pytest.raises(QuerySplatError, match="neither a preset nor a file"):
+        load("/nowhere/weights.safetensors")
