@@ -78,7 +78,10 @@ def outcome(
     for picture in (result.colour, result.alpha, result.depth):
         loss = loss + (picture * torch.randn(picture.shape, generator=generator, dtype=torch.float64).to(dtype)).sum()
     slopes = torch.autograd.grad(loss, [getattr(leaves, name) for name in FIELDS])
-    return Outcome(result, dict(zip(FIELDS, slopes, strict=True)))
+    return Outcome(
+        Rendering(result.colour.detach(), result.alpha.detach(), result.depth.detach()),
+        dict(zip(FIELDS, slopes, strict=True)),
+    )
 
 
 def as_kernel_sees(gaussians: Gaussians) -> Gaussians:

@@ -1,74 +1,258 @@
 """Tiles, their lists of Gaussians, and blending with its derivative, compiled.
 
-A picture is cut into tiles of TILE × TILE pixels. The Gaussians, sorted by depth once, are dealt to the
-tiles that their ellipse α ≥ alpha_min really touches, so every tile's list is in depth order without a sort
-of its own. Tiles are blended independently, 16 pixels of a row at a time.
+A picture is cut into tiles of WIDE × HIGH pixels. The Gaussians, sorted by depth once, are dealt to the tiles
+that their ellipse α ≥ alpha_min really touches, so every tile's list is in depth order without a sort of its
+own. Tiles are blended independently, one Gaussian after the other, WIDE pixels of a row at a time: the inner
+loops over `c` have constant length and no branches, and become a handful of vector instructions.
 """
 
+# mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
 import numba as nb
 import numpy as np
+from llvmlite import ir
+from numba.core import cgutils, types
+from numba.extending import intrinsic
 
 from querysplat_cli.splat.compiled_projection import (
     BLUE,
     DEPTH,
-    GRADIENT_COLUMNS,
     GREEN,
     HALF_HEIGHT,
     HALF_WIDTH,
+    LOST,
     OPACITY,
     RED,
     XX,
     XY,
     YY,
+    A,
+    B,
+    C,
     X,
     Y,
 )
 
-TILE = 16
-PIXELS = TILE * TILE
+WIDE, HIGH = 16, 16
+PIXELS = WIDE * HIGH
 PLANES = 5
 """What is blended: red, green, blue, 1 (alpha) and z."""
+PLANE_PIXELS = PLANES * PIXELS
+SUMS = 7
+"""What the backward pass sums over a column: −∂loss/∂σ times 1, dy, dy²; red, green, blue, z."""
+COLUMN_SUMS = SUMS * WIDE
 
 HALF = np.float32(0.5)
+QUARTER = np.float32(0.25)
+EIGHTH = np.float32(0.125)
 ONE = np.float32(1)
 ZERO = np.float32(0)
-EIGHTH = np.float32(0.125)
-SIGMA_LIMIT = np.float32(6)
-# exp(−s) on [0, 6] is the 8th power of a polynomial in s/8, fitted to relative error on [0, 3/4]: 2e-6 in all,
-# most of it float32 rounding, and no branches.
-E0, E1, E2, E3, E4, E5, E6 = (
-    np.float32(c) for c in (1.0, -0.99999958, 0.49999216, -0.16660661, 0.041443445, -0.0078977337, 0.00094978482)
+# exp(−8s) is the 8th power of a polynomial in s, fitted on [0, 3/4]: relative error 2.5e-6 with rounding.
+LIMIT = np.float32(0.75)
+E0, E1, E2, E3, E4, E5 = (
+    np.float32(c) for c in (0.99999988, -0.99998954, 0.49984700, -0.16582604, 0.039522059, -0.0056987114)
 )
 
 
+@intrinsic(prefer_literal=True)
+def _scratch(typing, size):
+    """`size` float32 on the stack, which LLVM can keep in registers; it cannot do that to a numpy array."""
+
+    def generate(context, builder, signature, arguments):
+        place = cgutils.alloca_once(builder, ir.FloatType(), size=ir.Constant(ir.IntType(64), size.literal_value))
+        place.align = 64
+        return place
+
+    return types.CPointer(types.float32)(size), generate
+
+
 @nb.njit(error_model="numpy", fastmath={"contract"}, inline="always")
-def _alpha(xx, xy, yy, opacity, dx, dy, alpha_max, alpha_min):
-    """α of one pixel; the forward and the backward pass share this function to the last bit."""
-    sigma = HALF * (xx * dx * dx + yy * dy * dy) + xy * dx * dy
-    s = min(max(sigma, ZERO), SIGMA_LIMIT) * EIGHTH
-    e = E0 + s * (E1 + s * (E2 + s * (E3 + s * (E4 + s * (E5 + s * E6)))))
+def _alpha(across, s, alpha_max, alpha_min):
+    """α of one pixel, min(cap, exp(−across² − s)) or 0; forward and backward share it to the last bit."""
+    s = min(across * across + s, LIMIT)
+    t = s * s
+    e = (E0 + s * E1) + t * ((E2 + s * E3) + t * (E4 + s * E5))
     e *= e
     e *= e
     e *= e
-    alpha = min(opacity * e, alpha_max)
+    alpha = min(e, alpha_max)
     return alpha if alpha >= alpha_min else ZERO
 
 
-@nb.njit(cache=True, error_model="numpy", inline="always")
-def _row_reach(row, ylow, yhigh, reach):
+@nb.njit(cache=True, error_model="numpy", fastmath={"contract"})
+def _blend_tile(rows, members, left, top, width, height, limits, planes):
+    alpha_max, alpha_min, least = limits[0], limits[1], limits[2]
+    # How much light still comes through each pixel; negative once the pixel has stopped.
+    through = nb.carray(_scratch(PIXELS), (HIGH, WIDE))
+    red = nb.carray(_scratch(PIXELS), (HIGH, WIDE))
+    green = nb.carray(_scratch(PIXELS), (HIGH, WIDE))
+    blue = nb.carray(_scratch(PIXELS), (HIGH, WIDE))
+    depth = nb.carray(_scratch(PIXELS), (HIGH, WIDE))
+    start = nb.carray(_scratch(HIGH), HIGH)
+    s = nb.carray(_scratch(HIGH), HIGH)
+    used = min(HIGH, height - top)
+    for r in range(HIGH):
+        for c in range(WIDE):
+            through[r, c] = ONE if left + c < width else -ONE
+            red[r, c] = ZERO
+            green[r, c] = ZERO
+            blue[r, c] = ZERO
+            depth[r, c] = ZERO
+    for k in range(len(members)):
+        row = rows[members[k]]
+        a, b, q = QUARTER * row[A], QUARTER * row[B], QUARTER * row[C]
+        offset = a * (np.float32(left) + HALF - row[X])
+        lost = EIGHTH * row[LOST]
+        below = np.float32(top) + HALF - row[Y]
+        first, last = _rows_met(row, top, used)
+        for r in range(HIGH):
+            y = np.float32(r) + below
+            start[r] = offset + b * y
+            s[r] = (q * y) * (q * y) + lost
+        for r in range(first, last):
+            for c in range(WIDE):
+                alpha = _alpha(start[r] + a * np.float32(c), s[r], alpha_max, alpha_min)
+                t = through[r, c]
+                before = max(t, ZERO)
+                weight = before * alpha
+                after = before - weight
+                goes_on = after > least
+                weight = weight if goes_on else ZERO
+                through[r, c] = after if goes_on else -abs(t)
+                red[r, c] += weight * row[RED]
+                green[r, c] += weight * row[GREEN]
+                blue[r, c] += weight * row[BLUE]
+                depth[r, c] += weight * row[DEPTH]
+        if k % 16 == 15 and not _any_open(through):
+            break
+    for r in range(used):
+        for c in range(min(WIDE, width - left)):
+            planes[0, top + r, left + c] = red[r, c]
+            planes[1, top + r, left + c] = green[r, c]
+            planes[2, top + r, left + c] = blue[r, c]
+            planes[3, top + r, left + c] = ONE - abs(through[r, c])
+            planes[4, top + r, left + c] = depth[r, c]
+
+
+@nb.njit(cache=True, error_model="numpy", fastmath={"contract"})
+def _blend_tile_backward(rows, members, left, top, width, height, limits, planes, given, out):
+    alpha_max, alpha_min, least = limits[0], limits[1], limits[2]
+    through = nb.carray(_scratch(PIXELS), (HIGH, WIDE))
+    behind = nb.carray(_scratch(PIXELS), (HIGH, WIDE))
+    g = nb.carray(_scratch(PLANE_PIXELS), (PLANES, HIGH, WIDE))
+    lanes = nb.carray(_scratch(COLUMN_SUMS), (SUMS, WIDE))
+    dy = nb.carray(_scratch(HIGH), HIGH)
+    start = nb.carray(_scratch(HIGH), HIGH)
+    s = nb.carray(_scratch(HIGH), HIGH)
+    used = min(HIGH, height - top)
+    for r in range(HIGH):
+        for c in range(WIDE):
+            inside = r < used and left + c < width
+            through[r, c] = ONE if inside else -ONE
+            behind[r, c] = ZERO
+            for plane in range(PLANES):
+                g[plane, r, c] = given[plane, top + r, left + c] if inside else ZERO
+                behind[r, c] += g[plane, r, c] * planes[plane, top + r, left + c] if inside else ZERO
+    for k in range(len(members)):
+        row = rows[members[k]]
+        a, b, q = QUARTER * row[A], QUARTER * row[B], QUARTER * row[C]
+        offset = a * (np.float32(left) + HALF - row[X])
+        lost = EIGHTH * row[LOST]
+        below = np.float32(top) + HALF - row[Y]
+        first, last = _rows_met(row, top, used)
+        lanes[:, :] = ZERO
+        for r in range(HIGH):
+            y = np.float32(r) + below
+            dy[r] = y
+            start[r] = offset + b * y
+            s[r] = (q * y) * (q * y) + lost
+        for r in range(first, last):
+            for c in range(WIDE):
+                alpha = _alpha(start[r] + a * np.float32(c), s[r], alpha_max, alpha_min)
+                t = through[r, c]
+                before = max(t, ZERO)
+                weight = before * alpha
+                after = before - weight
+                goes_on = after > least
+                weight = weight if goes_on else ZERO
+                alpha = alpha if goes_on else ZERO
+                through[r, c] = after if goes_on else -abs(t)
+                value = g[0, r, c] * row[RED] + g[1, r, c] * row[GREEN] + g[2, r, c] * row[BLUE]
+                value += g[3, r, c] + g[4, r, c] * row[DEPTH]
+                rest = behind[r, c] - weight * value
+                behind[r, c] = rest
+                # −∂loss/∂σ; none through the cap.
+                slope = weight * value - rest * (alpha / (ONE - alpha))
+                slope = slope if alpha < alpha_max else ZERO
+                lanes[0, c] += slope
+                lanes[1, c] += slope * dy[r]
+                lanes[2, c] += slope * (dy[r] * dy[r])
+                lanes[3, c] += weight * g[0, r, c]
+                lanes[4, c] += weight * g[1, r, c]
+                lanes[5, c] += weight * g[2, r, c]
+                lanes[6, c] += weight * g[4, r, c]
+        if first < last:
+            _add_moments(lanes, np.float32(left) + HALF - row[X], row, out[members[k]])
+        if k % 16 == 15 and not _any_open(through):
+            break
+
+
+@nb.njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc"})
+def _add_moments(lanes, dx, row, out):
+    """Add the gradient of one projected row, from the column sums of −∂loss/∂σ and of the blended values."""
+    m, mx, my, mxx, mxy, myy = ZERO, ZERO, ZERO, ZERO, ZERO, ZERO
+    red, green, blue, depth = ZERO, ZERO, ZERO, ZERO
+    for c in range(WIDE):
+        x = dx + np.float32(c)
+        m += lanes[0, c]
+        mx += lanes[0, c] * x
+        mxx += lanes[0, c] * x * x
+        my += lanes[1, c]
+        mxy += lanes[1, c] * x
+        myy += lanes[2, c]
+        red += lanes[3, c]
+        green += lanes[4, c]
+        blue += lanes[5, c]
+        depth += lanes[6, c]
+    across = row[A] * mx + row[B] * my
+    out[X] += row[A] * across
+    out[Y] += row[B] * across + row[C] * row[C] * my
+    out[XX] -= HALF * mxx
+    out[XY] -= mxy
+    out[YY] -= HALF * myy
+    out[OPACITY] += m / row[OPACITY]
+    out[RED] += red
+    out[GREEN] += green
+    out[BLUE] += blue
+    out[DEPTH] += depth
+
+
+@nb.njit(error_model="numpy", inline="always")
+def _rows_met(row, top, used):
+    """Rows of the tile whose pixel centres the Gaussian's extent reaches."""
+    middle = row[Y] - np.float32(top) - HALF
+    first = max(ZERO, np.ceil(middle - row[HALF_HEIGHT]))
+    last = min(np.float32(used), np.floor(middle + row[HALF_HEIGHT]) + ONE)
+    return int(first), int(last)
+
+
+@nb.njit(cache=True, error_model="numpy", fastmath=True)
+def _any_open(through):
+    most = -ONE
+    for r in range(HIGH):
+        for c in range(WIDE):
+            most = max(most, through[r, c])
+    return most > 0
+
+
+@nb.njit(error_model="numpy", inline="always")
+def _row_reach(a, b, q, half_width, low, high, reach):
     """x-extent, relative to the centre, of the ellipse σ ≤ reach/2 between two heights above the centre."""
-    xx, xy, yy = np.float64(row[XX]), np.float64(row[XY]), np.float64(row[YY])
-    det = xx * yy - xy * xy
-    if not det > 0:
-        return -np.float64(row[HALF_WIDTH]), np.float64(row[HALF_WIDTH])
-    widest = np.sqrt(reach * yy / det)
-    tilt = -xy / xx  # x of the chord's middle for each unit of y
-    at = -xy / yy * widest  # y at which the ellipse reaches furthest right
-    y = min(max(at, ylow), yhigh)
-    right = widest if y == at else tilt * y + np.sqrt(max(0.0, reach * xx - det * y * y)) / xx
-    y = min(max(-at, ylow), yhigh)
-    left = -widest if y == -at else tilt * y - np.sqrt(max(0.0, reach * xx - det * y * y)) / xx
-    slack = 1e-3 + 1e-4 * widest
+    furthest = -b * a * half_width / (b * b + q * q)  # height at which the ellipse reaches furthest right
+    y = min(max(furthest, low), high)
+    right = half_width if y == furthest else (np.sqrt(max(0.0, reach - q * q * y * y)) - b * y) / a
+    y = min(max(-furthest, low), high)
+    left = -half_width if y == -furthest else (-np.sqrt(max(0.0, reach - q * q * y * y)) - b * y) / a
+    slack = 1e-3 + 1e-4 * half_width
     return left - slack, right + slack
 
 
@@ -83,19 +267,23 @@ def deal(rows, order, alpha_min, tiles_x, tiles_y, bands, counts, starts, lists)
             i = order[k]
             x, y = np.float64(rows[i, X]), np.float64(rows[i, Y])
             top, bottom = y - rows[i, HALF_HEIGHT], y + rows[i, HALF_HEIGHT]
-            if bottom <= first * TILE or top >= last * TILE:
+            if bottom <= first * HIGH or top >= last * HIGH:
                 continue
-            low = max(first, int(max(top, 0.0)) // TILE)
-            high = min(last - 1, int(min(bottom, last * TILE - 0.5)) // TILE)
+            low = max(first, int(max(top, 0.0)) // HIGH)
+            high = min(last - 1, int(min(bottom, last * HIGH - 0.5)) // HIGH)
+            a, b, q = np.float64(rows[i, A]), np.float64(rows[i, B]), np.float64(rows[i, C])
             reach = 2 * np.log(np.float64(rows[i, OPACITY]) / alpha_min)
+            half_width = np.float64(rows[i, HALF_WIDTH])
             for tile_y in range(low, high + 1):
-                left, right = _row_reach(rows[i], tile_y * TILE + 0.5 - y, (tile_y + 1) * TILE - 0.5 - y, reach)
+                left, right = _row_reach(
+                    a, b, q, half_width, tile_y * HIGH + 0.5 - y, (tile_y + 1) * HIGH - 0.5 - y, reach
+                )
                 left, right = x + left, x + right
                 # Only pixel centres count.
-                if right < 0.5 or left > tiles_x * TILE - 0.5 or left > right:
+                if right < 0.5 or left > tiles_x * WIDE - 0.5 or left > right:
                     continue
-                from_x = int(max(left - 0.5, 0.0)) // TILE
-                to_x = int(min(right - 0.5, tiles_x * TILE - 1.0)) // TILE
+                from_x = int(max(left - 0.5, 0.0)) // WIDE
+                to_x = int(min(right - 0.5, tiles_x * WIDE - 1.0)) // WIDE
                 for tile_x in range(from_x, to_x + 1):
                     tile = tile_y * tiles_x + tile_x
                     if filling:
@@ -103,128 +291,25 @@ def deal(rows, order, alpha_min, tiles_x, tiles_y, bands, counts, starts, lists)
                     counts[tile] += 1
 
 
-@nb.njit(cache=True, error_model="numpy", fastmath={"contract"}, parallel=True)
+@nb.njit(cache=True, error_model="numpy", parallel=True)
 def blend(rows, starts, lists, tiles_x, limits, planes):
     """planes [PLANES, height, width] of one view, colour on black. `limits`: alpha_max, alpha_min, T_min."""
-    alpha_max, alpha_min, least = limits[0], limits[1], limits[2]
     height, width = planes.shape[1], planes.shape[2]
     for tile in nb.prange(len(starts) - 1):
-        left, top = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
-        used = min(TILE, height - top)
-        through = np.ones((TILE, TILE), np.float32)
-        live = np.ones((TILE, TILE), np.float32)
-        sums = np.zeros((PLANES, TILE, TILE), np.float32)
-        for k in range(starts[tile], starts[tile + 1]):
-            row = rows[lists[k]]
-            middle_x, middle_y = row[X] - np.float32(left), row[Y] - np.float32(top)
-            xx, xy, yy, opacity = row[XX], row[XY], row[YY], row[OPACITY]
-            red, green, blue, z = row[RED], row[GREEN], row[BLUE], row[DEPTH]
-            first = max(0, int(np.ceil(middle_y - row[HALF_HEIGHT] - HALF)))
-            last = min(used, int(np.floor(middle_y + row[HALF_HEIGHT] - HALF)) + 1)
-            for r in range(first, last):
-                dy = np.float32(r) + HALF - middle_y
-                for c in range(TILE):
-                    dx = np.float32(c) + HALF - middle_x
-                    alpha = _alpha(xx, xy, yy, opacity, dx, dy, alpha_max, alpha_min) * live[r, c]
-                    after = through[r, c] * (ONE - alpha)
-                    goes_on = after > least
-                    weight = through[r, c] * alpha if goes_on else ZERO
-                    live[r, c] = live[r, c] if goes_on else ZERO
-                    through[r, c] = after if goes_on else through[r, c]
-                    sums[0, r, c] += weight * red
-                    sums[1, r, c] += weight * green
-                    sums[2, r, c] += weight * blue
-                    sums[4, r, c] += weight * z
-            if (k - starts[tile]) % 16 == 15 and not live.any():
-                break
-        for r in range(used):
-            for c in range(min(TILE, width - left)):
-                for plane in range(3):
-                    planes[plane, top + r, left + c] = sums[plane, r, c]
-                planes[3, top + r, left + c] = ONE - through[r, c]
-                planes[4, top + r, left + c] = sums[4, r, c]
+        left, top = (tile % tiles_x) * WIDE, (tile // tiles_x) * HIGH
+        _blend_tile(rows, lists[starts[tile] : starts[tile + 1]], left, top, width, height, limits, planes)
 
 
-@nb.njit(cache=True, error_model="numpy", fastmath={"contract"}, parallel=True)
+@nb.njit(cache=True, error_model="numpy", parallel=True)
 def blend_backward(rows, starts, lists, bounds, tiles_x, limits, planes, given, parts):
     """parts [tasks, n, GRADIENT_COLUMNS]: gradients of projected rows from `given` = ∂loss/∂planes.
 
     Task t owns tiles bounds[t] to bounds[t + 1] and the slice parts[t], so nothing is shared and the sum does
     not depend on timing. Front to back: what lies behind a Gaussian is the total minus what came before.
     """
-    alpha_max, alpha_min, least = limits[0], limits[1], limits[2]
     height, width = planes.shape[1], planes.shape[2]
     for task in nb.prange(len(bounds) - 1):
-        through = np.empty((TILE, TILE), np.float32)
-        live = np.empty((TILE, TILE), np.float32)
-        behind = np.empty((TILE, TILE), np.float32)
-        g = np.empty((PLANES, TILE, TILE), np.float32)
-        lanes = np.empty((GRADIENT_COLUMNS, TILE), np.float32)
         for tile in range(bounds[task], bounds[task + 1]):
-            left, top = (tile % tiles_x) * TILE, (tile // tiles_x) * TILE
-            used = min(TILE, height - top)
-            through[:, :] = ONE
-            live[:, :] = ZERO
-            behind[:, :] = ZERO
-            g[:, :, :] = ZERO
-            for r in range(used):
-                for c in range(min(TILE, width - left)):
-                    live[r, c] = ONE
-                    for plane in range(PLANES):
-                        g[plane, r, c] = given[plane, top + r, left + c]
-                        behind[r, c] += given[plane, top + r, left + c] * planes[plane, top + r, left + c]
-            for k in range(starts[tile], starts[tile + 1]):
-                i = lists[k]
-                row = rows[i]
-                middle_x, middle_y = row[X] - np.float32(left), row[Y] - np.float32(top)
-                xx, xy, yy, opacity = row[XX], row[XY], row[YY], row[OPACITY]
-                red, green, blue, z = row[RED], row[GREEN], row[BLUE], row[DEPTH]
-                first = max(0, int(np.ceil(middle_y - row[HALF_HEIGHT] - HALF)))
-                last = min(used, int(np.floor(middle_y + row[HALF_HEIGHT] - HALF)) + 1)
-                if first >= last:
-                    continue
-                lanes[:, :] = ZERO
-                for r in range(first, last):
-                    dy = np.float32(r) + HALF - middle_y
-                    for c in range(TILE):
-                        dx = np.float32(c) + HALF - middle_x
-                        alpha = _alpha(xx, xy, yy, opacity, dx, dy, alpha_max, alpha_min) * live[r, c]
-                        after = through[r, c] * (ONE - alpha)
-                        goes_on = after > least
-                        alpha = alpha if goes_on else ZERO
-                        live[r, c] = live[r, c] if goes_on else ZERO
-                        weight = through[r, c] * alpha
-                        value = g[0, r, c] * red + g[1, r, c] * green + g[2, r, c] * blue + g[3, r, c] + g[4, r, c] * z
-                        rest = behind[r, c] - weight * value
-                        behind[r, c] = rest
-                        slope = through[r, c] * value - rest / (ONE - alpha)
-                        through[r, c] = after if goes_on else through[r, c]
-                        # q = −∂loss/∂σ; no gradient through the cap.
-                        q = slope * alpha if alpha < alpha_max else ZERO
-                        lanes[0, c] += q * dx
-                        lanes[1, c] += q * dy
-                        lanes[2, c] += q * dx * dx
-                        lanes[3, c] += q * dx * dy
-                        lanes[4, c] += q * dy * dy
-                        lanes[5, c] += q
-                        lanes[6, c] += weight * g[0, r, c]
-                        lanes[7, c] += weight * g[1, r, c]
-                        lanes[8, c] += weight * g[2, r, c]
-                        lanes[9, c] += weight * g[4, r, c]
-                s = np.zeros(GRADIENT_COLUMNS, np.float32)
-                for column in range(GRADIENT_COLUMNS):
-                    for c in range(TILE):
-                        s[column] += lanes[column, c]
-                out = parts[task, i]
-                out[X] += xx * s[0] + xy * s[1]
-                out[Y] += xy * s[0] + yy * s[1]
-                out[XX] -= HALF * s[2]
-                out[XY] -= s[3]
-                out[YY] -= HALF * s[4]
-                out[OPACITY] += s[5] / opacity
-                out[RED] += s[6]
-                out[GREEN] += s[7]
-                out[BLUE] += s[8]
-                out[DEPTH] += s[9]
-                if (k - starts[tile]) % 16 == 15 and not live.any():
-                    break
+            left, top = (tile % tiles_x) * WIDE, (tile // tiles_x) * HIGH
+            members = lists[starts[tile] : starts[tile + 1]]
+            _blend_tile_backward(rows, members, left, top, width, height, limits, planes, given, parts[task])

@@ -5,16 +5,21 @@ rotation world-to-camera (9 numbers), centre (3), fx, fy, cx, cy, width, height.
 low_pass, alpha_min.
 """
 
+# mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
 import numba as nb
 import numpy as np
 
 from querysplat_cli.splat.conventions import CLAMP_MARGIN, COLOUR_LIMIT, SCALE_LIMIT, SH_0, SH_1, SH_2, SH_3
 
-X, Y, XX, XY, YY, OPACITY, RED, GREEN, BLUE, DEPTH, HALF_WIDTH, HALF_HEIGHT = range(12)
-"""Columns of a projected row: centre and half extent in pixels, conic in px⁻². Extent 0: not visible."""
-COLUMNS = 12
+X, Y, A, B, C, OPACITY, RED, GREEN, BLUE, DEPTH, HALF_WIDTH, HALF_HEIGHT, LOST = range(13)
+"""Columns of a projected row: centre and half extent in pixels (0: not visible), and the conic's factor, px⁻¹:
+2σ = (A·dx + B·dy)² + (C·dy)². A needle keeps its digits so, which the three terms of the conic would cancel.
+LOST = −ln(opacity), so that α = exp(−σ − LOST)."""
+COLUMNS = 13
+XX, XY, YY = A, B, C
+"""In a row of gradients, these columns belong to the conic instead."""
 GRADIENT_COLUMNS = 10
-"""Of those, the ones that blending sends gradients to: all but the extent."""
+"""The columns that blending sends gradients to: all but the extent."""
 CHUNK = 512
 
 A20, A21, A22, A23, A24 = SH_2
@@ -145,8 +150,8 @@ def project(means, quats, scales, opacities, sh, view, limits, rows):
                     value += basis[band] * np.float64(sh[i, band, channel])
                 rows[i, RED + channel] = min(max(value, 0.0), COLOUR_LIMIT)
             rows[i, X], rows[i, Y] = u, v
-            rows[i, XX], rows[i, XY], rows[i, YY] = yy / det, -xy / det, xx / det
-            rows[i, OPACITY], rows[i, DEPTH] = opacity, z
+            rows[i, A], rows[i, B], rows[i, C] = np.sqrt(yy / det), -xy / np.sqrt(yy * det), 1 / np.sqrt(yy)
+            rows[i, OPACITY], rows[i, LOST], rows[i, DEPTH] = opacity, -np.log(opacity), z
             # A hair more than float32 rounding, so that the extent never cuts what the threshold keeps.
             rows[i, HALF_WIDTH], rows[i, HALF_HEIGHT] = half_width * 1.0001 + 1e-3, half_height * 1.0001 + 1e-3
 

@@ -12,7 +12,7 @@ from torch import Tensor
 from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.splat.compiled_blending import PLANES, TILE, blend_backward, deal
+from querysplat_cli.splat.compiled_blending import HIGH, PLANES, WIDE, blend_backward, deal
 from querysplat_cli.splat.compiled_blending import blend as blend_tiles
 from querysplat_cli.splat.compiled_projection import (
     COLUMNS,
@@ -26,6 +26,7 @@ from querysplat_cli.splat.conventions import RenderSettings
 
 PAIRS_LIMIT = 2**28
 """(tile, Gaussian) pairs of one view: 1 GiB of lists."""
+ALPHA_MIN = 0.0025
 
 
 def blend(
@@ -35,8 +36,14 @@ def blend(
 ]:
     """Colour on black, alpha, and Σ w·z of every view, in float32.
 
-    Raises QuerySplatError when the Gaussians of one view would fill more than 1 GiB of tile lists.
+    Raises QuerySplatError when the Gaussians of one view would fill more than 1 GiB of tile lists, and when
+    `settings.alpha_min` is below e⁻⁶, where the kernel's exponential ends.
     """
+    if settings.alpha_min < ALPHA_MIN:
+        raise QuerySplatError(
+            f"the CPU splatter cannot follow alpha down to {settings.alpha_min:.2g}",
+            f'Take alpha_min ≥ {ALPHA_MIN}, or backend="reference".',
+        )
     fields = (gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.sh)
     planes = _Blend.apply(*(field.float().contiguous() for field in fields), cameras, settings)
     return planes[:, :3], planes[:, 3], planes[:, 4]
@@ -54,7 +61,7 @@ class _View:
 
 class _Blend(torch.autograd.Function):
     @staticmethod
-    def forward(  # type: ignore[override]
+    def forward(
         ctx: Any,
         means: Tensor,
         quats: Tensor,
@@ -73,14 +80,14 @@ class _Blend(torch.autograd.Function):
         return result
 
     @staticmethod
-    def backward(ctx: Any, given: Tensor) -> tuple[Tensor | None, ...]:  # type: ignore[override]
+    def backward(ctx: Any, given: Tensor) -> tuple[Tensor | None, ...]:
         *tensors, result = ctx.saved_tensors
         arrays = [tensor.detach().numpy() for tensor in tensors]
         gradients = [np.zeros_like(array) for array in arrays]
         tasks = numba.get_num_threads()
         parts = np.empty((tasks, len(arrays[0]), GRADIENT_COLUMNS), np.float32)
         slopes, planes = given.contiguous().numpy(), result.numpy()
-        tiles_x = -(-planes.shape[3] // TILE)
+        tiles_x = -(-planes.shape[3] // WIDE)
         for v, view in enumerate(ctx.views):
             parts[:] = 0
             blend_backward(
@@ -100,7 +107,7 @@ class _Blend(torch.autograd.Function):
 
 def _forward_view(arrays: list[np.ndarray], camera: np.ndarray, settings: RenderSettings, planes: np.ndarray) -> _View:
     height, width = planes.shape[1:]
-    tiles_x, tiles_y = -(-width // TILE), -(-height // TILE)
+    tiles_x, tiles_y = -(-width // WIDE), -(-height // HIGH)
     rows = np.empty((len(arrays[0]), COLUMNS), np.float32)
     project(*arrays, camera, _projection_limits(settings), rows)
     order = _by_depth(rows)
