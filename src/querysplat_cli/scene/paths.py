@@ -14,6 +14,8 @@ RING_GAP = 2.1
 """Cameras around something leave no gap wider than this, in radians; otherwise they stand on one side."""
 LEAST_SWAY = 0.05
 """Radians to either side, where the inputs stand in one place."""
+LEVEL_WEIGHT = 1e3
+"""How much more a picture's horizontal axis counts than its vertical one when up is sought."""
 REACH = 0.8
 """How much of the inputs' range the path uses: at its ends fewer photos support the picture."""
 
@@ -22,11 +24,11 @@ def orbit(cameras: Cameras, middle: Float[Tensor, "3"], frames: int) -> Cameras:
     """A closed, smooth path around `middle`, looking at it, at the inputs' typical distance and height.
 
     Where the inputs surround `middle` the path does too; where they stand on one side (a forward-facing
-    capture) it is an ellipse on that side, within their reach. The up direction is the inputs' mean one,
-    the lens the median of theirs. Raises QuerySplatError when all inputs stand in `middle`.
+    capture) it is an ellipse on that side, within their reach. Up is what the inputs agree on,
+    the lens is the median of theirs. Raises QuerySplatError when all inputs stand in `middle`.
     """
     centres, target = cameras.centres.double().numpy(), middle.double().numpy()
-    up = _unit(-cameras.w2c[:, 1, :3].double().numpy().sum(0))
+    up = _upright(cameras)
     arms = centres - target
     radius = float(np.median(np.linalg.norm(arms, axis=1)))
     if radius == 0:
@@ -85,6 +87,16 @@ def _cameras(c2w: np.ndarray, K: Tensor, like: Cameras) -> Cameras:
     # A rigid inverse is the same in both directions.
     w2c = Cameras(torch.from_numpy(c2w), K, like.height, like.width).c2w
     return Cameras(w2c.to(like.w2c.dtype), K.clone(), like.height, like.width)
+
+
+def _upright(cameras: Cameras) -> np.ndarray:
+    """The mean up direction of the pictures, less its part along their horizontal axes.
+
+    People hold a camera level but tilt it, so the x axes are at right angles to the true vertical.
+    """
+    rotation = cameras.w2c[:, :3, :3].double().numpy()
+    level = np.einsum("vi,vj->ij", rotation[:, 0], rotation[:, 0]) / len(cameras)
+    return _unit(np.linalg.solve(np.eye(3) + LEVEL_WEIGHT * level, -rotation[:, 1].mean(0)))
 
 
 def _widest_gap(azimuth: np.ndarray) -> tuple[float, float]:

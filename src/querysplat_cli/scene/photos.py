@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path, PurePath
+from typing import Any
 
 import cv2
 import numpy as np
@@ -189,12 +190,12 @@ def _focal(image: Image.Image) -> float | None:
     return focal if focal and low < focal / max(width, height) < high else None
 
 
-def _focal_from_film(exif: dict[int, float], width: int, height: int) -> float | None:
+def _focal_from_film(exif: dict[int, Any], width: int, height: int) -> float | None:
     film = float(exif.get(ExifTags.Base.FocalLengthIn35mmFilm, 0))
     return film * float(np.hypot(width, height)) / FULL_FRAME_DIAGONAL if film else None
 
 
-def _focal_from_sensor(exif: dict[int, float], width: int) -> float | None:
+def _focal_from_sensor(exif: dict[int, Any], width: int) -> float | None:
     """Focal length times the sensor's pixels per millimetre, for a file that was perhaps reduced since."""
     millimetres = float(exif.get(ExifTags.Base.FocalLength, 0))
     density = float(exif.get(ExifTags.Base.FocalPlaneXResolution, 0))

@@ -1,0 +1,74 @@
+"""COLMAP's models, written by pycolmap itself."""
+
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+import pytest
+from scipy.spatial.transform import Rotation
+
+from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.scene.formats.known import read_known_cameras
+
+POSES = [
+    np.hstack([rotation.as_matrix(), [[i], [2], [3]]]) for i, rotation in enumerate(Rotation.random(3, random_state=0))
+]
+NAMES = ("left/1.jpg", "right/1.jpg", "right/2.jpg")
+
+
+def write_model(folder: Path, lens: str, parameters: list[float], *, text: bool = False) -> None:
+    model = pycolmap.Reconstruction()
+    camera = pycolmap.Camera(model=lens, width=640, height=480, params=parameters, camera_id=1)
+    model.add_camera_with_trivial_rig(camera)
+    for number, (pose, name) in enumerate(zip(POSES, NAMES, strict=True), start=1):
+        image = pycolmap.Image(name=name, camera_id=1, image_id=number)
+        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pose))
+    folder.mkdir(parents=True, exist_ok=True)
+    (model.write_text if text else model.write_binary)(folder)
+
+
+@pytest.mark.parametrize(
+    ("lens", "parameters", "focal", "distortion"),
+    [
+        ("SIMPLE_PINHOLE", [500, 320, 240], (500, 500), (0, 0, 0, 0)),
+        ("PINHOLE", [500, 510, 320, 240], (500, 510), (0, 0, 0, 0)),
+        ("SIMPLE_RADIAL", [500, 320, 240, 0.1], (500, 500), (0.1, 0, 0, 0)),
+        ("RADIAL", [500, 320, 240, 0.1, -0.2], (500, 500), (0.1, -0.2, 0, 0)),
+        ("OPENCV", [500, 510, 320, 240, 0.1, -0.2, 0.01, 0.02], (500, 510), (0.1, -0.2, 0.01, 0.02)),
+    ],
+)
+@pytest.mark.parametrize("text", [False, True])
+def test_cameras_come_back(
+    tmp_path: Path,
+    lens: str,
+    parameters: list[float],
+    focal: tuple[float, float],
+    distortion: tuple[float, ...],
+    text: bool,
+) -> None:
+    write_model(tmp_path / "sparse" / "0", lens, parameters, text=text)
+    found = read_known_cameras(tmp_path)
+    assert list(found) == ["left/1.jpg", "right/1.jpg", "2.jpg"]
+    for camera, pose in zip(found.values(), POSES, strict=True):
+        np.testing.assert_allclose(camera.w2c[:3], pose, atol=1e-12)
+        assert (camera.focal, camera.principal, camera.distortion) == (focal, (320, 240), distortion)
+        assert (camera.height, camera.width) == (480, 640)
+    assert read_known_cameras(tmp_path / "sparse" / "0" / f"images.{'txt' if text else 'bin'}").keys() == found.keys()
+
+
+def test_other_lenses_are_refused_by_name(tmp_path: Path) -> None:
+    write_model(tmp_path, "OPENCV_FISHEYE", [500, 500, 320, 240, 0.1, 0, 0, 0])
+    with pytest.raises(QuerySplatError, match="OPENCV_FISHEYE") as caught:
+        read_known_cameras(tmp_path)
+    assert "image_undistorter" in caught.value.hint
+
+
+def test_damaged_models_are_refused(tmp_path: Path) -> None:
+    write_model(tmp_path, "PINHOLE", [500, 510, 320, 240])
+    (tmp_path / "images.bin").write_bytes((tmp_path / "images.bin").read_bytes()[:50])
+    with pytest.raises(QuerySplatError, match="no COLMAP model that can be read"):
+        read_known_cameras(tmp_path)
+    for file in tmp_path.glob("cameras.*"):
+        file.unlink()
+    with pytest.raises(QuerySplatError, match="no COLMAP model that can be read"):
+        read_known_cameras(tmp_path)

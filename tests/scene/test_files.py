@@ -1,0 +1,113 @@
+"""Files appear whole or not at all."""
+
+import errno
+import shutil
+from pathlib import Path
+from types import SimpleNamespace
+from typing import NoReturn
+
+import pytest
+
+from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.scene.files import atomic_folder, atomic_path, check_writable, refuse_existing
+
+
+def write_half(draft: Path, failure: BaseException) -> NoReturn:
+    draft.write_text("half")
+    raise failure
+
+
+def listing(folder: Path) -> list[str]:
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
+
+
+def test_a_file_takes_its_place_at_the_end_with_the_usual_permissions(tmp_path: Path) -> None:
+    path = tmp_path / "new" / "scene.ply"
+    with atomic_path(path) as draft:
+        draft.write_text("whole")
+        assert draft.suffix == ".ply"
+        assert not path.exists()
+    plain = tmp_path / "plain"
+    plain.touch()
+    assert path.read_text() == "whole"
+    assert path.stat().st_mode == plain.stat().st_mode
+    assert listing(path.parent) == ["scene.ply"]
+
+
+@pytest.mark.parametrize("interruption", [KeyboardInterrupt, ValueError, MemoryError])
+def test_an_interrupted_file_leaves_the_old_one(tmp_path: Path, interruption: type[BaseException]) -> None:
+    path = tmp_path / "scene.ply"
+    path.write_text("before")
+    with pytest.raises(interruption), atomic_path(path) as draft:
+        write_half(draft, interruption())
+    assert path.read_text() == "before"
+    assert listing(tmp_path) == ["scene.ply"]
+
+
+@pytest.mark.parametrize("interruption", [KeyboardInterrupt, ValueError])
+def test_an_interrupted_folder_leaves_the_old_one(tmp_path: Path, interruption: type[BaseException]) -> None:
+    folder = tmp_path / "scene"
+    folder.mkdir()
+    (folder / "report.json").write_text("before")
+    with pytest.raises(interruption), atomic_folder(folder) as draft:
+        write_half(draft / "report.json", interruption())
+    assert (folder / "report.json").read_text() == "before"
+    assert listing(tmp_path) == ["scene", "scene/report.json"]
+
+
+def test_a_folder_replaces_the_old_one_wholly(tmp_path: Path) -> None:
+    folder = tmp_path / "scene"
+    for name in ("first", "second"):
+        with atomic_folder(folder) as draft:
+            (draft / name).write_text(name)
+    assert listing(tmp_path) == ["scene", "scene/second"]
+
+
+def test_a_failed_swap_puts_the_old_folder_back(tmp_path: Path) -> None:
+    folder = tmp_path / "scene"
+    folder.mkdir()
+    (folder / "report.json").write_text("before")
+    with pytest.raises(OSError, match="No such file"), atomic_folder(folder) as draft:
+        draft.rmdir()
+    assert (folder / "report.json").read_text() == "before"
+
+
+def test_a_full_disk_is_said_in_words(tmp_path: Path) -> None:
+    with pytest.raises(QuerySplatError, match="disk is full"), atomic_path(tmp_path / "scene.ply") as draft:
+        write_half(draft, OSError(errno.ENOSPC, "No space left on device"))
+    assert listing(tmp_path) == []
+
+
+def test_a_write_that_fails_without_a_reason_on_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """OpenCV only says that it could not write."""
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=1000))
+    with pytest.raises(QuerySplatError, match="disk is full"), atomic_folder(tmp_path / "scene"):
+        raise OSError("cannot write preview.png")
+
+
+def test_missing_permission_is_said_in_words(tmp_path: Path) -> None:
+    with pytest.raises(QuerySplatError, match="permission"), atomic_path(tmp_path / "scene.ply"):
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+
+def test_a_file_where_a_folder_is_needed(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(QuerySplatError, match="a file is where a folder is needed"):
+        check_writable(tmp_path / "file")
+    with pytest.raises(QuerySplatError, match="a file is where a folder is needed"):
+        check_writable(tmp_path / "file" / "below")
+
+
+def test_a_writable_folder_is_made_and_left_empty(tmp_path: Path) -> None:
+    check_writable(tmp_path / "out")
+    assert listing(tmp_path) == ["out"]
+
+
+def test_existing_outputs_are_refused_by_name_unless_forced(tmp_path: Path) -> None:
+    there, missing = tmp_path / "scene.ply", tmp_path / "scene"
+    there.touch()
+    with pytest.raises(QuerySplatError, match=r"scene\.ply") as caught:
+        refuse_existing([there, missing], force=False)
+    assert "--force" in caught.value.hint
+    refuse_existing([there, missing], force=True)
+    refuse_existing([missing], force=False)

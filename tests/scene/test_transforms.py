@@ -1,0 +1,170 @@
+"""Cameras in files: axes, quirks of the formats, and our own cameras.json there and back."""
+
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.formats.known import read_known_cameras
+from querysplat_cli.scene.formats.transforms import (
+    opencv_from_opengl,
+    opengl_from_opencv,
+    read_cameras,
+    read_transforms,
+    write_cameras,
+)
+from querysplat_cli.scene.views import Views
+
+LENS = {"w": 640, "h": 480, "fl_x": 500.0, "fl_y": 510.0, "cx": 300.0, "cy": 250.0}
+
+
+def frame(path: str = "images/1.png", matrix: Any = None, **lens: Any) -> dict[str, Any]:
+    return {"file_path": path, "transform_matrix": np.eye(4).tolist() if matrix is None else matrix, **lens}
+
+
+def write(path: Path, *frames: dict[str, Any], **common: Any) -> Path:
+    path.write_text(json.dumps({**LENS, **common, "frames": list(frames)}))
+    return path
+
+
+def cameras(count: int, seed: int = 0) -> tuple[Cameras, Views]:
+    generator = torch.Generator().manual_seed(seed)
+    w2c = torch.eye(4, dtype=torch.float64).repeat(count, 1, 1)
+    w2c[:, :3, :3] = torch.from_numpy(Rotation.random(count, random_state=seed).as_matrix())
+    w2c[:, :3, 3] = torch.randn(count, 3, generator=generator, dtype=torch.float64) * 5
+    K = torch.tensor([[400.0, 0, 150], [0, 390, 110], [0, 0, 1]]).repeat(count, 1, 1)
+    K[:, 0, 0] += torch.rand(count, generator=generator)
+    sizes = tuple((200 + i, 320 - i) for i in range(count))
+    views = Views(
+        torch.zeros(count, 3, 224, 320),
+        torch.ones(count, 224, 320, dtype=torch.bool),
+        tuple(f"sub/photo {i}.jpg" for i in range(count)),
+        sizes,
+    )
+    return Cameras(w2c.float(), K, 224, 320), views
+
+
+def test_axes_by_hand() -> None:
+    """An OpenGL camera 2 m above the origin, looking along world -z (its own), sees y up, x right."""
+    c2w = np.eye(4)
+    c2w[:3, 3] = [0, 2, 0]
+    w2c = opencv_from_opengl(c2w)
+    ahead_and_low_right = np.array([1.0, 0, -3, 1])
+    np.testing.assert_allclose(w2c @ ahead_and_low_right, [1, 2, 3, 1])
+    np.testing.assert_allclose(opengl_from_opencv(w2c), c2w, atol=1e-15)
+
+
+def test_what_is_written_is_read(tmp_path: Path) -> None:
+    inputs, held = cameras(5), cameras(2, seed=1)
+    write_cameras(tmp_path / "cameras.json", *inputs, heldout=(held[1], held[0]))
+    for (written, views), back in zip((inputs, held), read_cameras(tmp_path / "cameras.json"), strict=True):
+        assert back is not None
+        assert (back.names, back.sizes) == (views.names, views.sizes)
+        assert (back.cameras.height, back.cameras.width) == (224, 320)
+        torch.testing.assert_close(back.cameras.w2c, written.w2c, rtol=0, atol=1e-6)
+        torch.testing.assert_close(back.cameras.K, written.K, rtol=0, atol=0)
+
+
+def test_our_file_is_in_nerfstudios_form(tmp_path: Path) -> None:
+    written, views = cameras(2)
+    write_cameras(tmp_path / "cameras.json", written, views)
+    content = json.loads((tmp_path / "cameras.json").read_text())
+    assert content["camera_model"] == "PINHOLE"
+    first = content["frames"][0]
+    assert first["file_path"] == "images/sub/photo 0.jpg"
+    assert (first["w"], first["h"]) == (320, 200)
+    centre = np.array(first["transform_matrix"])[:3, 3]
+    np.testing.assert_allclose(centre, written.to(torch.float64).centres[0], atol=1e-5)
+    assert read_cameras(tmp_path / "cameras.json")[1] is None
+    assert list(read_transforms(tmp_path / "cameras.json")) == ["photo 0.jpg", "photo 1.jpg"]
+
+
+def test_frames_may_have_their_own_lens(tmp_path: Path) -> None:
+    path = write(tmp_path / "transforms.json", frame("a/1.png"), frame("a/2.png", fl_x=700.0, w=100, k1=0.1), k2=0.02)
+    found = read_transforms(path)
+    assert found["1.png"].focal == (500.0, 510.0)
+    assert found["1.png"].distortion == (0.0, 0.02, 0.0, 0.0)
+    assert found["2.png"].focal == (700.0, 510.0)
+    assert found["2.png"].distortion == (0.1, 0.02, 0.0, 0.0)
+    assert (found["2.png"].height, found["2.png"].width) == (480, 100)
+
+
+def test_missing_centre_and_second_focal_length(tmp_path: Path) -> None:
+    path = tmp_path / "transforms.json"
+    path.write_text(json.dumps({"w": 640, "h": 480, "fl_x": 500, "frames": [frame()]}))
+    found = read_transforms(path)["1.png"]
+    assert (found.focal, found.principal) == ((500.0, 500.0), (320.0, 240.0))
+
+
+def test_frames_of_one_name_are_told_apart_by_their_folder(tmp_path: Path) -> None:
+    path = write(tmp_path / "transforms.json", frame("./left/1.png"), frame("./right/1.png"), frame("right/2.png"))
+    assert list(read_transforms(path)) == ["left/1.png", "right/1.png", "2.png"]
+
+
+def test_a_matrix_that_is_no_motion_is_left_to_the_encoder_but_not_rendered(tmp_path: Path) -> None:
+    scaled, nan = (2 * np.eye(4)).tolist(), np.eye(4)
+    nan[0, 3] = math.nan
+    for bad in (scaled, nan.tolist()):
+        path = write(tmp_path / "transforms.json", frame("good.png"), frame("bad.png", bad))
+        assert list(read_transforms(path)) == ["good.png", "bad.png"]
+        with pytest.raises(QuerySplatError, match=r"bad\.png"):
+            read_cameras(path)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("{", "cannot be read as JSON"),
+        ("[]", "no cameras in it"),
+        ('{"frames": []}', "no cameras in it"),
+        ('{"frames": [1]}', "a frame has no file_path"),
+        ('{"frames": [{"file_path": "1.png"}]}', "1.png has no 'w'"),
+        ('{"w": 1, "h": 1, "fl_x": 1, "frames": [{"file_path": "1.png"}]}', "1.png has no 'transform_matrix'"),
+        (json.dumps({**LENS, "frames": [frame(matrix=[[1, 2], [3, 4]])]}), "1.png makes no sense"),
+        (json.dumps({**LENS, "frames": [frame(matrix=[["x"] * 4] * 4)]}), "1.png makes no sense"),
+        (json.dumps({**LENS, "fl_x": -1, "frames": [frame()]}), "1.png makes no sense"),
+        (json.dumps({**LENS, "camera_model": "OPENCV_FISHEYE", "frames": [frame()]}), "lens of 1.png"),
+        (json.dumps({**LENS, "k3": 0.1, "frames": [frame()]}), "lens of 1.png"),
+    ],
+)
+def test_files_that_cannot_be_used_say_why(tmp_path: Path, content: str, message: str) -> None:
+    path = tmp_path / "transforms.json"
+    path.write_text(content)
+    with pytest.raises(QuerySplatError, match=message):
+        read_transforms(path)
+
+
+@pytest.mark.parametrize(
+    "place",
+    [lambda folder: folder, lambda folder: folder / "transforms.json"],
+    ids=["folder", "file"],
+)
+def test_known_cameras_are_found(tmp_path: Path, place: Callable[[Path], Path]) -> None:
+    write(tmp_path / "transforms.json", frame())
+    assert list(read_known_cameras(place(tmp_path))) == ["1.png"]
+
+
+def test_missing_known_cameras(tmp_path: Path) -> None:
+    for path, message in ((tmp_path / "no", "no such file"), (tmp_path, "neither a transforms.json nor a COLMAP")):
+        with pytest.raises(QuerySplatError, match=message):
+            read_known_cameras(path)
+
+
+def test_dl3dv(real_photos: Path) -> None:
+    """Cameras of a real capture look at what is common to them."""
+    found = read_known_cameras(real_photos / "dl3dv" / "fox")
+    assert len(found) == 50
+    w2c = np.stack([camera.w2c for camera in found.values()])
+    centres = -np.einsum("vji,vj->vi", w2c[:, :3, :3], w2c[:, :3, 3])
+    rays = w2c[:, 2, :3]
+    across = np.eye(3) - rays[:, :, None] * rays[:, None]
+    common = np.linalg.solve(across.sum(0), np.einsum("vij,vj->i", across, centres))
+    assert ((common - centres) * rays).sum(1).min() > 0
