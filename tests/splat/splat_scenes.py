@@ -67,15 +67,24 @@ class Outcome:
 
 
 def outcome(
-    gaussians: Gaussians, cameras: Cameras, backend: str, *, seed: int = 0, settings: RenderSettings | None = None
+    gaussians: Gaussians,
+    cameras: Cameras,
+    backend: str,
+    *,
+    depth: bool = True,
+    settings: RenderSettings | None = None,
 ) -> Outcome:
-    """Picture and gradients of a random linear functional of colour, alpha and depth."""
+    """Picture and gradients of a random linear functional of colour, alpha and, if asked for, depth.
+
+    A lone Gaussian has the depth z whatever its α, so that its depth's gradient is a difference of equal
+    numbers: no float32 arithmetic gets it right, and scenes of one Gaussian leave it out.
+    """
     dtype = torch.float64 if backend == "reference" else torch.float32
     leaves = gaussians.detach().map(lambda field: field.to(dtype).clone().requires_grad_())
     result = render(leaves, cameras, backend=backend, settings=settings)
-    generator = torch.Generator().manual_seed(seed)
+    generator = torch.Generator().manual_seed(0)
     loss = torch.zeros((), dtype=dtype)
-    for picture in (result.colour, result.alpha, result.depth):
+    for picture in (result.colour, result.alpha, result.depth)[: 3 if depth else 2]:
         loss = loss + (picture * torch.randn(picture.shape, generator=generator, dtype=torch.float64).to(dtype)).sum()
     slopes = torch.autograd.grad(loss, [getattr(leaves, name) for name in FIELDS])
     return Outcome(
@@ -97,6 +106,7 @@ def assert_agree(
     image: float = 1e-5,
     gradient: float = 1e-4,
     flips: float = 0.0,
+    depth: bool = True,
 ) -> None:
     """Kernel and float64 reference: colour and alpha within `image`, each gradient within `gradient`.
 
@@ -106,8 +116,8 @@ def assert_agree(
     alpha at the cut-off falls to one side or the other.
     """
     gaussians = as_kernel_sees(gaussians)
-    fast = outcome(gaussians, cameras, "cpu", settings=settings)
-    exact = outcome(gaussians, cameras, "reference", settings=settings)
+    fast = outcome(gaussians, cameras, "cpu", depth=depth, settings=settings)
+    exact = outcome(gaussians, cameras, "reference", depth=depth, settings=settings)
     for name, scale in (("colour", 1.0), ("alpha", 1.0), ("depth", float(exact.rendering.depth.max().clamp_min(1)))):
         difference = (getattr(fast.rendering, name) - getattr(exact.rendering, name)).abs() / scale
         assert difference.isfinite().all(), name

@@ -9,7 +9,16 @@ low_pass, alpha_min.
 import numba as nb
 import numpy as np
 
-from querysplat_cli.splat.conventions import CLAMP_MARGIN, COLOUR_LIMIT, SCALE_LIMIT, SH_0, SH_1, SH_2, SH_3
+from querysplat_cli.splat.conventions import (
+    CLAMP_MARGIN,
+    COLOUR_LIMIT,
+    SCALE_LIMIT,
+    SH_0,
+    SH_1,
+    SH_2,
+    SH_3,
+    SHORTEST_QUATERNION,
+)
 
 X, Y, A, B, C, OPACITY, RED, GREEN, BLUE, DEPTH, HALF_WIDTH, HALF_HEIGHT, LOST = range(13)
 """Columns of a projected row: centre and half extent in pixels (0: not visible), and the conic's factor, px⁻¹:
@@ -108,7 +117,7 @@ def project(means, quats, scales, opacities, sh, view, limits, rows):
             )
             length = np.sqrt(q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3)
             s0, s1, s2 = np.float64(scales[i, 0]), np.float64(scales[i, 1]), np.float64(scales[i, 2])
-            if length == 0 or min(s0, s1, s2) <= 0 or max(s0, s1, s2) >= SCALE_LIMIT:
+            if length < SHORTEST_QUATERNION or min(s0, s1, s2) <= 0 or max(s0, s1, s2) >= SCALE_LIMIT:
                 continue
             x = view[0] * dx + view[1] * dy + view[2] * dz
             y = view[3] * dx + view[4] * dy + view[5] * dz

@@ -6,6 +6,8 @@ COLOUR_LIMIT = 1e6
 """Evaluated colours are clamped to [0, this], so that wild SH coefficients cannot overflow the blending."""
 SCALE_LIMIT = 1.8e19
 """A Gaussian whose squared extent overflows float32 is culled (its size means nothing any more)."""
+SHORTEST_QUATERNION = 1e-30
+"""A Gaussian whose quaternion is shorter is culled: it says nothing of a rotation, and its slope overflows."""
 CLAMP_MARGIN = 0.3
 """The Jacobian is evaluated inside the frustum widened by this share of the half field of view."""
 

@@ -15,6 +15,7 @@ from querysplat_cli.splat.conventions import (
     SH_1,
     SH_2,
     SH_3,
+    SHORTEST_QUATERNION,
     RenderSettings,
 )
 
@@ -41,7 +42,7 @@ def project(
     settings: RenderSettings,
 ) -> Projected:
     """EWA projection (Zwicker 2001) as in 3DGS, relative to the camera centre so that far-away scenes keep
-    their detail. Culled: z outside [near, far], opacity below alpha_min, quaternions of length 0, scales
+    their detail. Culled: z outside [near, far], opacity below alpha_min, quaternions of no length, scales
     that are not positive or overflow."""
     rotation = w2c[:3, :3]
     centre = -(rotation.T @ w2c[:3, 3])
@@ -127,7 +128,7 @@ def _basis(directions: Tensor) -> Tensor:
 def _sound(gaussians: Gaussians, settings: RenderSettings) -> Tensor:
     return (
         (gaussians.opacities >= settings.alpha_min)
-        & (gaussians.quats != 0).any(1)
+        & (torch.linalg.vector_norm(gaussians.quats.double(), dim=1) >= SHORTEST_QUATERNION)
         & (gaussians.scales > 0).all(1)
         & (gaussians.scales < SCALE_LIMIT).all(1)
     )

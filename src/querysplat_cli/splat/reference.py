@@ -9,7 +9,8 @@ from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.splat.conventions import RenderSettings
 from querysplat_cli.splat.projection import Projected, project
 
-PIXELS_AT_ONCE = 4096
+PAIRS_AT_ONCE = 2**22
+"""(pixel, Gaussian) pairs that are held in memory together: 32 MiB for each intermediate result."""
 
 
 def blend(
@@ -39,9 +40,10 @@ def _blend_view(seen: Projected, height: int, width: int, settings: RenderSettin
     x = (torch.arange(width, dtype=dtype) + 0.5).repeat(height)
     y = (torch.arange(height, dtype=dtype) + 0.5).repeat_interleave(width)
     parts = []
-    for start in range(0, height * width, PIXELS_AT_ONCE):
-        dx = x[start : start + PIXELS_AT_ONCE, None] - centre[:, 0]
-        dy = y[start : start + PIXELS_AT_ONCE, None] - centre[:, 1]
+    step = max(1, PAIRS_AT_ONCE // max(1, len(order)))
+    for start in range(0, height * width, step):
+        dx = x[start : start + step, None] - centre[:, 0]
+        dy = y[start : start + step, None] - centre[:, 1]
         sigma = 0.5 * (conic[:, 0] * dx * dx + conic[:, 2] * dy * dy) + conic[:, 1] * dx * dy
         alpha = (opacity * torch.exp(-sigma.clamp_min(0))).clamp_max(settings.alpha_max)
         alpha = torch.where(alpha < settings.alpha_min, 0.0, alpha)
