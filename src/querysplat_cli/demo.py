@@ -25,5 +25,5 @@ def run_demo(folder: Path, *, photos: int, seed: int, force: bool, stages: Stage
             pixels = (image.permute(1, 2, 0).numpy() * 255).round().astype("uint8")
             cv2.imwrite(str(draft / f"photo_{i + 1:02d}.jpg"), pixels[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 95])
             progress("ray casting", (i + 1) / photos)
-    settings = ReconstructSettings((folder / "photos",), folder / "scene.ply", holdout_every=6, seed=seed, force=True)
+    settings = ReconstructSettings((folder / "photos",), folder / "scene.ply", seed=seed, force=True)
     return reconstruct(settings, stages)

@@ -145,7 +145,7 @@ def build_scene(
         with torch.no_grad():
             memories, anchors = attended_rows(model.remember(geometry.features, views.images, cameras), anchors)
     with stages("tto") as progress:
-        plan = plan_tto(settings.tto, views=len(views))
+        plan = plan_tto(settings.tto, views=len(views), gaussians=anchors.opacities.numel())
         tto, gaussians = _optimise(model, memories, anchors, views, cameras, plan, settings.seed, progress)
     return BuiltScene(located, geometry, anchors, anchor_report, tto.memories, gaussians, tto, plan)
 
@@ -156,7 +156,9 @@ def optimise_scene(path: Path, *, steps: int | None, lr: float | None, seed: int
         scene, before = read_scene(path)
         model = load(scene.model)
     with stages("tto") as progress:
-        plan = plan_tto(steps, views=len(scene.views), lr=lr)
+        with torch.no_grad():
+            count = len(model.decode(scene.memories, scene.anchors))
+        plan = plan_tto(steps, views=len(scene.views), gaussians=count, lr=lr)
         tto, gaussians = _optimise(
             model, scene.memories, scene.anchors, scene.views, scene.cameras, plan, seed, progress
         )
