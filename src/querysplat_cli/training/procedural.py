@@ -19,7 +19,8 @@ HEIGHT, WIDTH, FOCAL = 480, 640, 560.0
 LAMPS = 8
 """Points that stand for the lamp's area."""
 
-Vector = tuple[float, float, float]
+Number = float | int
+Vector = tuple[Number, Number, Number]
 Colour = tuple[float, float, float]
 
 
@@ -37,8 +38,8 @@ class Solid:
     paint: str
     first: Colour
     second: Colour
-    turn: float = 0.0
-    grain: float = 1.0
+    turn: Number = 0
+    grain: Number = 1
     seed: int = 0
     casts_shadow: bool = True
 
@@ -233,7 +234,7 @@ def _table(chance: np.random.Generator, x: float, y: float) -> Iterator[Solid]:
     turn, top = float(chance.uniform(-0.35, 0.35)), float(chance.uniform(0.46, 0.6))
     wide, deep = float(chance.uniform(0.55, 0.7)), float(chance.uniform(0.32, 0.4))
 
-    def on(u: float, v: float, z: float) -> Vector:
+    def on(u: Number, v: Number, z: Number) -> Vector:
         return x + math.cos(turn) * u - math.sin(turn) * v, y + math.sin(turn) * u + math.cos(turn) * v, z
 
     yield Solid(BOX, on(0, 0, top - 0.025), (wide, deep, 0.025), "planks", first, second, turn, 2)

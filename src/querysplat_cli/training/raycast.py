@@ -7,8 +7,8 @@ where each intersection is one closed formula.
 
 import math
 
+import numba as nb
 import numpy as np
-from numba import njit, prange
 
 from querysplat_cli.training.textures import paint
 
@@ -25,7 +25,7 @@ LIFT = 1e-4
 """How far above its surface a shadow ray starts, in metres."""
 
 
-@njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _hit_box(o, d):  # type: ignore[no-untyped-def]
     """Smallest distance beyond NEAR at which the ray meets the cube's surface; infinity if none."""
     enter, leave = -np.inf, np.inf
@@ -40,7 +40,7 @@ def _hit_box(o, d):  # type: ignore[no-untyped-def]
     return leave if leave > NEAR else np.inf
 
 
-@njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _first_root(a, half_b, c, o, d, tall):  # type: ignore[no-untyped-def]
     """Smaller root beyond NEAR of a t² + 2 half_b t + c; for cylinders only where |z| ≤ 1."""
     inside = half_b * half_b - a * c
@@ -55,14 +55,14 @@ def _first_root(a, half_b, c, o, d, tall):  # type: ignore[no-untyped-def]
     return np.inf
 
 
-@njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _hit_ball(o, d):  # type: ignore[no-untyped-def]
     a = d[0] * d[0] + d[1] * d[1] + d[2] * d[2]
     half_b = o[0] * d[0] + o[1] * d[1] + o[2] * d[2]
     return _first_root(a, half_b, o[0] * o[0] + o[1] * o[1] + o[2] * o[2] - 1, o, d, False)
 
 
-@njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _hit_cylinder(o, d):  # type: ignore[no-untyped-def]
     a = d[0] * d[0] + d[1] * d[1]
     side = _first_root(a, o[0] * d[0] + o[1] * d[1], o[0] * o[0] + o[1] * o[1] - 1, o, d, True)
@@ -76,13 +76,13 @@ def _hit_cylinder(o, d):  # type: ignore[no-untyped-def]
     return side
 
 
-@njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _to_unit(solids, i, x, y, z):  # type: ignore[no-untyped-def]
     c, s = solids[i, COS], solids[i, SIN]
     return (c * x + s * y) / solids[i, SX], (c * y - s * x) / solids[i, SX + 1], z / solids[i, SX + 2]
 
 
-@njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _distance(solids, i, origin, direction, square):  # type: ignore[no-untyped-def]
     """Where the ray meets solid i, in units of `direction`, whose squared length is `square`."""
     x, y, z = origin[0] - solids[i, X], origin[1] - solids[i, X + 1], origin[2] - solids[i, X + 2]
@@ -98,7 +98,7 @@ def _distance(solids, i, origin, direction, square):  # type: ignore[no-untyped-
     return _hit_cylinder(o, d)
 
 
-@njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _nearest(solids, candidates, origin, direction):  # type: ignore[no-untyped-def]
     best, which = np.inf, -1
     square = direction[0] ** 2 + direction[1] ** 2 + direction[2] ** 2
@@ -109,7 +109,7 @@ def _nearest(solids, candidates, origin, direction):  # type: ignore[no-untyped-
     return best, which
 
 
-@njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _lamplight(solids, opaque, lamps, place, normal):  # type: ignore[no-untyped-def]
     """Mean light of the lamps, those out of sight giving none.
 
@@ -132,7 +132,7 @@ def _lamplight(solids, opaque, lamps, place, normal):  # type: ignore[no-untyped
     return light / len(lamps)
 
 
-@njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _unit_normal(shape, p):  # type: ignore[no-untyped-def]
     """Outward normal of the unit shape at `p`, a place on its surface."""
     if shape == BALL:
@@ -149,7 +149,7 @@ def _unit_normal(shape, p):  # type: ignore[no-untyped-def]
     return 0.0, 0.0, math.copysign(1.0, p[2])
 
 
-@njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _face(shape, point, n, size):  # type: ignore[no-untyped-def]
     """u, v on the face from its middle and the face's extent, in metres."""
     x, y, z = point
@@ -162,7 +162,7 @@ def _face(shape, point, n, size):  # type: ignore[no-untyped-def]
     return y, z, 2 * size[1], 2 * size[2]
 
 
-@njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _outward(solids, i, place):  # type: ignore[no-untyped-def]
     """The place on solid i in its own frame (metres), the unit shape's normal there, and the world's."""
     p = _to_unit(solids, i, place[0] - solids[i, X], place[1] - solids[i, X + 1], place[2] - solids[i, X + 2])
@@ -175,7 +175,7 @@ def _outward(solids, i, place):  # type: ignore[no-untyped-def]
     return point, n, ((c * x - s * y) / length, (s * x + c * y) / length, z / length)
 
 
-@njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _shade(solids, opaque, lamps, i, origin, direction, t, spread):  # type: ignore[no-untyped-def]
     """Linear RGB that leaves solid i towards the eye: Lambert's law with soft shadows.
 
@@ -212,7 +212,7 @@ def _shade(solids, opaque, lamps, i, origin, direction, t, spread):  # type: ign
     )
 
 
-@njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _ray(c2w, focal, principal, column, row):  # type: ignore[no-untyped-def]
     """Direction with camera z 1, so that distance along it is depth."""
     x, y = (column - principal[0]) / focal[0], (row - principal[1]) / focal[1]
@@ -223,7 +223,7 @@ def _ray(c2w, focal, principal, column, row):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _in_row(solids, c2w, focal, principal, row):  # type: ignore[no-untyped-def]
     """The solids that a row of pixels may show: the balls around them touch the plane of its rays."""
     slope = (row + 0.5 - principal[1]) / focal[1]
@@ -239,13 +239,13 @@ def _in_row(solids, c2w, focal, principal, row):  # type: ignore[no-untyped-def]
     return found[:count]
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
+@nb.njit(cache=True, error_model="numpy", parallel=True)
 def measure_view(solids, c2w, focal, principal, depth, face):  # type: ignore[no-untyped-def]
     """Fill `depth` [height, width] (camera z through each pixel's middle; 0: nothing hit) and `face` (a number
     for each face of each solid; -1: nothing)."""
     height, width = depth.shape
     origin = (c2w[0, 3], c2w[1, 3], c2w[2, 3])
-    for row in prange(height):
+    for row in nb.prange(height):
         candidates = _in_row(solids, c2w, focal, principal, row)
         for column in range(width):
             d = _ray(c2w, focal, principal, column + 0.5, row + 0.5)
@@ -257,7 +257,7 @@ def measure_view(solids, c2w, focal, principal, depth, face):  # type: ignore[no
                 depth[row, column], face[row, column] = t, 4 * i + flat
 
 
-@njit(cache=True, error_model="numpy", parallel=True)
+@nb.njit(cache=True, error_model="numpy", parallel=True)
 def photograph_view(solids, opaque, lamps, c2w, focal, principal, depth, face, image, samples):  # type: ignore[no-untyped-def]
     """Fill `image` [height, width, 3] (sRGB, 0 to 1) from what `measure_view` found.
 
@@ -267,7 +267,7 @@ def photograph_view(solids, opaque, lamps, c2w, focal, principal, depth, face, i
     """
     height, width = depth.shape
     origin = (c2w[0, 3], c2w[1, 3], c2w[2, 3])
-    for row in prange(height):
+    for row in nb.prange(height):
         candidates = _in_row(solids, c2w, focal, principal, row)
         for column in range(width):
             own, edge = face[row, column], False

@@ -7,14 +7,14 @@ Colours are linear RGB.
 
 import math
 
+import numba as nb
 import numpy as np
-from numba import njit
 
 PAINTS = ("plaster", "brick", "planks", "tiles", "poster", "rug", "marble", "books", "leaves", "plain")
 """A paint's number is its place here."""
 
 
-@njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def paint(number, point, u, v, width, height, first, second, grain, seed, footprint):  # type: ignore[no-untyped-def]
     """Linear RGB of paint `number`.
 
@@ -46,7 +46,7 @@ def paint(number, point, u, v, width, height, first, second, grain, seed, footpr
     return _plaster(x, y, z, first, second, seed, fine)
 
 
-@njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def chance(i, j, k, seed):  # type: ignore[no-untyped-def]
     """A number in [0, 1) that depends on three integers and a seed as if by chance."""
     # Odd constants and shifts in the manner of integer finalisers; wraps around in 64 bits.
@@ -60,7 +60,7 @@ def chance(i, j, k, seed):  # type: ignore[no-untyped-def]
     return np.float64(h >> np.uint64(40)) * (1.0 / 16777216.0)
 
 
-@njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _noise(x, y, z, seed):  # type: ignore[no-untyped-def]
     """Smooth noise in [0, 1] with features of unit size: chance at the integers, blended between."""
     fx, fy, fz = math.floor(x), math.floor(y), math.floor(z)
@@ -74,7 +74,7 @@ def _noise(x, y, z, seed):  # type: ignore[no-untyped-def]
     return (c00 * (1 - y) + c10 * y) * (1 - z) + (c01 * (1 - y) + c11 * y) * z
 
 
-@njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _clouds(x, y, z, frequency, octaves, seed, fine):  # type: ignore[no-untyped-def]
     """Octaves of noise around 0.5, each finer one weaker; those finer than the footprint are left out."""
     total, weight = 0.0, 0.5
@@ -88,14 +88,14 @@ def _clouds(x, y, z, frequency, octaves, seed, fine):  # type: ignore[no-untyped
     return min(1.0, max(0.0, 0.5 + 1.1 * total))
 
 
-@njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _step(edge, value, fine):  # type: ignore[no-untyped-def]
     """0 below the edge, 1 above, with a ramp as wide as the footprint."""
     ramp = max(fine, 1e-4)
     return min(1.0, max(0.0, (value - edge) / ramp + 0.5))
 
 
-@njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _mix(first, second, share):  # type: ignore[no-untyped-def]
     return (
         first[0] + (second[0] - first[0]) * share,
@@ -104,12 +104,12 @@ def _mix(first, second, share):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _times(colour, factor):  # type: ignore[no-untyped-def]
     return colour[0] * factor, colour[1] * factor, colour[2] * factor
 
 
-@njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _hue(value, strength):  # type: ignore[no-untyped-def]
     """A colour of the given hue (one turn is 1) around a warm middle tone."""
     return (
@@ -119,7 +119,7 @@ def _hue(value, strength):  # type: ignore[no-untyped-def]
     )
 
 
-@njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _plaster(x, y, z, first, second, seed, fine):  # type: ignore[no-untyped-def]
     colour = _mix(first, second, _clouds(x, y, z, 2.6, 7, seed, fine))
     bent = 0.25 * _clouds(x, y, z, 20.0, 2, seed + 13, fine)
@@ -128,7 +128,7 @@ def _plaster(x, y, z, first, second, seed, fine):  # type: ignore[no-untyped-def
     return _times(colour, 1.0 - 0.35 * dots)
 
 
-@njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _brick(x, y, z, a, b, first, second, seed, fine):  # type: ignore[no-untyped-def]
     row = math.floor(b / 0.085)
     along = a / 0.26 + 0.5 * (np.int64(row) & 1) + 0.12 * chance(np.int64(row), 0, 0, seed + 5)
@@ -143,7 +143,7 @@ def _brick(x, y, z, a, b, first, second, seed, fine):  # type: ignore[no-untyped
     return _mix(mortar, stone, solid)
 
 
-@njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _planks(x, y, z, a, b, first, second, seed, fine):  # type: ignore[no-untyped-def]
     row = math.floor(b / 0.15)
     along = a / 1.1 + chance(np.int64(row), 3, 0, seed)
@@ -159,7 +159,7 @@ def _planks(x, y, z, a, b, first, second, seed, fine):  # type: ignore[no-untype
     return _times(colour, 0.35 + 0.65 * _step(0.003, edge, fine))
 
 
-@njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _tiles(x, y, z, a, b, first, second, seed, fine):  # type: ignore[no-untyped-def]
     size = 0.33
     i, j = math.floor(a / size), math.floor(b / size)
@@ -173,7 +173,7 @@ def _tiles(x, y, z, a, b, first, second, seed, fine):  # type: ignore[no-untyped
     return _mix((0.24, 0.23, 0.22), stone, _step(0.005, edge, fine))
 
 
-@njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _poster(x, y, z, s, t, aspect, first, second, seed, fine):  # type: ignore[no-untyped-def]
     """A framed print: shapes in a grid, each of its own colours."""
     rim = min(min(s, 1 - s), min(t, 1 - t) * aspect)
@@ -204,7 +204,7 @@ def _poster(x, y, z, s, t, aspect, first, second, seed, fine):  # type: ignore[n
     return _mix(frame, _times(_mix(ground, shape, inside), strokes), _step(0.075, rim, fine))
 
 
-@njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _rug(x, y, z, a, b, s, t, first, second, seed, fine):  # type: ignore[no-untyped-def]
     rim = 0.5 - max(abs(s), abs(t))
     diamonds = abs((a * 3.1) % 1.0 - 0.5) + abs((b * 3.1) % 1.0 - 0.5)
@@ -218,7 +218,7 @@ def _rug(x, y, z, a, b, s, t, first, second, seed, fine):  # type: ignore[no-unt
     return _times(colour, weave)
 
 
-@njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _marble(x, y, z, first, second, seed, fine):  # type: ignore[no-untyped-def]
     fold = _clouds(x, y, z, 5.0, 5, seed, fine)
     vein = 1.0 - abs(math.sin(14.0 * fold + 9.0 * x + 5.0 * z))
@@ -227,7 +227,7 @@ def _marble(x, y, z, first, second, seed, fine):  # type: ignore[no-untyped-def]
     return _times(colour, (0.6 + 0.8 * _clouds(x, y, z, 13.0, 4, seed + 7, fine)) * (1 - 0.35 * spots))
 
 
-@njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _books(x, y, z, a, t, first, second, seed, fine):  # type: ignore[no-untyped-def]
     """A row of spines: each of its own width, height, colour and bands."""
     cell = math.floor(a / 0.11)
@@ -253,7 +253,7 @@ def _books(x, y, z, a, t, first, second, seed, fine):  # type: ignore[no-untyped
     return _times(colour, worn * (0.25 + 0.75 * _step(0.004, edge, fine)))
 
 
-@njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy")
 def _leaves(x, y, z, first, second, seed, fine):  # type: ignore[no-untyped-def]
     coarse = _clouds(x, y, z, 9.0, 3, seed, fine)
     blades = abs(_noise(x * 17 + 4 * coarse, y * 17, z * 30, seed + 5) - 0.5) * 2
