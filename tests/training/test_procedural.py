@@ -172,6 +172,6 @@ def test_the_photographer_walks_among_the_furniture_not_through_it(seed: int, co
     local = views.w2c[:, :3, :3] @ focus + views.w2c[:, :3, 3]
     assert (local[:, :2].abs() < 0.2 * local[:, 2:]).all()
     if count > 1:
-        turn = np.rad2deg(np.arccos((views.w2c[1:, 2, :3] * views.w2c[:-1, 2, :3]).sum(1).clamp(-1, 1)))
+        turn = torch.rad2deg(torch.acos((views.w2c[1:, 2, :3] * views.w2c[:-1, 2, :3]).sum(1).clamp(-1, 1)))
         assert turn.max() < 15
         assert np.linalg.norm(np.diff(eyes, axis=0), axis=1).max() < 0.9
