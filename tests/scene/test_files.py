@@ -85,6 +85,13 @@ def test_a_write_that_fails_without_a_reason_on_a_full_disk(tmp_path: Path, monk
         raise OSError("cannot write preview.png")
 
 
+def test_a_full_disk_in_the_words_of_another_library(tmp_path: Path) -> None:
+    with pytest.raises(QuerySplatError, match="disk is full"), atomic_folder(tmp_path / "scene"):
+        raise RuntimeError("Error while serializing: I/O error: No space left on device (os error 28)")
+    with pytest.raises(RuntimeError, match="a bug"), atomic_folder(tmp_path / "scene"):
+        raise RuntimeError("a bug")
+
+
 def test_missing_permission_is_said_in_words(tmp_path: Path) -> None:
     with pytest.raises(QuerySplatError, match="permission"), atomic_path(tmp_path / "scene.ply"):
         raise PermissionError(errno.EACCES, "Permission denied")

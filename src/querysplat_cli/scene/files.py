@@ -10,7 +10,7 @@ from pathlib import Path
 
 from querysplat_cli.errors import QuerySplatError
 
-NEARLY_FULL = 1 << 20
+NEARLY_FULL = 64 << 20
 """Free bytes below which a failed write without a reason is put down to a full disk."""
 
 NO_SPACE = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
@@ -71,7 +71,10 @@ def _draft(path: Path) -> Iterator[Path]:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         yield draft
-    except OSError as error:
+    except QuerySplatError:
+        raise
+    # safetensors has errors of its own for a full disk.
+    except Exception as error:
         why = _in_words(error, path)
         if why is None:
             raise
@@ -80,17 +83,23 @@ def _draft(path: Path) -> Iterator[Path]:
         _remove(draft)
 
 
-def _in_words(error: OSError, path: Path) -> QuerySplatError | None:
-    if error.errno in FORBIDDEN:
+def _in_words(error: Exception, path: Path) -> QuerySplatError | None:
+    reason = getattr(error, "errno", None)
+    if reason in FORBIDDEN:
         return QuerySplatError(
             f"{path}: no permission to write there", "Choose another output, or change the folder's permissions."
         )
-    if error.errno in NO_FOLDER and not path.parent.is_dir():
+    if reason in NO_FOLDER and not path.parent.is_dir():
         return QuerySplatError(f"{path}: a file is where a folder is needed", "Choose another output.")
-    full = error.errno is None and path.parent.exists() and shutil.disk_usage(path.parent).free < NEARLY_FULL
-    if error.errno in NO_SPACE or full:
+    if reason in NO_SPACE or os.strerror(errno.ENOSPC) in str(error) or _silent_failure(error, path.parent):
         return QuerySplatError(f"{path}: the disk is full", "Free some space, or choose an output on another disk.")
     return None
+
+
+def _silent_failure(error: Exception, folder: Path) -> bool:
+    """OpenCV does not say why it could not write; with so little space left, that is why."""
+    without_reason = isinstance(error, OSError) and error.errno is None
+    return without_reason and folder.is_dir() and shutil.disk_usage(folder).free < NEARLY_FULL
 
 
 def _swap(draft: Path, path: Path) -> None:
