@@ -46,11 +46,12 @@ def test_files_keep_the_order_given_and_come_once(tmp_path: Path) -> None:
     assert find_photos([b, tmp_path, a]) == [b, a]
 
 
-def test_the_largest_pictures_of_a_scene_folder_are_taken(tmp_path: Path) -> None:
+@pytest.mark.parametrize("scene", [".", "nerfstudio", "colmap"])
+def test_the_largest_pictures_of_a_scene_folder_are_taken(tmp_path: Path, scene: str) -> None:
     (tmp_path / "transforms.json").write_text("{}")
     for folder in ("images_8", "images_4"):
-        save(tmp_path / folder / "frame_00001.png")
-    assert find_photos([tmp_path]) == [tmp_path / "images_4" / "frame_00001.png"]
+        save(tmp_path / scene / folder / "frame_00001.png")
+    assert find_photos([tmp_path]) == [tmp_path / scene / "images_4" / "frame_00001.png"]
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,8 @@ SUFFIXES = {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".ppm", "
 HEIF_SUFFIXES = {".heic", ".heif"}
 PICTURE_FOLDERS = ("images", "images_2", "images_4", "images_8")
 """Where DL3DV and nerfstudio keep the pictures of a scene, largest first."""
+SCENE_FOLDERS = ("", "nerfstudio", "colmap")
+"""Where in a scene's folder DL3DV's releases keep those."""
 SMALLEST_SIDE = 64
 FULL_FRAME_DIAGONAL = 43.2666
 """Millimetres: FocalLengthIn35mmFilm is the focal length that has the same diagonal field of view on 36 × 24."""
@@ -96,7 +98,8 @@ def natural_key(path: Path) -> list[tuple[int, int | str]]:
 
 
 def _folder_photos(folder: Path) -> list[Path]:
-    for place in (folder, *(folder / name for name in PICTURE_FOLDERS)):
+    inner = [folder / scene / name for scene in SCENE_FOLDERS for name in PICTURE_FOLDERS]
+    for place in (folder, *inner):
         files = _visible_files(place) if place.is_dir() else []
         if any(file.suffix.lower() in SUFFIXES for file in files):
             return files
