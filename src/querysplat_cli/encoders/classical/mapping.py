@@ -10,6 +10,7 @@ import pycolmap
 
 from querysplat_cli.encoders.classical.epipolar import supported
 from querysplat_cli.encoders.classical.matches import Matches
+from querysplat_cli.encoders.classical.refinement import refined
 from querysplat_cli.encoders.classical.sparse_model import SparseModel
 from querysplat_cli.encoders.classical.trust import has_ordinary_lens
 from querysplat_cli.scene.cameras import PhotoCamera
@@ -58,17 +59,20 @@ def map_photos(matches: Matches, *, seed: int) -> SparseModel | None:
     agreement with those matches, ends the search.
     """
     connected = len(matches.largest_group())
-    best: tuple[float, pycolmap.Reconstruction] | None = None
+    best: tuple[float, pycolmap.Reconstruction, Attempt] | None = None
     for attempt in ATTEMPTS:
         for reconstruction in _mapped(matches, attempt, seed):
             model = from_colmap(reconstruction)
             support, ordinary = supported(model, matches), has_ordinary_lens(model)
             score = support.score if ordinary else support.score / 2
             if best is None or score > best[0]:
-                best = score, reconstruction
+                best = score, reconstruction, attempt
             if len(model.cameras) >= connected and support.sound and ordinary:
-                return model
-    return _extended(best[1], matches, seed) if best else None
+                return from_colmap(refined(reconstruction, fit_lens=attempt.fit_lens))
+    if best is None:
+        return None
+    _, reconstruction, attempt = best
+    return from_colmap(refined(_extended(reconstruction, matches, seed), fit_lens=attempt.fit_lens))
 
 
 def from_colmap(reconstruction: pycolmap.Reconstruction) -> SparseModel:
@@ -118,11 +122,10 @@ def _mapped(
     return [found[i] for i in sorted(found)]
 
 
-def _extended(reconstruction: pycolmap.Reconstruction, matches: Matches, seed: int) -> SparseModel:
+def _extended(model: pycolmap.Reconstruction, matches: Matches, seed: int) -> pycolmap.Reconstruction:
     """The model with those photos added that have only a few matches with it, if it stays as sound."""
-    model = from_colmap(reconstruction)
-    for grown in map(from_colmap, _mapped(matches, EXTENDING, seed, reconstruction)):
-        if supported(grown, matches).score > supported(model, matches).score:
+    for grown in _mapped(matches, EXTENDING, seed, model):
+        if supported(from_colmap(grown), matches).score > supported(from_colmap(model), matches).score:
             model = grown
     return model
 
