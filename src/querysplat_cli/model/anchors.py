@@ -1,8 +1,8 @@
 """Where anchored queries stand: points spread over the VGM's point cloud, with a prior for each Gaussian.
 
 The pictures are cut into square blocks, one query each, and every block into 3 × 3 cells, one Gaussian
-each. A block whose surface another view shows at least as finely is left out, and so is one that stands
-in front of surfaces which other views see with confidence.
+each. Views come one after another: a block whose surface the blocks kept so far cover about as finely is left
+out, and so is one that stands in front of surfaces which other views see with confidence.
 """
 
 from dataclasses import dataclass
@@ -21,6 +21,10 @@ COMPARED_VIEWS = 16
 """Each view is compared with this many nearest others, so that time stays linear in the views."""
 DEPTH_AGREEMENT = 0.03
 """Relative depth difference up to which two views see the same surface."""
+COARSER = 1.25
+"""A cell covers one of another view if it is at most this much larger."""
+COVERED = 0.7
+"""Share of its cells that must be covered before a block is left out."""
 FREE_SPACE = 0.1
 """A point nearer than a confident surface by more than this fraction would hide that surface."""
 FILL = 0.6
@@ -98,7 +102,7 @@ def build_anchors(
     while True:
         cells = _cells(views, cameras, depth, confidence, block // CELLS)
         seen = _compare_views(cells, views, cameras, depth, confidence)
-        keep, report = _choose_blocks(cells, seen)
+        keep, report = _choose_blocks(cells, seen, cameras, block // CELLS)
         if queries is None or report.kept <= queries:
             break
         block += CELLS
@@ -159,7 +163,6 @@ class _Cells:
 class _Seen:
     """What the other views say of each cell."""
 
-    redundant: Bool[Tensor, "views rows columns cells"]
     hiding: Bool[Tensor, "views rows columns cells"]
     colour: Float[Tensor, "views rows columns cells 3"]
 
@@ -169,6 +172,12 @@ def _to_blocks(grid: Tensor) -> Tensor:
     views, height, width = grid.shape[:3]
     split = grid.reshape(views, height // CELLS, CELLS, width // CELLS, CELLS, *grid.shape[3:])
     return split.transpose(2, 3).flatten(3, 4)
+
+
+def _from_blocks(blocks: Tensor) -> Tensor:
+    """[rows, columns, 9] → [rows·3, columns·3]."""
+    rows, columns, _ = blocks.shape
+    return blocks.reshape(rows, columns, CELLS, CELLS).transpose(1, 2).reshape(rows * CELLS, columns * CELLS)
 
 
 def _windows(maps: Tensor, cell: int, block: int) -> Tensor:
@@ -229,19 +238,17 @@ def _intrinsics(cameras: Cameras) -> tuple[Tensor, Tensor, Tensor, Tensor]:
 
 
 def _compare_views(cells: _Cells, views: Views, cameras: Cameras, depth: Tensor, confidence: Tensor) -> _Seen:
-    """Project the cells of each view into the others and compare depth, fineness and colour."""
+    """Project the cells of each view into the others and compare depth and colour."""
     count = len(views)
     fx, fy, cx, cy = _intrinsics(cameras)
     distance = torch.cdist(cameras.centres, cameras.centres)
     shape = cells.depth.shape
-    redundant = torch.zeros(shape, dtype=torch.bool)
     supporters = torch.zeros(shape)
     hidden = torch.zeros(shape)
     colour = cells.colour.clone()
     weight = torch.ones(shape)
     for own in range(count):
         points = cells.point[own].reshape(-1, 3)
-        footprint = cells.footprint[own].reshape(-1)
         for other in distance[own].argsort(stable=True)[: COMPARED_VIEWS + 1].tolist():
             if other == own:
                 continue
@@ -255,12 +262,8 @@ def _compare_views(cells: _Cells, views: Views, cameras: Cameras, depth: Tensor,
             inside &= views.masks[other, row, column]
             surface = depth[other, row, column]
             same = inside & ((z / surface - 1).abs() < DEPTH_AGREEMENT)
-            cell_size = footprint * fx[own] / cells.depth[own].reshape(-1)
-            ratio = z / fx[other] * cell_size / footprint
-            finer = (ratio < 0.9) | ((ratio < 1.1) & (other < own))
             sure = confidence[other, row, column]
             in_front = inside & (z < surface * (1 - FREE_SPACE)) & (sure > 0.5)
-            redundant[own] |= (same & finer).reshape(shape[1:])
             supporters[own] += (same * sure).reshape(shape[1:])
             hidden[own] += in_front.reshape(shape[1:])
             share = (same * sure).reshape(shape[1:])
@@ -268,16 +271,47 @@ def _compare_views(cells: _Cells, views: Views, cameras: Cameras, depth: Tensor,
             colour[own] += share[..., None] * sample
             weight[own] += share
     hiding = hidden > supporters + cells.confidence
-    return _Seen(redundant, hiding, colour / weight[..., None])
+    return _Seen(hiding, colour / weight[..., None])
 
 
-def _choose_blocks(cells: _Cells, seen: _Seen) -> tuple[Bool[Tensor, "blocks"], AnchorReport]:
+def _choose_blocks(
+    cells: _Cells, seen: _Seen, cameras: Cameras, cell: int
+) -> tuple[Bool[Tensor, "blocks"], AnchorReport]:
     empty = cells.valid.float().mean(-1) <= 0.5
     hiding = ~empty & (seen.hiding.float().mean(-1) > 0.5)
-    redundant = ~empty & ~hiding & (seen.redundant.float().mean(-1) > 0.7)
-    keep = ~(empty | hiding | redundant)
+    keep = torch.zeros_like(empty)
+    for own in range(len(cameras)):
+        points, footprint = cells.point[keep].reshape(-1, 3), cells.footprint[keep].reshape(-1)
+        covered = _covered(cells, cameras, own, cell, points, footprint)
+        keep[own] = ~empty[own] & ~hiding[own] & (covered.float().mean(-1) < COVERED)
+    redundant = ~empty & ~hiding & ~keep
     counts = (int(part.sum()) for part in (keep, redundant, hiding, empty))
     return keep.flatten(), AnchorReport(keep.numel(), *counts)
+
+
+def _covered(
+    cells: _Cells,
+    cameras: Cameras,
+    own: int,
+    cell: int,
+    points: Float[Tensor, "n 3"],
+    footprint: Float[Tensor, "n"],
+) -> Bool[Tensor, "rows columns cells"]:
+    """Which cells of a view lie where one of `points`, fine enough, puts the same surface."""
+    fx, fy, cx, cy = (float(part[own]) for part in _intrinsics(cameras))
+    local = points @ cameras.w2c[own, :3, :3].T + cameras.w2c[own, :3, 3]
+    z = local[:, 2].clamp_min(1e-6)
+    depth, size = (_from_blocks(part[own]) for part in (cells.depth, cells.footprint))
+    column = torch.floor((local[:, 0] / z * fx + cx) / cell).clamp(-1, depth.shape[1]).long()
+    row = torch.floor((local[:, 1] / z * fy + cy) / cell).clamp(-1, depth.shape[0]).long()
+    inside = (local[:, 2] > 1e-6) & (column >= 0) & (row >= 0) & (column < depth.shape[1]) & (row < depth.shape[0])
+    z, row, column, footprint = z[inside], row[inside], column[inside], footprint[inside]
+    same = ((z / depth[row, column] - 1).abs() < DEPTH_AGREEMENT) & (footprint < COARSER * size[row, column])
+    hits = torch.zeros_like(depth)
+    hits[row[same], column[same]] = 1
+    # Points that are a little coarser than the cells leave gaps between them; a neighbour's hit counts too.
+    near = torch.nn.functional.max_pool2d(hits[None, None], 3, 1, 1)[0, 0]
+    return _to_blocks(near[None])[0] > 0
 
 
 def _discs(cells: _Cells) -> tuple[Tensor, Tensor, Tensor]:
