@@ -23,7 +23,7 @@ DEPTH_AGREEMENT = 0.03
 """Relative depth difference up to which two views see the same surface."""
 COARSER = 1.25
 """A cell covers one of another view if it is at most this much larger."""
-COVERED = 0.7
+COVERED = 0.85
 """Share of its cells that must be covered before a block is left out."""
 FREE_SPACE = 0.1
 """A point nearer than a confident surface by more than this fraction would hide that surface."""
