@@ -248,10 +248,11 @@ def _any_open(through):
 def _row_reach(a, b, q, half_width, low, high, reach):
     """x-extent, relative to the centre, of the ellipse σ ≤ reach/2 between two heights above the centre."""
     furthest = -b * a * half_width / (b * b + q * q)  # height at which the ellipse reaches furthest right
+    narrow, tilt = 1 / a, b / a
     y = min(max(furthest, low), high)
-    right = half_width if y == furthest else (np.sqrt(max(0.0, reach - q * q * y * y)) - b * y) / a
+    right = half_width if y == furthest else np.sqrt(max(0.0, reach - q * q * y * y)) * narrow - tilt * y
     y = min(max(-furthest, low), high)
-    left = -half_width if y == -furthest else (-np.sqrt(max(0.0, reach - q * q * y * y)) - b * y) / a
+    left = -half_width if y == -furthest else -np.sqrt(max(0.0, reach - q * q * y * y)) * narrow - tilt * y
     slack = 1e-3 + 1e-4 * half_width
     return left - slack, right + slack
 
@@ -260,6 +261,7 @@ def _row_reach(a, b, q, half_width, low, high, reach):
 def deal(rows, order, alpha_min, tiles_x, tiles_y, bands, counts, starts, lists):
     """Count (lists empty) or fill the tiles' lists. Each band of tile rows is one task, so nothing is shared."""
     filling = len(lists) > 0
+    bright = -2 * np.log(alpha_min)
     for band in nb.prange(bands):
         first, last = band * tiles_y // bands, (band + 1) * tiles_y // bands
         counts[first * tiles_x : last * tiles_x] = 0
@@ -272,7 +274,7 @@ def deal(rows, order, alpha_min, tiles_x, tiles_y, bands, counts, starts, lists)
             low = max(first, int(max(top, 0.0)) // HIGH)
             high = min(last - 1, int(min(bottom, last * HIGH - 0.5)) // HIGH)
             a, b, q = np.float64(rows[i, A]), np.float64(rows[i, B]), np.float64(rows[i, C])
-            reach = 2 * np.log(np.float64(rows[i, OPACITY]) / alpha_min)
+            reach = bright - 2 * np.float64(rows[i, LOST])
             half_width = np.float64(rows[i, HALF_WIDTH])
             for tile_y in range(low, high + 1):
                 left, right = _row_reach(
