@@ -21,13 +21,13 @@ COMPARED_VIEWS = 16
 """Each view is compared with this many nearest others, so that time stays linear in the views."""
 DEPTH_AGREEMENT = 0.03
 """Relative depth difference up to which two views see the same surface."""
-COARSER = 1.25
+COARSER = 1.1
 """A cell covers one of another view if it is at most this much larger."""
-COVERED = 0.85
+COVERED = 0.95
 """Share of its cells that must be covered before a block is left out."""
 FREE_SPACE = 0.1
 """A point nearer than a confident surface by more than this fraction would hide that surface."""
-FILL = 0.6
+FILL = 0.7
 """Standard deviation of a prior Gaussian in units of its cell: neighbours just close the surface."""
 THICKNESS = 0.2
 """Extent along the normal in the same units."""

@@ -23,6 +23,13 @@ def aggregate(costs: np.ndarray, grey: np.ndarray) -> np.ndarray:
     return sums[0]
 
 
+def choose(sums: np.ndarray) -> np.ndarray:
+    """The best plane of each pixel [height, width], refined between planes by a parabola."""
+    plane = np.empty(sums.shape[:2], np.float32)
+    _choose(sums, plane)
+    return plane
+
+
 @nb.njit(cache=True, error_model="numpy", parallel=True)
 def _two_passes(costs, grey, sums):
     for turn in nb.prange(2):
@@ -90,8 +97,7 @@ def _step(cost, previous, low, jump, result, total):
 
 
 @nb.njit(cache=True, error_model="numpy", parallel=True)
-def choose(sums, costs, plane, match):
-    """The best plane of each pixel, refined between planes by a parabola, and the matching cost there."""
+def _choose(sums, plane):
     height, width, planes = sums.shape
     for y in nb.prange(height):
         for x in range(width):
@@ -107,4 +113,3 @@ def choose(sums, costs, plane, match):
                 if bend > 0:
                     offset = min(max(0.5 * (left - right) / bend, -0.5), 0.5)
             plane[y, x] = best + offset
-            match[y, x] = costs[y, x, best]

@@ -1,20 +1,19 @@
 """Plane sweep: how well each depth of each pixel explains the neighbouring views.
 
 Planes are fronto-parallel to the reference camera and evenly spaced in inverse depth. The match is zero-mean
-normalised cross-correlation over a square window; of several sources the better half counts, because a point
-hidden in one view is usually visible in another.
+normalised cross-correlation over a square window; of several sources the best two count, because a point
+hidden in one view is usually visible in another, and a single good match is easily an accident.
 """
 
-import cv2
 import numba as nb
 import numpy as np
 
-WINDOW = 5
-"""Side of the correlation window in pixels."""
+REACH = 2
+"""The correlation window reaches this many pixels to each side."""
 WORST = 127
 """Cost of no correlation at all, in the 8-bit volume; 0 is a perfect match."""
-UNSEEN = 64
-"""Cost where no source sees the point: neither for nor against it."""
+UNSEEN = 0.8
+"""Cost, of 1, in a source that does not see the point: a depth must not win by leaving the pictures."""
 FLAT = 2e-5
 """Variance added to both windows ([0, 1]² grey): noise in flat regions then correlates with nothing."""
 
@@ -27,66 +26,110 @@ def cost_volume(
 ) -> np.ndarray:
     """Matching costs [height, width, planes], 0 to 127.
 
-    `reference` is grey [height, width] in [0, 1] with intrinsics `K` (pixel centres at +0.5); each source is
-    (grey, K, T) with T [4, 4] from the reference camera to the source camera.
+    `reference` is grey [height, width] in [0, 1], negative where there is no picture, with intrinsics `K`
+    (pixel centres at +0.5); each source is (grey, K, T) with T [4, 4] from the reference camera to its own.
     """
-    height, width = reference.shape
-    mean = _box(reference)
-    spread = np.maximum(_box(reference * reference) - mean * mean, 0) + FLAT
-    costs = np.empty((height, width, len(inverse_depths)), np.uint8)
-    warped = np.empty((len(sources), height, width), np.float32)
-    means, squares, products = np.empty_like(warped), np.empty_like(warped), np.empty_like(warped)
-    for plane, inverse in enumerate(inverse_depths):
-        for s, (grey, source_K, transform) in enumerate(sources):
-            homography = plane_homography(K, source_K, transform, inverse)
-            cv2.warpPerspective(
-                grey,
-                homography,
-                (width, height),
-                dst=warped[s],
-                flags=cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP,
-                borderMode=cv2.BORDER_CONSTANT,
-                borderValue=-1.0,
-            )
-            cv2.boxFilter(warped[s], -1, (WINDOW, WINDOW), dst=means[s])
-            cv2.sqrBoxFilter(warped[s], cv2.CV_32F, (WINDOW, WINDOW), dst=squares[s])
-            cv2.boxFilter(cv2.multiply(warped[s], reference), -1, (WINDOW, WINDOW), dst=products[s])
-        _correlate(mean, spread, warped, means, squares, products, costs, plane)
-    return costs
+    homographies = np.array(
+        [[plane_homography(K, source_K, T, inverse) for _, source_K, T in sources] for inverse in inverse_depths],
+        np.float32,
+    )
+    costs = np.empty((len(inverse_depths), *reference.shape), np.uint8)
+    _sweep(reference, np.stack([grey for grey, _, _ in sources]), homographies, costs)
+    return np.ascontiguousarray(costs.transpose(1, 2, 0))
 
 
 def plane_homography(K: np.ndarray, source_K: np.ndarray, transform: np.ndarray, inverse_depth: float) -> np.ndarray:
-    """Reference pixel → source pixel for the plane z = 1/inverse_depth, in OpenCV's integer-centre pixels."""
-    to_centres = np.array([[1, 0, 0.5], [0, 1, 0.5], [0, 0, 1.0]])
+    """Reference pixel → source pixel for the plane z = 1/inverse_depth, up to a positive factor."""
     induced = transform[:3, :3] + inverse_depth * np.outer(transform[:3, 3], [0, 0, 1.0])
-    return np.linalg.inv(to_centres) @ source_K @ induced @ np.linalg.inv(K) @ to_centres
+    return np.asarray(source_K @ induced @ np.linalg.inv(K))
 
 
-def _box(image: np.ndarray) -> np.ndarray:
-    return cv2.boxFilter(image, -1, (WINDOW, WINDOW))
+@nb.njit(cache=True, error_model="numpy", parallel=True, fastmath=True)
+def _sweep(reference, pictures, homographies, costs):
+    planes, count = homographies.shape[:2]
+    height, width = reference.shape
+    weight = np.float32(1) / np.float32((2 * REACH + 1) ** 2)
+    mean, square, scratch = np.empty_like(reference), np.empty_like(reference), np.empty_like(reference)
+    _box(reference, mean, scratch)
+    _box(reference * reference, square, scratch)
+    for plane in nb.prange(planes):
+        warped, product = np.empty_like(reference), np.empty_like(reference)
+        sums, squares, products = np.empty_like(reference), np.empty_like(reference), np.empty_like(reference)
+        rows = np.empty_like(reference)
+        best, second = np.full_like(reference, UNSEEN), np.full_like(reference, UNSEEN)
+        for s in range(count):
+            _warp(pictures[s], homographies[plane, s], warped)
+            _box(warped, sums, rows)
+            for y in range(height):
+                for x in range(width):
+                    product[y, x] = warped[y, x] * reference[y, x]
+            _box(product, products, rows)
+            for y in range(height):
+                for x in range(width):
+                    product[y, x] = warped[y, x] * warped[y, x]
+            _box(product, squares, rows)
+            for y in range(height):
+                for x in range(width):
+                    if warped[y, x] < 0:
+                        continue
+                    m, here = sums[y, x] * weight, mean[y, x] * weight
+                    variance = max(squares[y, x] * weight - m * m, np.float32(0)) + np.float32(FLAT)
+                    spread = max(square[y, x] * weight - here * here, np.float32(0)) + np.float32(FLAT)
+                    cost = np.float32(1) - (products[y, x] * weight - m * here) / np.sqrt(variance * spread)
+                    if count == 1:
+                        best[y, x] = second[y, x] = cost
+                    elif cost < best[y, x]:
+                        second[y, x] = best[y, x]
+                        best[y, x] = cost
+                    elif cost < second[y, x]:
+                        second[y, x] = cost
+        for y in range(height):
+            for x in range(width):
+                cost = min(best[y, x] + second[y, x], np.float32(2)) * np.float32(0.5 * WORST)
+                costs[plane, y, x] = np.uint8(max(cost, np.float32(0)))
 
 
-@nb.njit(cache=True, error_model="numpy", parallel=True)
-def _correlate(mean, spread, warped, means, squares, products, costs, plane):
-    count, height, width = warped.shape
-    for y in nb.prange(height):
-        for x in range(width):
-            best, second, seen = np.float32(2), np.float32(2), 0
-            for s in range(count):
-                if warped[s, y, x] < 0:
-                    continue
-                seen += 1
-                m = means[s, y, x]
-                variance = max(squares[s, y, x] - m * m, np.float32(0)) + np.float32(FLAT)
-                covariance = products[s, y, x] - m * mean[y, x]
-                cost = np.float32(1) - covariance / np.sqrt(variance * spread[y, x])
-                if cost < best:
-                    best, second = cost, best
-                elif cost < second:
-                    second = cost
-            if seen == 0:
-                costs[y, x, plane] = UNSEEN
+@nb.njit(cache=True, error_model="numpy", fastmath=True)
+def _warp(picture, homography, warped):
+    """Bilinear samples of `picture` at the mapped pixel centres; −1 where there is none."""
+    height, width = picture.shape
+    h = homography
+    for y in range(warped.shape[0]):
+        for x in range(warped.shape[1]):
+            px, py = np.float32(x) + np.float32(0.5), np.float32(y) + np.float32(0.5)
+            z = h[2, 0] * px + h[2, 1] * py + h[2, 2]
+            warped[y, x] = -1
+            if z <= np.float32(1e-6):
                 continue
-            # With three sources or more two must agree; a single good match is easily an accident.
-            cost = (best + second) * np.float32(0.5) if seen > 2 else best
-            costs[y, x, plane] = min(np.float32(WORST), cost * np.float32(WORST))
+            u = (h[0, 0] * px + h[0, 1] * py + h[0, 2]) / z - np.float32(0.5)
+            v = (h[1, 0] * px + h[1, 1] * py + h[1, 2]) / z - np.float32(0.5)
+            if not (np.float32(0) <= u < width - 1 and np.float32(0) <= v < height - 1):
+                continue
+            i, j = int(u), int(v)
+            a, b, c, d = picture[j, i], picture[j, i + 1], picture[j + 1, i], picture[j + 1, i + 1]
+            if min(min(a, b), min(c, d)) < 0:
+                continue
+            fx, fy = u - i, v - j
+            top, low = a + fx * (b - a), c + fx * (d - c)
+            warped[y, x] = top + fy * (low - top)
+
+
+@nb.njit(cache=True, error_model="numpy", fastmath=True)
+def _box(image, sums, rows):
+    """Sums over the window around each pixel, the border repeated; `rows` is scratch."""
+    height, width = image.shape
+    for y in range(height):
+        total = np.float32(0)
+        for x in range(-REACH, REACH + 1):
+            total += image[y, min(max(x, 0), width - 1)]
+        rows[y, 0] = total
+        for x in range(1, width):
+            total += image[y, min(x + REACH, width - 1)] - image[y, max(x - REACH - 1, 0)]
+            rows[y, x] = total
+    for y in range(height):
+        for x in range(width):
+            sums[y, x] = 0
+        for dy in range(-REACH, REACH + 1):
+            there = min(max(y + dy, 0), height - 1)
+            for x in range(width):
+                sums[y, x] += rows[there, x]
