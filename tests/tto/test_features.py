@@ -29,7 +29,9 @@ def wall() -> tuple[Views, Cameras]:
     pixels = (torch.arange(SIZE) + 0.5 - SIZE / 2) / FOCAL
     x = pixels[None, None, :] - w2c[:, 0, 3, None, None]
     y = pixels[None, :, None].expand(count, SIZE, SIZE)
-    images = torch.stack([0.5 + 0.4 * torch.sin(30 * x + 0 * y), 0.5 + 0.4 * torch.cos(25 * y + 5 * x), 0.3 + 0 * x + 0 * y], 1)
+    images = torch.stack(
+        [0.5 + 0.4 * torch.sin(30 * x + 0 * y), 0.5 + 0.4 * torch.cos(25 * y + 5 * x), 0.3 + 0 * x + 0 * y], 1
+    )
     masks = torch.ones(count, SIZE, SIZE, dtype=torch.bool)
     names = tuple(f"{i}.png" for i in range(count))
     return Views(images, masks, names, ((SIZE, SIZE),) * count), Cameras(w2c, K, SIZE, SIZE)
@@ -80,9 +82,7 @@ def test_the_same_seed_gives_the_same_memories(
 ) -> None:
     def run() -> Memories:
         generator = torch.Generator().manual_seed(3)
-        return optimise_memories(
-            *scene, RenderingLoss(*wall), TtoSettings(3, 0.02, 2), generator=generator
-        ).memories
+        return optimise_memories(*scene, RenderingLoss(*wall), TtoSettings(3, 0.02, 2), generator=generator).memories
 
     one, two = run(), run()
     assert torch.equal(one.geometry_values, two.geometry_values)

@@ -1,0 +1,218 @@
+"""PatchMatch refinement (Bleyer et al. 2011; red and black pixels as in Galliani et al. 2015).
+
+Every pixel carries a plane, held as its inverse depth and that inverse depth's slope along x and y: a plane in
+space is exactly linear in inverse depth over the picture. Pixels take over a neighbour's plane, or a small
+change of their own, where that explains the sources better; so surfaces seen at a slant match, and depth is
+found between and beyond the planes of the sweep.
+"""
+
+from dataclasses import dataclass
+
+import numba as nb
+import numpy as np
+
+from querysplat_cli.encoders.classical.neighbours import InverseRange
+from querysplat_cli.encoders.classical.sweep import FLAT, UNSEEN
+
+REACH = 4
+"""The window reaches this many pixels to each side, taking every second one: 25 samples."""
+SIMILAR = 0.08
+"""Brightness difference ([0, 1]) at which a sample's weight in the window has fallen to 1/e."""
+PULL = 0.15
+"""Cost of leaving the starting depth, so that plain surfaces stay where the sweep's smoothness put them."""
+DISAGREE = 0.4
+"""Cost of a depth that the source's own depth contradicts."""
+TOLERANCE = 0.02
+"""Relative depth difference from which the two costs above are paid in full."""
+
+
+@dataclass(frozen=True)
+class Planes:
+    """A plane for each pixel: `inverse` depth [height, width] and its change per pixel along x and y."""
+
+    inverse: np.ndarray
+    slope_x: np.ndarray
+    slope_y: np.ndarray
+
+
+@dataclass(frozen=True)
+class Source:
+    """A view, [height, width]: grey in [0, 1] (negative: no picture), intrinsics, world-to-camera, and its inverse
+    depth where that is known already (zero: unknown)."""
+
+    grey: np.ndarray
+    K: np.ndarray
+    w2c: np.ndarray
+    inverse: np.ndarray
+
+    def seen_from(self, other: "Source") -> np.ndarray:
+        """The transform [4, 4] from the camera of `other` to this one."""
+        return np.asarray(self.w2c @ np.linalg.inv(other.w2c))
+
+
+def refine(view: Source, sources: list[Source], start: Planes, limits: InverseRange) -> tuple[Planes, np.ndarray]:
+    """Better planes, and how badly they match: 0 perfect, 1 not at all, [height, width].
+
+    The prior that plain surfaces keep to is `start`. Deterministic: the changes tried are a fixed pattern.
+    """
+    to_rays = np.linalg.inv(view.K)
+    relative = [source.seen_from(view) for source in sources]
+    leads = [source.K @ T[:3, :3] @ to_rays for source, T in zip(sources, relative, strict=True)]
+    shifts = [source.K @ T[:3, 3] for source, T in zip(sources, relative, strict=True)]
+    state = np.stack([start.inverse, start.slope_x, start.slope_y, np.full_like(start.inverse, 2)])
+    for turn in range(2):
+        for colour in range(2):
+            _improve(
+                state,
+                colour,
+                turn,
+                view.grey,
+                np.stack(leads).astype(np.float32),
+                np.stack(shifts).astype(np.float32),
+                np.stack([source.grey for source in sources]),
+                np.stack([source.inverse for source in sources]),
+                start.inverse,
+                np.float32(limits.far),
+                np.float32(limits.near),
+            )
+    return Planes(*state[:3]), np.clip(state[3], 0, 1)
+
+
+@nb.njit(cache=True, error_model="numpy", parallel=True, fastmath=True)
+def _improve(state, colour, turn, grey, leads, shifts, pictures, known, prior, least, most):
+    """Improve the pixels of one colour of the chessboard; turn 0 only measures them."""
+    height, width = grey.shape
+    for y in nb.prange(height):
+        samples = np.empty(25, np.float32)
+        weights = np.empty(25, np.float32)
+        for x in range((y + colour) % 2, width, 2):
+            if grey[y, x] < 0:
+                continue
+            mean, spread = _window(grey, x, y, samples, weights)
+            inverse, slope_x, slope_y = state[0, y, x], state[1, y, x], state[2, y, x]
+            best = state[3, y, x]
+            if turn == 0:
+                state[3, y, x] = _cost(
+                    x, y, inverse, slope_x, slope_y, samples, weights, mean, spread, leads, shifts, pictures, known,
+                    prior[y, x],
+                )  # fmt: skip
+                continue
+            for trial in range(6):
+                if trial < 4:
+                    from_x, from_y = _best_towards(state, x, y, trial, width, height)
+                    if from_x < 0:
+                        continue
+                    new_x, new_y = state[1, from_y, from_x], state[2, from_y, from_x]
+                    new = state[0, from_y, from_x] + new_x * (x - from_x) + new_y * (y - from_y)
+                else:
+                    size = np.float32(0.02 if trial == 4 else 0.004)
+                    new = inverse * (1 + size * _noise(x, y, 8 * turn + trial, 0))
+                    new_x = slope_x + size * inverse * np.float32(0.1) * _noise(x, y, 8 * turn + trial, 1)
+                    new_y = slope_y + size * inverse * np.float32(0.1) * _noise(x, y, 8 * turn + trial, 2)
+                if not least <= new <= most:
+                    continue
+                cost = _cost(
+                    x, y, new, new_x, new_y, samples, weights, mean, spread, leads, shifts, pictures, known,
+                    prior[y, x],
+                )  # fmt: skip
+                if cost < best:
+                    best, inverse, slope_x, slope_y = cost, new, new_x, new_y
+            state[0, y, x], state[1, y, x], state[2, y, x], state[3, y, x] = inverse, slope_x, slope_y, best
+
+
+@nb.njit(cache=True, error_model="numpy", inline="always")
+def _best_towards(state, x, y, direction, width, height):
+    """The best matched of the pixels 1, 3 and 7 to one side; all have the other colour."""
+    step_x = (1, -1, 0, 0)[direction]
+    step_y = (0, 0, 1, -1)[direction]
+    best_x, best_y, best = -1, -1, np.float32(1e9)
+    for distance in (1, 3, 7):
+        there_x, there_y = x + distance * step_x, y + distance * step_y
+        if 0 <= there_x < width and 0 <= there_y < height and state[3, there_y, there_x] < best:
+            best_x, best_y, best = there_x, there_y, state[3, there_y, there_x]
+    return best_x, best_y
+
+
+@nb.njit(cache=True, error_model="numpy", inline="always")
+def _noise(x, y, turn, which):
+    """A number in [-1, 1) that depends on the arguments alone."""
+    bits = np.uint32(x * 73856093) ^ np.uint32(y * 19349663) ^ np.uint32((3 * turn + which + 1) * 83492791)
+    bits = (bits ^ (bits >> np.uint32(13))) * np.uint32(0x5BD1E995)
+    bits = (bits ^ (bits >> np.uint32(15))) * np.uint32(0x27D4EB2D)
+    return np.float32((bits ^ (bits >> np.uint32(16))) & np.uint32(0xFFFF)) / np.float32(32768) - np.float32(1)
+
+
+@nb.njit(cache=True, error_model="numpy", fastmath=True)
+def _window(grey, x, y, samples, weights):
+    """Fill the reference samples and their weights (which sum to one); return their mean and variance."""
+    height, width = grey.shape
+    total = mean = square = np.float32(0)
+    n = 0
+    for dy in range(-REACH, REACH + 1, 2):
+        for dx in range(-REACH, REACH + 1, 2):
+            value = grey[min(max(y + dy, 0), height - 1), min(max(x + dx, 0), width - 1)]
+            weight = np.exp(-abs(value - grey[y, x]) / np.float32(SIMILAR)) if value >= 0 else np.float32(0)
+            samples[n], weights[n] = value, weight
+            total += weight
+            mean += weight * value
+            square += weight * value * value
+            n += 1
+    mean /= total
+    for i in range(n):
+        weights[i] /= total
+    return mean, max(square / total - mean * mean, np.float32(0)) + np.float32(FLAT)
+
+
+@nb.njit(cache=True, error_model="numpy", fastmath=True)
+def _cost(x, y, inverse, slope_x, slope_y, samples, weights, mean, spread, leads, shifts, pictures, known, prior):
+    """One minus the correlation, averaged over the two best sources, and what the plane pays besides."""
+    count, height, width = pictures.shape
+    best = second = np.float32(UNSEEN)
+    for s in range(count):
+        lead, shift = leads[s], shifts[s]
+        px, py = np.float32(x + 0.5), np.float32(y + 0.5)
+        u = lead[0, 0] * px + lead[0, 1] * py + lead[0, 2] + inverse * shift[0]
+        v = lead[1, 0] * px + lead[1, 1] * py + lead[1, 2] + inverse * shift[1]
+        z = lead[2, 0] * px + lead[2, 1] * py + lead[2, 2] + inverse * shift[2]
+        if z <= np.float32(1e-3):
+            continue
+        column, row = int(np.floor(u / z)), int(np.floor(v / z))
+        if not (0 <= column < width and 0 <= row < height) or pictures[s, row, column] < 0:
+            continue
+        u_x, u_y = lead[0, 0] + slope_x * shift[0], lead[0, 1] + slope_y * shift[0]
+        v_x, v_y = lead[1, 0] + slope_x * shift[1], lead[1, 1] + slope_y * shift[1]
+        z_x, z_y = lead[2, 0] + slope_x * shift[2], lead[2, 1] + slope_y * shift[2]
+        there = square = product = np.float32(0)
+        n = 0
+        for dy in range(-REACH, REACH + 1, 2):
+            for dx in range(-REACH, REACH + 1, 2):
+                depth = np.float32(1) / max(z + dx * z_x + dy * z_y, np.float32(1e-3))
+                at_x = (u + dx * u_x + dy * u_y) * depth - np.float32(0.5)
+                at_y = (v + dx * v_x + dy * v_y) * depth - np.float32(0.5)
+                at_x = min(max(at_x, np.float32(0)), width - np.float32(1.01))
+                at_y = min(max(at_y, np.float32(0)), height - np.float32(1.01))
+                i, j = int(at_x), int(at_y)
+                fx, fy = at_x - i, at_y - j
+                top = pictures[s, j, i] + fx * (pictures[s, j, i + 1] - pictures[s, j, i])
+                low = pictures[s, j + 1, i] + fx * (pictures[s, j + 1, i + 1] - pictures[s, j + 1, i])
+                value = top + fy * (low - top)
+                weighted = weights[n] * value
+                there += weighted
+                square += weighted * value
+                product += weighted * samples[n]
+                n += 1
+        variance = max(square - there * there, np.float32(0)) + np.float32(FLAT)
+        cost = np.float32(1) - (product - there * mean) / np.sqrt(variance * spread)
+        if known[s, row, column] > 0:
+            # z is depth there over depth here, so this is the relative difference of the two depths.
+            apart = abs(z / inverse * known[s, row, column] - np.float32(1))
+            cost += np.float32(DISAGREE) * min(apart / np.float32(TOLERANCE), np.float32(1))
+        if count == 1:
+            best = second = cost
+        elif cost < best:
+            best, second = cost, best
+        elif cost < second:
+            second = cost
+    apart = abs(inverse / prior - np.float32(1))
+    pull = np.float32(PULL) * min(apart / np.float32(TOLERANCE), np.float32(1))
+    return (best + second) * np.float32(0.5) + pull

@@ -1,0 +1,216 @@
+"""Depth against ray-cast scenes with known cameras, and against closed forms."""
+
+import numpy as np
+import pytest
+import torch
+from synthetic import Plane, camera, photograph, texture
+
+from querysplat_cli.encoders.base import Geometry, Located
+from querysplat_cli.encoders.classical.consistency import carve, confirm
+from querysplat_cli.encoders.classical.depth import perceive
+from querysplat_cli.encoders.classical.neighbours import choose_sources, inverse_range
+from querysplat_cli.encoders.classical.semiglobal import aggregate, choose
+from querysplat_cli.encoders.classical.sweep import UNSEEN, WORST, cost_volume, plane_homography
+from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.views import Views
+
+SIZE, FOCAL = (144, 192), 180.0
+SLANTED = [Plane((-4, -3, 4.5), (8, 0, -1.6), (0, 6, 1.0), texture(5, 1024))]
+TWO_LAYERS = [
+    Plane((-6, -4, 5), (12, 0, 0), (0, 8, 0), texture(1, 1024)),
+    Plane((-0.5, -0.45, 3), (1.0, 0, 0), (0, 0.9, 0), texture(2, 256)),
+]
+SIDEWAYS = [(0, 0, 0), (0.3, 0, 0), (-0.3, 0.05, 0), (0, 0.3, 0)]
+
+
+def true_depth(planes, lens) -> np.ndarray:
+    """Camera z of the first surface on the ray of every pixel centre."""
+    v, u = np.mgrid[: lens.height, : lens.width] + 0.5
+    rays = np.stack([(u - lens.principal[0]) / lens.focal[0], (v - lens.principal[1]) / lens.focal[1], 1 + 0 * u], -1)
+    directions, centre = rays @ lens.w2c[:3, :3], -lens.w2c[:3, :3].T @ lens.w2c[:3, 3]
+    nearest = np.full(u.shape, np.inf)
+    for plane in planes:
+        across, down = np.array(plane.across, float), np.array(plane.down, float)
+        normal = np.cross(across, down)
+        z = (np.subtract(plane.corner, centre) @ normal) / (directions @ normal)
+        offset = centre + directions * z[..., None] - plane.corner
+        s, t = offset @ across / (across @ across), offset @ down / (down @ down)
+        hit = (z > 0) & (s >= 0) & (s <= 1) & (t >= 0) & (t <= 1)
+        nearest[hit] = np.minimum(nearest, z)[hit]
+    return nearest
+
+
+def located(planes, places, look=(0, 0, 1000.0), points=True) -> tuple[Located, np.ndarray]:
+    """Views of the planes from the places, with every 12th pixel of the first as a sparse point; true depths."""
+    lenses = [camera(place, look, size=SIZE, focal=FOCAL) for place in places]
+    pictures = [photograph(planes, lens, f"{i}.png").pixels for i, lens in enumerate(lenses)]
+    images = torch.from_numpy(np.stack(pictures)).permute(0, 3, 1, 2).float() / 255
+    depth = np.stack([true_depth(planes, lens) for lens in lenses])
+    w2c = torch.from_numpy(np.stack([lens.w2c for lens in lenses])).float()
+    K = torch.tensor([[FOCAL, 0, SIZE[1] / 2], [0, FOCAL, SIZE[0] / 2], [0, 0, 1]]).repeat(len(places), 1, 1)
+    v, u = (part.ravel() + 0.5 for part in np.mgrid[6 : SIZE[0] : 12, 6 : SIZE[1] : 12])
+    z = depth[0, v.astype(int), u.astype(int)]
+    rays = np.stack([(u - SIZE[1] / 2) / FOCAL, (v - SIZE[0] / 2) / FOCAL, np.ones_like(u)], -1)[np.isfinite(z)]
+    lens = lenses[0]
+    world = (rays * z[np.isfinite(z), None] - lens.w2c[:3, 3]) @ lens.w2c[:3, :3]
+    cloud = torch.from_numpy(world).float() if points else torch.zeros(0, 3)
+    names = tuple(f"{i}.png" for i in range(len(places)))
+    views = Views(images, torch.ones(len(places), *SIZE, dtype=torch.bool), names, (SIZE,) * len(places))
+    seen = tuple(torch.arange(len(cloud)) for _ in places)
+    return Located(views, Cameras(w2c, K, *SIZE), cloud, seen), depth
+
+
+def seen_depth(scene: Located) -> Geometry:
+    geometry = perceive(scene, seed=0, progress=lambda text, fraction: None)
+    assert bool((geometry.depth > 0).all())
+    assert bool(geometry.depth.isfinite().all())
+    assert 0 <= float(geometry.confidence.min()) <= float(geometry.confidence.max()) <= 1
+    return geometry
+
+
+def relative_error(geometry: Geometry, truth: np.ndarray, view: int = 0, border: int = 12) -> np.ndarray:
+    inside = np.s_[border:-border, border:-border]
+    return np.abs(geometry.depth[view].numpy() / truth[view] - 1)[inside]
+
+
+@pytest.fixture(scope="module")
+def slanted() -> tuple[Located, np.ndarray, Geometry]:
+    scene, truth = located(SLANTED, SIDEWAYS)
+    return scene, truth, seen_depth(scene)
+
+
+def test_a_slanted_plane_is_measured_to_a_fraction_of_a_pixel_of_disparity(slanted):
+    _, truth, geometry = slanted
+    error = relative_error(geometry, truth)
+    # One pixel of disparity is depth/(focal·baseline) ≈ 4/54 = 7 % of the depth here.
+    assert np.median(error) < 0.004
+    assert np.percentile(error, 95) < 0.02
+    assert float(geometry.confidence[0].mean()) > 0.8
+    assert geometry.doubts == ()
+
+
+def test_the_edge_between_two_layers_lies_where_it_is():
+    scene, truth = located(TWO_LAYERS, SIDEWAYS)
+    error = relative_error(seen_depth(scene), truth)
+    edge = np.abs(np.diff(truth[0], axis=1, prepend=5)) + np.abs(np.diff(truth[0], axis=0, prepend=5)) > 1
+    near_edge = np.asarray(torch.nn.functional.max_pool2d(torch.from_numpy(edge[None] * 1.0), 9, 1, 4)[0] > 0)
+    near_edge = near_edge[12:-12, 12:-12]
+    assert np.mean(error[~near_edge] > 0.03) < 0.02
+    assert np.mean(error[near_edge] > 0.1) < 0.35
+
+
+def test_two_views_are_enough():
+    scene, truth = located(SLANTED, SIDEWAYS[:2])
+    error = relative_error(seen_depth(scene), truth, border=24)
+    assert np.median(error) < 0.01
+
+
+def test_forward_motion_with_the_epipole_in_the_picture():
+    scene, truth = located(SLANTED, [(0, 0, 0), (0.02, 0, 0.8), (0, 0.02, -0.6)])
+    error = relative_error(seen_depth(scene), truth, border=24)
+    rows, columns = np.mgrid[: error.shape[0], : error.shape[1]]
+    away = np.hypot(rows - error.shape[0] / 2, columns - error.shape[1] / 2) > 30
+    assert np.median(error[away]) < 0.02
+
+
+def test_a_depth_range_of_one_to_a_thousand():
+    scene, _ = located(SLANTED, SIDEWAYS)
+    points = torch.tensor([[0.0, 0, 1], [0.1, 0, 10], [0, 1, 100], [1, 1, 1000]]).repeat(3, 1)
+    wide = Located(scene.views, scene.cameras, points, tuple(torch.arange(12) for _ in SIDEWAYS))
+    limits = inverse_range(wide, 0)
+    assert limits.far < 1e-3
+    assert limits.near > 1
+    geometry = seen_depth(wide)
+    assert float(geometry.depth.max()) <= 1.001 / limits.far
+
+
+def test_masked_pixels_do_not_vote_and_have_no_confidence(slanted):
+    scene, truth, _ = slanted
+    masks = scene.views.masks.clone()
+    masks[:, :, :36] = False
+    masks[2] = False
+    images = scene.views.images.clone()
+    images[~masks[:, None].expand_as(images)] = 0.5
+    views = Views(images, masks, scene.views.names, scene.views.sizes)
+    geometry = seen_depth(Located(views, scene.cameras, scene.points, scene.visibility))
+    assert float(geometry.confidence[~masks].max()) == 0
+    error = np.abs(geometry.depth[0].numpy() / truth[0] - 1)[12:-12, 60:-12]
+    assert np.median(error) < 0.01
+
+
+def test_one_view_is_a_guess_and_says_so(slanted):
+    scene, _, _ = slanted
+    alone = Located(scene.views[[0]], scene.cameras[[0]], torch.zeros(0, 3), (torch.zeros(0, dtype=torch.long),))
+    geometry = seen_depth(alone)
+    assert float(geometry.confidence.max()) == 0
+    assert geometry.depth.unique().tolist() == [1.0]
+    assert "parallax" in geometry.doubts[0]
+
+
+def test_cameras_at_one_place_measure_nothing():
+    scene, _ = located(SLANTED, [(0, 0, 0), (0, 0, 0)])
+    geometry = seen_depth(scene)
+    assert float(geometry.confidence.max()) == 0
+    assert geometry.doubts
+
+
+def test_the_same_photos_give_the_same_bits(slanted):
+    scene, _, first = slanted
+    second = seen_depth(scene)
+    assert torch.equal(first.depth, second.depth)
+    assert torch.equal(first.confidence, second.confidence)
+
+
+def test_sources_share_points_and_stand_apart(slanted):
+    scene, _, _ = slanted
+    assert sorted(choose_sources(scene, 0)) == [1, 2, 3]
+    strangers = (scene.visibility[0], *(torch.zeros(0, dtype=torch.long) for _ in range(3)))
+    assert choose_sources(Located(scene.views, scene.cameras, scene.points, strangers), 0) == []
+
+
+def test_a_plane_homography_maps_as_the_plane_does():
+    K = np.array([[200, 0, 90], [0, 210, 70], [0, 0, 1.0]])
+    transform = camera((0.3, -0.1, 0.2), (0.2, 0.1, 4)).w2c
+    point = np.array([0.4, -0.3, 3.0])
+    pixel, there = K @ point, K @ (transform[:3, :3] @ point + transform[:3, 3])
+    mapped = plane_homography(K, K, transform, 1 / 3.0) @ (pixel / pixel[2])
+    np.testing.assert_allclose(mapped / mapped[2], there / there[2], rtol=1e-12)
+
+
+def test_costs_are_zero_at_the_true_plane_and_neutral_where_no_source_sees():
+    generator = np.random.default_rng(0)
+    wide = generator.random((40, 80)).astype(np.float32)
+    K = np.array([[50, 0, 30], [0, 50, 20], [0, 0, 1.0]])
+    shift = np.eye(4)
+    shift[0, 3] = -1.0
+    # Inverse depth q moves the picture by 50·q pixels to the left; 0.1 is five pixels.
+    costs = cost_volume(wide[:, :60].copy(), K, [(wide[:, 5:65].copy(), K, shift)], np.array([0.0, 0.1, 0.2, 5.0]))
+    assert costs[4:-4, 12:-4, 1].max() <= 1
+    assert costs[4:-4, 12:-4, [0, 2]].mean() > 0.7 * WORST
+    assert set(costs[..., 3].ravel()) == {int(UNSEEN * WORST)}
+
+
+def test_aggregation_decides_for_undecided_pixels_as_their_neighbours_do():
+    costs = np.full((9, 9, 5), 60, np.uint8)
+    costs[..., 3] = 20
+    costs[4, 4] = 60
+    plane = choose(aggregate(costs, np.full((9, 9), 0.5, np.float32)))
+    np.testing.assert_array_equal(plane, 3)
+
+
+def test_confirmation_counts_views_and_carving_clears_what_they_see_through():
+    K = np.repeat(np.array([[[24, 0, 12], [0, 24, 12], [0, 0, 1.0]]]), 2, 0)
+    w2c = np.repeat(np.eye(4)[None], 2, 0)
+    w2c[1, 0, 3] = -0.5
+    inverse = np.full((2, 24, 24), 0.5, np.float32)
+    inverse[0, 8:16, 14:22] = 1.0
+    confidence = confirm(inverse, np.zeros_like(inverse), K, w2c, [[1], [0]])
+    # A pixel at depth 2 falls 6 pixels further left in the other view, one at depth 1 falls 12: on depth 2.
+    assert confidence[0, 2:6, 8:].min() == 1
+    assert confidence[0, 8:16, 14:22].max() == 0
+    assert confidence[0, :, :6].max() == 0
+    sure = np.ones_like(inverse)
+    sure[0, 8:16, 14:22] = 0
+    carved = carve(inverse, sure, K, w2c, [[1], [0]], [0.01, 0.01])
+    assert carved[0, 8:16, 14:22].max() <= 0.5 / 0.95 + 1e-6
+    np.testing.assert_array_equal(carved[sure == 1], inverse[sure == 1])
