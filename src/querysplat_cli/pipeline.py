@@ -6,6 +6,7 @@ from pathlib import Path
 
 import torch
 
+from querysplat_cli.device import find_device, moved
 from querysplat_cli.encoders.base import Encoder, Geometry, Located
 from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.holdout import CameraPass, CameraSource, locate_passes
@@ -26,7 +27,7 @@ from querysplat_cli.report import (
     views_entry,
 )
 from querysplat_cli.scene.cameras import Cameras
-from querysplat_cli.scene.files import refuse_existing
+from querysplat_cli.scene.files import check_writable, refuse_existing
 from querysplat_cli.scene.formats.known import read_known_cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.photos import find_photos, load_photos
@@ -77,10 +78,12 @@ def reconstruct(settings: ReconstructSettings, stages: Stages) -> Report:
     written then.
     """
     refuse_existing([settings.ply, scene_folder(settings.ply)], force=settings.force)
+    check_writable(settings.ply.parent)
+    device = find_device(settings.device)
     with stages("photos") as progress:
         photos, unread = load_photos(find_photos(settings.inputs), progress=progress)
     with stages("model"):
-        model = load(settings.preset)
+        model = load(settings.preset).to(device)
         encoder = find_encoder(settings.encoder)
         known = read_known_cameras(settings.poses) if settings.poses else None
 
@@ -135,6 +138,7 @@ def build_scene(
     located: Located, encoder: Encoder, model: QuerySplat, settings: ReconstructSettings, stages: Stages
 ) -> BuiltScene:
     """Depth, queries, memories, test-time optimisation: a scene from photos with cameras."""
+    device = next(model.parameters()).device
     views, cameras = located.views, located.cameras
     with stages("depth") as progress:
         geometry = encoder.perceive(located, seed=settings.seed, progress=progress)
@@ -143,22 +147,23 @@ def build_scene(
             views, cameras, geometry.depth, geometry.confidence, patch=geometry.patch, queries=settings.queries
         )
         with torch.no_grad():
-            memories, anchors = attended_rows(model.remember(geometry.features, views.images, cameras), anchors)
+            rows = model.remember(*moved((geometry.features, views.images, cameras), device))
+            memories, anchors = attended_rows(moved(rows, torch.device("cpu")), anchors)
     with stages("tto") as progress:
         plan = plan_tto(settings.tto, views=len(views), gaussians=anchors.opacities.numel())
         tto, gaussians = _optimise(model, memories, anchors, views, cameras, plan, settings.seed, progress)
     return BuiltScene(located, geometry, anchors, anchor_report, tto.memories, gaussians, tto, plan)
 
 
-def optimise_scene(path: Path, *, steps: int | None, lr: float | None, seed: int, stages: Stages) -> Report:
+def optimise_scene(
+    path: Path, *, steps: int | None, lr: float | None, device: str, seed: int, stages: Stages
+) -> Report:
     """Take up the scene in `path` (its folder or its .ply), optimise its memories further, and write it back."""
     with stages("read"):
         scene, before = read_scene(path)
-        model = load(scene.model)
+        model = load(scene.model).to(find_device(device))
     with stages("tto") as progress:
-        with torch.no_grad():
-            count = len(model.decode(scene.memories, scene.anchors))
-        plan = plan_tto(steps, views=len(scene.views), gaussians=count, lr=lr)
+        plan = plan_tto(steps, views=len(scene.views), gaussians=before["gaussians"], lr=lr)
         tto, gaussians = _optimise(
             model, scene.memories, scene.anchors, scene.views, scene.cameras, plan, seed, progress
         )
@@ -191,17 +196,20 @@ def _optimise(
     seed: int,
     progress: Progress,
 ) -> tuple[TtoResult, Gaussians]:
+    """The result on the CPU, however it was made: on the device of `model`."""
+    device, cpu = next(model.parameters()).device, torch.device("cpu")
+    memories, anchors = moved((memories, anchors), device)
     result = optimise_memories(
         model,
         memories,
         anchors,
-        RenderingLoss(views, cameras),
+        RenderingLoss(*moved((views, cameras), device)),
         plan,
         generator=torch.Generator().manual_seed(seed),
         progress=lambda step: progress(f"loss {step.loss:.4f}", (step.step + 1) / plan.steps),
     )
     with torch.no_grad():
-        return result, model.decode(result.memories, anchors)
+        return moved((result, model.decode(result.memories, anchors)), cpu)
 
 
 def _score_heldout(scene: BuiltScene, cameras: CameraPass) -> Quality | None:

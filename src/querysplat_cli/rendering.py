@@ -1,25 +1,28 @@
 """The story of `render`: a .ply and cameras in, pictures or a film out."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import av
 import cv2
 import numpy as np
 import torch
 
-from querysplat_cli.errors import MissingPart, QuerySplatError
+from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.progress import Stages
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.files import atomic_folder, atomic_path, refuse_existing
 from querysplat_cli.scene.formats.ply import read_ply
 from querysplat_cli.scene.formats.transforms import read_cameras
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.scene.paths import orbit
+from querysplat_cli.scene.paths import orbit, surround
 from querysplat_cli.splat.render import Rendering, render
 from querysplat_cli.store import scene_folder
 
+FOREIGN_SIZE = (720, 960)
+"""Height and width of frames where neither the user nor a camera says."""
 DEPTH_UNITS = 1000
 """Steps of a 16-bit depth PNG in one scene unit; 0 where nothing was hit, 65,535 at and beyond its range."""
 
@@ -76,23 +79,28 @@ def render_file(request: RenderRequest, stages: Stages) -> Rendered:
 
 def _cameras(request: RenderRequest, gaussians: Gaussians) -> tuple[list[str], Cameras, list[tuple[int, int]]]:
     """Names, cameras and picture sizes of the frames."""
-    named_file = request.cameras not in ("inputs", "orbit")
-    path = Path(request.cameras) if named_file else scene_folder(request.scene) / "cameras.json"
-    if not path.is_file():
+    beside = scene_folder(request.scene) / "cameras.json"
+    if request.cameras == "orbit" or (request.cameras == "auto" and not beside.is_file()):
+        opaque = gaussians.means[gaussians.opacities >= min(0.5, float(gaussians.opacities.max()))]
+        if beside.is_file():
+            inputs = read_cameras(beside)[0]
+            size = inputs.sizes[0]
+            path = orbit(
+                replace(inputs.cameras, height=size[0], width=size[1]), opaque.median(0).values, request.frames
+            )
+        else:
+            size = request.size or FOREIGN_SIZE
+            path = surround(opaque, request.frames, *size)
+        return [f"frame_{i:04d}" for i in range(len(path))], path, [size] * len(path)
+    file = beside if request.cameras in ("auto", "inputs") else Path(request.cameras)
+    if not file.is_file():
         raise QuerySplatError(
-            f"{path}: no cameras there" if named_file else f"{request.scene} has no cameras beside it ({path})",
-            "Give a cameras.json (nerfstudio's transforms.json form) with --cameras FILE.",
+            f"{file}: no cameras there",
+            "Use --cameras orbit, or --cameras FILE with a file in nerfstudio's transforms.json form.",
         )
-    inputs, _ = read_cameras(path)
-    names = [Path(name).stem for name in inputs.names]
-    cameras, sizes = inputs.cameras, list(inputs.sizes)
-    if request.cameras == "orbit":
-        middle = gaussians.means[gaussians.opacities > 0.5].median(0).values
-        height, width = sizes[0]
-        cameras = orbit(Cameras(cameras.w2c, cameras.K, height, width), middle, request.frames)
-        sizes = [(height, width)] * len(cameras)
-        names = [f"frame_{i:04d}" for i in range(len(cameras))]
-    return names, cameras, sizes
+    inputs = read_cameras(file)[0]
+    names = [str(Path(name).with_suffix("")) for name in inputs.names]
+    return names if len(set(names)) == len(names) else list(inputs.names), inputs.cameras, list(inputs.sizes)
 
 
 def _render_each(
@@ -123,22 +131,21 @@ def _write_frame(path: Path, picture: Rendering, request: RenderRequest) -> None
 
 
 def _write_png(path: Path, pixels: np.ndarray) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
     if not cv2.imwrite(str(path), pixels):
         raise OSError(f"cannot write {path}")
 
 
 def _write_film(path: Path, pictures: Iterator[Rendering], fps: int) -> None:
-    writer = None
-    try:
+    """H.264, which every browser and player shows."""
+    with av.open(str(path), "w") as film:
+        stream = None
         for picture in pictures:
-            frame = np.ascontiguousarray(_bytes(picture))
+            frame = _bytes(picture)
             frame = frame[: frame.shape[0] // 2 * 2, : frame.shape[1] // 2 * 2]  # the codec wants even sizes
-            if writer is None:
-                size = (frame.shape[1], frame.shape[0])
-                writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), fps, size)
-                if not writer.isOpened():
-                    raise MissingPart("this OpenCV cannot write .mp4 files", "Write PNG frames to a folder instead.")
-            writer.write(np.ascontiguousarray(frame))
-    finally:
-        if writer is not None:
-            writer.release()
+            if stream is None:
+                stream = film.add_stream("libx264", rate=fps, options={"crf": "18"})
+                stream.height, stream.width, stream.pix_fmt = frame.shape[0], frame.shape[1], "yuv420p"
+            film.mux(stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(frame), format="bgr24")))
+        if stream is not None:
+            film.mux(stream.encode())

@@ -16,8 +16,11 @@ def render(
     ] = None,
     cameras: Annotated[
         str,
-        typer.Option(metavar="inputs|orbit|FILE", help="From the input cameras, around them, or a cameras.json."),
-    ] = "inputs",
+        typer.Option(
+            metavar="auto|inputs|orbit|FILE",
+            help="The input cameras, an orbit, or a cameras.json; auto: the inputs where they are known.",
+        ),
+    ] = "auto",
     frames: Annotated[int, typer.Option(min=1, help="Frames of an orbit.")] = 90,
     fps: Annotated[int, typer.Option(min=1, help="Frames per second of a film.")] = 30,
     size: Annotated[

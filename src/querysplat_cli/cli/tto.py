@@ -5,13 +5,14 @@ from typing import Annotated
 
 import typer
 
-from querysplat_cli.cli.options import Json, Quiet, Seed, number_or_auto
+from querysplat_cli.cli.options import Device, Json, Quiet, Seed, number_or_auto
 
 
 def tto(
     scene: Annotated[Path, typer.Argument(help="The folder that `reconstruct` wrote, or the .ply beside it.")],
     steps: Annotated[str, typer.Option(metavar="STEPS|auto", help="Optimisation steps.")] = "auto",
     lr: Annotated[float | None, typer.Option(min=1e-8, help="Learning rate; the model's own by default.")] = None,
+    device: Device = "auto",
     seed: Seed = 42,
     quiet: Quiet = False,
     json: Json = False,
@@ -22,5 +23,5 @@ def tto(
     from querysplat_cli.pipeline import optimise_scene
 
     with showing_stages(quiet=quiet) as stages:
-        report = optimise_scene(scene, steps=count, lr=lr, seed=seed, stages=stages)
+        report = optimise_scene(scene, steps=count, lr=lr, device=device, seed=seed, stages=stages)
     print_report(report, quiet=quiet, as_json=json)

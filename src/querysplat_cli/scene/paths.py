@@ -52,6 +52,22 @@ def orbit(cameras: Cameras, middle: Float[Tensor, "3"], frames: int) -> Cameras:
     return look_at(places, target, up, cameras)
 
 
+def surround(points: Float[Tensor, "n 3"], frames: int, height: int, width: int) -> Cameras:
+    """A full circle around `points` of which nothing else is known, slightly from above; y is taken to point down.
+
+    Far enough that nine tenths of the points fit into the picture, whose field of view is 50° high or wide,
+    whichever is less.
+    """
+    target = points.double().median(0).values.numpy()
+    reach = float(np.quantile(np.linalg.norm(points.double().numpy() - target, axis=1), 0.9)) or 1.0
+    half = np.radians(25)
+    turn = 2 * np.pi * np.arange(frames) / frames
+    places = target + reach / np.sin(half) * np.stack([np.sin(turn), np.full(frames, -0.35), -np.cos(turn)], 1)
+    focal = min(height, width) / 2 / np.tan(half)
+    K = torch.tensor([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]], dtype=torch.float32)
+    return look_at(places, target, np.array([0.0, -1.0, 0.0]), Cameras(torch.eye(4)[None], K[None], height, width))
+
+
 def interpolate(cameras: Cameras, frames: int) -> Cameras:
     """A smooth path through the inputs in their order, first to last.
 

@@ -1,0 +1,116 @@
+"""`querysplat render` on a .ply of our own making: every output, and every way to say from where."""
+
+import json
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from querysplat_cli.cli import run
+from querysplat_cli.errors import ExitCode
+from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.formats.ply import write_ply
+from querysplat_cli.scene.formats.transforms import write_cameras
+from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.views import Views
+from querysplat_cli.splat.conventions import SH_0
+
+SIZE = (48, 64)
+
+
+@pytest.fixture
+def ball(tmp_path: Path) -> Path:
+    """One opaque red ball of radius about ½ at (0, 0, 4), and three specks that say nothing."""
+    sh = torch.full((4, 1, 3), -0.5 / SH_0)
+    sh[:, 0, 0] = 0.5 / SH_0
+    means = torch.tensor([[0.0, 0, 4], [0.1, 0, 4], [-0.1, 0, 4], [0, 0.1, 4]])
+    gaussians = Gaussians(
+        means,
+        torch.tensor([[1.0, 0, 0, 0]]).repeat(4, 1),
+        torch.tensor([[0.2], [0.001], [0.001], [0.001]]).repeat(1, 3),
+        torch.tensor([0.999, 0.1, 0.1, 0.1]),
+        sh,
+    )
+    write_ply(tmp_path / "ball.ply", gaussians)
+    return tmp_path / "ball.ply"
+
+
+def give_cameras(ply: Path, names: tuple[str, ...]) -> None:
+    K = torch.tensor([[60.0, 0, SIZE[1] / 2], [0, 60, SIZE[0] / 2], [0, 0, 1]]).repeat(len(names), 1, 1)
+    w2c = torch.eye(4).repeat(len(names), 1, 1)
+    w2c[:, 0, 3] = torch.linspace(0, 0.5, len(names))
+    images = torch.zeros(len(names), 3, *SIZE)
+    views = Views(images, torch.ones(len(names), *SIZE, dtype=torch.bool), names, (SIZE,) * len(names))
+    ply.with_suffix("").mkdir()
+    write_cameras(ply.with_suffix("") / "cameras.json", Cameras(w2c, K, *SIZE), views)
+
+
+def test_the_input_cameras_with_depth_and_alpha(ball: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    give_cameras(ball, ("left.jpg", "right.jpg"))
+    out = ball.parent / "frames"
+    assert run(["render", str(ball), "-o", str(out), "--depth", "--alpha", "--background", "0,0,1", "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert (said["frames"], said["gaussians"], said["output"]) == (2, 4, str(out))
+    assert sorted(path.name for path in out.iterdir()) == sorted(
+        f"{name}{part}.png" for name in ("left", "right") for part in ("", "_alpha", "_depth")
+    )
+    colour = cv2.imread(str(out / "left.png"))
+    alpha = cv2.imread(str(out / "left_alpha.png"), cv2.IMREAD_UNCHANGED)
+    depth = cv2.imread(str(out / "left_depth.png"), cv2.IMREAD_UNCHANGED)
+    assert colour.shape == (*SIZE, 3)
+    assert alpha.shape == depth.shape == SIZE
+    middle, corner = (SIZE[0] // 2, SIZE[1] // 2), (0, 0)
+    assert colour[middle][2] > 200
+    assert colour[middle][0] < 40
+    assert tuple(colour[corner]) == (255, 0, 0)
+    assert alpha[middle] > 230
+    assert alpha[corner] == 0
+    assert abs(int(depth[middle]) - 4000) < 5
+    assert depth[corner] == 0
+
+
+def test_names_that_differ_in_their_suffix_alone(ball: Path) -> None:
+    give_cameras(ball, ("one.jpg", "one.png"))
+    assert run(["render", str(ball), "-o", str(ball.parent / "frames"), "-q"]) == 0
+    assert len(list((ball.parent / "frames").iterdir())) == 2
+
+
+def test_a_film_of_a_scene_without_cameras(ball: Path) -> None:
+    film = ball.parent / "film.mp4"
+    assert run(["render", str(ball), "-o", str(film), "--frames", "8", "--fps", "24", "--size", "81x61", "-q"]) == 0
+    with av.open(str(film)) as opened:
+        pictures = [frame.to_ndarray(format="rgb24") for frame in opened.decode(video=0)]
+        assert opened.streams.video[0].average_rate == 24
+    assert [picture.shape for picture in pictures] == [(60, 80, 3)] * 8
+    assert all(np.asarray(picture)[30, 40, 0] > 150 for picture in pictures)
+
+
+def test_an_orbit_takes_the_lens_of_the_inputs(ball: Path) -> None:
+    give_cameras(ball, ("left.jpg", "right.jpg"))
+    out = ball.parent / "orbit"
+    assert run(["render", str(ball), "-o", str(out), "--cameras", "orbit", "--frames", "3", "-q"]) == 0
+    frames = [cv2.imread(str(path)) for path in sorted(out.iterdir())]
+    assert [frame.shape for frame in frames] == [(*SIZE, 3)] * 3
+    assert all(frame[SIZE[0] // 2, SIZE[1] // 2, 2] > 200 for frame in frames)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--cameras", "inputs"], "no cameras there"),
+        (["--cameras", "nowhere.json"], "no cameras there"),
+        (["-o", "film.mp4", "--depth"], "not films"),
+        (["--size", "12"], "not a size"),
+        (["--background", "red"], "not a colour"),
+    ],
+)
+def test_what_cannot_be_rendered(
+    options: list[str], said: str, ball: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(ball.parent)
+    assert run(["render", str(ball), *options]) == ExitCode.BAD_INPUT
+    assert said in capsys.readouterr().err
+    assert [path.name for path in ball.parent.iterdir()] == ["ball.ply"]
