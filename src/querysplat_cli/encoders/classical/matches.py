@@ -11,6 +11,7 @@ import numpy as np
 import pycolmap
 
 from querysplat_cli.encoders.classical.sparse_model import rescaled
+from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.progress import Progress
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.views import Photo
@@ -101,7 +102,7 @@ def matched(
     """
     # COLMAP reports to the terminal, on which standard output may be somebody's JSON.
     pycolmap.logging.minloglevel = pycolmap.logging.FATAL.value
-    with TemporaryDirectory(prefix="querysplat-") as name:
+    with TemporaryDirectory(prefix="querysplat-") as name, _naming_the_folder(name):
         folder = Path(name)
         progress("finding features", 0.0)
         sizes = _write_grey(photos, folder, THOROUGH_SIZE if thorough else FEATURE_SIZE)
@@ -124,6 +125,19 @@ def matched(
         yield replace(matches, features=tuple(map(len, keypoints)), pairs=pairs)
 
 
+@contextmanager
+def _naming_the_folder(folder: str) -> Iterator[None]:
+    """COLMAP's database does not say which disk is full."""
+    try:
+        yield
+    except RuntimeError as error:
+        if "SQLite" not in str(error):
+            raise
+        raise QuerySplatError(
+            f"cannot write to {folder}: {error}", "Free some space there, or set TMPDIR to another folder."
+        ) from error
+
+
 def _image_name(photo: int) -> str:
     return f"{photo:06d}.pgm"
 
@@ -136,7 +150,8 @@ def _write_grey(photos: Sequence[Photo], folder: Path, size: int) -> tuple[tuple
         height, width = round(photo.height * scale), round(photo.width * scale)
         grey = cv2.cvtColor(photo.pixels, cv2.COLOR_RGB2GRAY)
         picture = cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA)
-        cv2.imwrite(str(folder / _image_name(number)), picture)
+        if not cv2.imwrite(str(folder / _image_name(number)), picture):
+            raise OSError(f"cannot write to {folder}")
         sizes.append((height, width))
     return tuple(sizes)
 

@@ -1,0 +1,264 @@
+"""From photos to a scene, through the command line: what is written, what is said, and what is never left behind."""
+
+import json
+import resource
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from querysplat_cli.cli import run
+from querysplat_cli.errors import ExitCode
+from querysplat_cli.scene.formats.ply import read_ply
+from querysplat_cli.scene.formats.transforms import read_cameras
+from querysplat_cli.training.procedural import cast, make_scene, walk
+
+PHOTOS = 7
+SMALL = ["--max-size", "192", "--tto", "6", "--quiet"]
+
+
+def take_photos(folder: Path, seed: int, count: int = PHOTOS, *, mirrored: bool = False) -> list[Path]:
+    """Photos of a made-up room, 448 × 336. Rooms share patterns; nothing matches between one and a mirrored one."""
+    folder.mkdir(parents=True, exist_ok=True)
+    scene = make_scene(seed)
+    cameras = walk(scene, count, seed)
+    files = [folder / f"room{seed}_{i}.png" for i in range(count)]
+    for i, file in enumerate(files):
+        picture = (cast(scene, cameras[[i]], samples=1)[0][0] * 255).round().byte().permute(1, 2, 0).numpy()[..., ::-1]
+        cv2.imwrite(str(file), picture[:, ::-1] if mirrored else picture)
+    return files
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("room") / "photos"
+    take_photos(folder, 3)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def scene(room: Path) -> tuple[Path, dict[str, Any]]:
+    """A scene with every third photo held out, and the report that was printed."""
+    ply = room.parent / "scene.ply"
+    command = [sys.executable, "-m", "querysplat_cli", "reconstruct", str(room), "-o", str(ply)]
+    done = subprocess.run(
+        [*command, "--holdout-every", "3", "--json", *SMALL], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    return ply, json.loads(done.stdout)
+
+
+def test_what_is_written(scene: tuple[Path, dict[str, Any]]) -> None:
+    ply, report = scene
+    assert report == json.loads((ply.with_suffix("") / "report.json").read_text())
+    assert {path.name for path in ply.with_suffix("").iterdir()} == {
+        "cameras.json",
+        "images",
+        "memories.safetensors",
+        "preview.png",
+        "report.json",
+    }
+    assert sorted(path.name for path in ply.parent.iterdir()) == ["photos", "scene", "scene.ply"]
+    gaussians = read_ply(ply)
+    assert len(gaussians) == report["gaussians"]
+    inputs, heldout = read_cameras(ply.with_suffix("") / "cameras.json")
+    assert list(inputs.names) == report["views"]["used"] == [f"room3_{i}.png" for i in (1, 2, 4, 5)]
+    assert heldout is not None
+    assert heldout.names == tuple(f"room3_{i}.png" for i in (0, 3, 6))
+    preview = cv2.imread(str(ply.with_suffix("") / "preview.png"))
+    assert preview.shape[1] == 2 * 192 + 6
+
+
+def test_what_is_reported(scene: tuple[Path, dict[str, Any]]) -> None:
+    _, report = scene
+    assert {"ply", "scene", "views", "gaussians", "seconds", "quality", "left_out"} <= report.keys()
+    assert report["views"]["left_out"] == []
+    assert report["seconds"]["total"] == pytest.approx(
+        sum(value for stage, value in report["seconds"].items() if stage != "total"), abs=0.1
+    )
+    heldout = report["quality"]["heldout"]
+    assert heldout["cameras"] == "isolated"
+    assert heldout["isolated"]["psnr"] == heldout["psnr"]
+    assert heldout["joint"]["psnr"] > 18
+    assert 0 < heldout["pose_difference"]["degrees"] < 1
+    assert 0 < heldout["pose_difference"]["pixels"] < 5
+    assert report["quality"]["input"]["psnr"] > 22
+    assert {"what", "why", "saved"} == report["left_out"][0].keys()
+
+
+def test_the_score_is_that_of_the_files(scene: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
+    """Rendering the .ply from cameras.json gives the reported PSNR, without any of our own scoring."""
+    ply, report = scene
+    assert run(["render", str(ply), "-o", str(tmp_path / "frames"), "-q"]) == 0
+    for name, quality in report["quality"]["input"]["views"].items():
+        photo = cv2.imread(str(ply.with_suffix("") / "images" / name)).astype(float)
+        picture = cv2.imread(str(tmp_path / "frames" / f"{Path(name).stem}.png")).astype(float)
+        inside = (photo > 0).any(2)
+        psnr = 10 * np.log10(255**2 / np.mean((photo - picture)[inside] ** 2))
+        assert psnr == pytest.approx(quality["psnr"], abs=0.1)
+
+
+def test_tto_takes_the_scene_up(scene: tuple[Path, dict[str, Any]], capsys: pytest.CaptureFixture[str]) -> None:
+    ply, before = scene
+    assert run(["tto", str(ply.with_suffix("")), "--steps", "8", "--lr", "0.01", "--json", "-q"]) == 0
+    after = json.loads(capsys.readouterr().out)
+    assert after == json.loads((ply.with_suffix("") / "report.json").read_text())
+    assert after["quality"]["input"]["psnr"] > before["quality"]["input"]["psnr"]
+    assert [part["steps"] for part in after["tto"]] == [6, 8]
+    assert run(["tto", str(ply), "--steps", "0", "--json", "-q"]) == 0  # by the .ply, and doing nothing
+    again = json.loads(capsys.readouterr().out)
+    assert again["quality"]["input"]["psnr"] == pytest.approx(after["quality"]["input"]["psnr"], abs=0.01)
+
+
+def test_the_same_seed_gives_the_same_file(room: Path, tmp_path: Path) -> None:
+    files = [tmp_path / name for name in ("one.ply", "two.ply")]
+    for file in files:
+        assert run(["reconstruct", str(room), "-o", str(file), *SMALL]) == 0
+    assert files[0].read_bytes() == files[1].read_bytes()
+
+
+def test_known_poses(
+    room: Path, scene: tuple[Path, dict[str, Any]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With cameras.json for poses nothing is mapped, and photos that it does not name are left out by name."""
+    ply, _ = scene
+    poses = tmp_path / "transforms.json"
+    content = json.loads((ply.with_suffix("") / "cameras.json").read_text())
+    for frame in content["frames"]:
+        frame["file_path"] = Path(frame["file_path"]).name
+    del content["heldout_frames"]
+    poses.write_text(json.dumps(content))
+    command = ["reconstruct", str(room), "-o", str(tmp_path / "a.ply"), "--poses", str(poses), "--json", *SMALL]
+    assert run(command) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["views"]["used"] == [f"room3_{i}.png" for i in (1, 2, 4, 5)]
+    assert {photo["name"] for photo in report["views"]["left_out"]} == {f"room3_{i}.png" for i in (0, 3, 6)}
+    assert any(part["what"] == "structure from motion" for part in report["left_out"])
+    assert report["quality"]["input"]["psnr"] > 22
+
+
+def test_good_photos_are_used_where_some_are_bad(
+    room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Grey, transparent, 16-bit, turned and smaller photos are photos; a torn file and a text are not."""
+    folder = tmp_path / "mixed"
+    folder.mkdir()
+    for i, file in enumerate(sorted(room.iterdir())):
+        (folder / file.name).write_bytes(file.read_bytes())
+        picture = cv2.imread(str(file))
+        if i == 1:
+            cv2.imwrite(str(folder / file.name), cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY))
+        if i == 2:
+            cv2.imwrite(str(folder / file.name), cv2.cvtColor(picture, cv2.COLOR_BGR2BGRA))
+        if i == 3:
+            cv2.imwrite(str(folder / file.name), picture.astype(np.uint16) * 257)
+        if i == 4:
+            cv2.imwrite(str(folder / file.name), picture[:, 60:-60])  # as high as wide
+    torn = (folder / "room3_6.png").read_bytes()
+    (folder / "room3_6.png").write_bytes(torn[: len(torn) // 3])
+    (folder / "notes.jpg").write_text("to do")
+    (folder / "empty.jpg").write_bytes(b"")
+    assert run(["reconstruct", str(folder), "-o", str(tmp_path / "a.ply"), "--json", *SMALL]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["views"]["used"] == [f"room3_{i}.png" for i in range(6)]
+    assert {photo["name"] for photo in report["views"]["left_out"]} == {"room3_6.png", "notes.jpg", "empty.jpg"}
+    assert report["quality"]["input"]["psnr"] > 18
+
+
+def test_two_places_in_one_folder(room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The larger place becomes the scene; every photo of the other is named."""
+    folder = tmp_path / "two"
+    others = take_photos(folder, 5, 4, mirrored=True)
+    for file in room.iterdir():
+        (folder / file.name).write_bytes(file.read_bytes())
+    assert run(["reconstruct", str(folder), "-o", str(tmp_path / "a.ply"), "--json", *SMALL]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert set(report["views"]["used"]) == {file.name for file in room.iterdir()}
+    assert {photo["name"] for photo in report["views"]["left_out"]} == {file.name for file in others}
+
+
+def test_photos_without_overlap(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "none"
+    folder.mkdir()
+    for seed in range(3):
+        noise = np.random.default_rng(seed).integers(0, 255, (34, 45, 3), dtype=np.uint8)
+        cv2.imwrite(str(folder / f"{seed}.png"), cv2.resize(noise, (448, 336), interpolation=cv2.INTER_CUBIC))
+    assert run(["reconstruct", str(folder), "-o", str(tmp_path / "a.ply"), *SMALL]) == ExitCode.IMPOSSIBLE
+    assert capsys.readouterr().err.count("error: ") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["none"]
+
+
+def test_one_photo_is_a_guess_and_says_so(room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    photo = sorted(room.iterdir())[0]
+    assert run(["reconstruct", str(photo), "-o", str(tmp_path / "a.ply"), "--json", *SMALL]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert any("depth is a guess" in doubt for doubt in report["doubts"])
+    assert report["quality"]["input"]["psnr"] > 22
+
+
+def test_too_few_photos_to_hold_out(room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    two = [str(path) for path in sorted(room.iterdir())[:2]]
+    arguments = ["reconstruct", *two, "-o", str(tmp_path / "a.ply"), "--holdout-every", "2", *SMALL]
+    assert run(arguments) == ExitCode.BAD_INPUT
+    assert "--holdout-every" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a CUDA device")
+def test_a_device_that_is_not_there(room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["reconstruct", str(room), "-o", str(tmp_path / "a.ply"), "--device", "cuda", *SMALL]
+    assert run(arguments) == ExitCode.MISSING_PART
+    assert "Use --device cpu." in capsys.readouterr().err
+
+
+def test_a_place_that_cannot_be_written(room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").write_text("mine")
+    arguments = ["reconstruct", str(room), "-o", str(tmp_path / "file" / "a.ply"), *SMALL]
+    assert run(arguments) == ExitCode.BAD_INPUT
+    assert capsys.readouterr().err.count("error: ") == 1
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_a_full_disk_leaves_nothing(room: Path, tmp_path: Path) -> None:
+    def allow_small_files_only() -> None:
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 18, 1 << 18))
+
+    arguments = ["reconstruct", str(room), "-o", str(tmp_path / "a.ply"), *SMALL]
+    done = subprocess.run(
+        [sys.executable, "-m", "querysplat_cli", *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+        preexec_fn=allow_small_files_only,
+    )
+    assert done.returncode == ExitCode.BAD_INPUT, done.stderr
+    assert "Traceback" not in done.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("stage", ["photos", "cameras", "depth", "tto", "score", "write"])
+def test_ctrl_c_leaves_what_was_there(stage: str, room: Path, tmp_path: Path) -> None:
+    (tmp_path / "a.ply").write_text("mine")
+    arguments = ["reconstruct", str(room), "-o", str(tmp_path / "a.ply"), "--force", *SMALL[:-1]]
+    with subprocess.Popen(
+        [sys.executable, "-m", "querysplat_cli", *arguments], stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stderr is not None
+        said = ""
+        for line in process.stderr:
+            said += line
+            if line.strip() == stage:
+                process.send_signal(signal.SIGINT)
+                break
+        said += process.stderr.read()
+    assert process.returncode == ExitCode.INTERRUPTED, said
+    assert "Traceback" not in said
+    assert [path.name for path in tmp_path.iterdir()] == ["a.ply"]
+    assert (tmp_path / "a.ply").read_text() == "mine"

@@ -1,0 +1,107 @@
+"""Anchors against closed forms: planes seen from known places."""
+
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from querysplat_cli.model.anchors import FILL, AnchorReport, Anchors, build_anchors, quaternions
+from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.views import Views
+
+HEIGHT, WIDTH, FOCAL, DEPTH = 36, 48, 40.0, 2.0
+BLOCKS = (HEIGHT // 6) * (WIDTH // 6)
+
+
+def plane(shifts: list[float], seed: int = 0) -> tuple[Views, Cameras, torch.Tensor, torch.Tensor]:
+    """Cameras side by side that look straight at the plane z = 2; random pictures, depth sure everywhere."""
+    count = len(shifts)
+    w2c = torch.eye(4).repeat(count, 1, 1)
+    w2c[:, 0, 3] = -torch.tensor(shifts)
+    K = torch.tensor([[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1]]).repeat(count, 1, 1)
+    images = torch.rand(count, 3, HEIGHT, WIDTH, generator=torch.Generator().manual_seed(seed))
+    masks = torch.ones(count, HEIGHT, WIDTH, dtype=torch.bool)
+    names = tuple(f"{i}.png" for i in range(count))
+    views = Views(images, masks, names, ((HEIGHT, WIDTH),) * count)
+    return views, Cameras(w2c, K, HEIGHT, WIDTH), torch.full(masks.shape, DEPTH), torch.ones(masks.shape)
+
+
+def build(*scene: object, queries: int | None = None) -> tuple[Anchors, AnchorReport]:
+    return build_anchors(*scene, patch=6, queries=queries)  # type: ignore[arg-type]
+
+
+def test_one_view_of_a_plane() -> None:
+    views, cameras, depth, confidence = plane([0.0])
+    anchors, report = build(views, cameras, depth, confidence)
+    assert report == AnchorReport(blocks=BLOCKS, kept=BLOCKS, redundant=0, hiding=0, empty=0)
+    torch.testing.assert_close(anchors.means[..., 2], torch.full(anchors.means.shape[:2], DEPTH))
+    pixel = anchors.means[..., :2] / DEPTH * FOCAL + torch.tensor([WIDTH / 2, HEIGHT / 2])
+    first = torch.tensor([[x, y] for y in (1.0, 3, 5) for x in (1.0, 3, 5)])
+    torch.testing.assert_close(pixel[0], first)
+    cell = 2 * DEPTH / FOCAL
+    torch.testing.assert_close(anchors.scales[..., :2], torch.full((BLOCKS, 9, 2), FILL * cell))
+    torch.testing.assert_close(anchors.spacing, torch.full((BLOCKS,), 3 * cell))
+    torch.testing.assert_close(anchors.colours[0, 0], views.images[0, :, :2, :2].mean((1, 2)))
+    normal = torch.from_numpy(Rotation.from_quat(anchors.quats[:, 0].roll(-1, 1).numpy()).as_matrix())[:, :, 2]
+    torch.testing.assert_close(normal[:, 2].abs(), torch.ones(BLOCKS, dtype=torch.float64))
+
+
+def test_a_second_photo_from_the_same_place_adds_nothing() -> None:
+    anchors, report = build(*plane([0.0, 0.0]))
+    assert (report.kept, report.redundant) == (BLOCKS, BLOCKS)
+    assert len(anchors) == BLOCKS
+
+
+def test_a_view_to_the_side_adds_what_only_it_sees() -> None:
+    """A shift of two blocks: the last two columns of the second view are new."""
+    _, report = build(*plane([0.0, 12 * DEPTH / FOCAL]))
+    assert report.kept == BLOCKS + 2 * HEIGHT // 6
+
+
+def test_confident_views_average_their_colours_and_guesses_count_less() -> None:
+    views, cameras, depth, confidence = plane([0.0, 0.0])
+    views.images[0], views.images[1] = 0.2, 0.6
+    anchors, _ = build(views, cameras, depth, confidence)
+    torch.testing.assert_close(anchors.colours, torch.full_like(anchors.colours, 0.4))
+    confidence[1] = 0
+    anchors, _ = build(views, cameras, depth, confidence)
+    torch.testing.assert_close(anchors.colours, torch.full_like(anchors.colours, 0.2))
+
+
+def test_a_guess_before_what_others_see_is_left_out() -> None:
+    views, cameras, depth, confidence = plane([0.0, 0.0, 0.0])
+    depth[2, :12], confidence[2, :12] = 1.0, 0.0  # two rows of blocks hang halfway
+    _, report = build(views, cameras, depth, confidence)
+    assert report.hiding == 2 * WIDTH // 6
+
+
+def test_what_the_mask_hides_has_no_query() -> None:
+    views, cameras, depth, confidence = plane([0.0])
+    views.masks[:, :, 24:] = False
+    anchors, report = build(views, cameras, depth, confidence)
+    assert (report.kept, report.empty) == (BLOCKS // 2, BLOCKS // 2)
+    assert float(anchors.means[..., 0].max()) < 0.01
+
+
+@pytest.mark.parametrize("limit", [BLOCKS, 40, 10, 1])
+def test_a_limit_on_queries(limit: int) -> None:
+    anchors, report = build(*plane([0.0]), queries=limit)
+    assert len(anchors) == report.kept <= limit
+
+
+def test_neighbours_are_the_nearest_patches() -> None:
+    views, cameras, depth, confidence = plane([0.0])
+    anchors, _ = build(views, cameras, depth, confidence)
+    patches = torch.arange(BLOCKS)
+    assert torch.equal(anchors.geometry.index[:, 0], patches)
+    assert bool((anchors.geometry.bias.diff(dim=1) <= 0).all())
+    assert bool((anchors.queries.index[:, 0] == patches).all())
+
+
+@given(st.lists(st.floats(-1, 1), min_size=4, max_size=4).filter(lambda q: sum(x * x for x in q) > 0.01))
+def test_quaternions_are_scipy_s(parts: list[float]) -> None:
+    rotation = Rotation.from_quat(parts)
+    found = quaternions(torch.from_numpy(rotation.as_matrix()))
+    again = Rotation.from_quat(found.roll(-1, -1).numpy())
+    assert (again.inv() * rotation).magnitude() < 1e-7
