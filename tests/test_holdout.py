@@ -38,7 +38,7 @@ def place(chosen: Sequence[Photo], count: int, frame: Sim3, turned: float = 0.0)
     rows = [int(photo.name.split(".")[0]) for photo in chosen]
     cameras = truth(count)[rows].transformed(frame)
     off = torch.eye(4).repeat(len(rows), 1, 1)
-    rolls = [turned if i % 2 else -turned for i in range(len(rows))]
+    rolls = [[turned if i % 2 else -turned] for i in range(len(rows))]
     off[:, :3, :3] = torch.from_numpy(Rotation.from_euler("z", rolls, degrees=True).as_matrix())
     cameras = Cameras(off @ cameras.w2c, cameras.K, SIZE, SIZE)
     images = torch.stack([torch.from_numpy(photo.pixels).permute(2, 0, 1) / 255 for photo in chosen])
