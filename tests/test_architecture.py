@@ -12,12 +12,12 @@ import querysplat_cli
 ROOT = Path(querysplat_cli.__file__).parent
 MODULES = sorted(ROOT.rglob("*.py"))
 LAYERS = [
-    {"errors", "progress"},
+    {"errors", "progress", "device"},
     {"scene"},
     {"model", "encoders", "splat"},
     {"tto", "training", "evaluation"},
     {"holdout", "quality", "report", "preview", "store", "pipeline", "rendering", "demo"},
-    {"cli"},
+    {"cli", "__main__"},
 ]
 
 

@@ -11,7 +11,7 @@ from querysplat_cli.encoders.classical.consistency import carve, confirm
 from querysplat_cli.encoders.classical.features import PATCH, patch_features
 from querysplat_cli.encoders.classical.fill import fill
 from querysplat_cli.encoders.classical.neighbours import InverseRange, choose_sources, inverse_range, nearest_views
-from querysplat_cli.encoders.classical.refine import Planes, Source, refine
+from querysplat_cli.encoders.classical.patchmatch import Planes, Source, refine
 from querysplat_cli.encoders.classical.semiglobal import aggregate, choose
 from querysplat_cli.encoders.classical.sweep import cost_volume
 from querysplat_cli.progress import Progress

@@ -8,9 +8,9 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pycolmap
 
+from querysplat_cli.encoders.classical.adjustment import refined
 from querysplat_cli.encoders.classical.epipolar import supported
 from querysplat_cli.encoders.classical.matches import Matches
-from querysplat_cli.encoders.classical.refinement import refined
 from querysplat_cli.encoders.classical.sparse_model import SparseModel
 from querysplat_cli.encoders.classical.trust import has_ordinary_lens
 from querysplat_cli.scene.cameras import PhotoCamera
