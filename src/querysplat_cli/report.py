@@ -1,10 +1,13 @@
 """What happened: the object that `--json` prints and `report.json` keeps."""
 
 import json
+import os
 import platform
 import resource
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 from querysplat_cli.holdout import CameraSource, PoseDifference
@@ -84,4 +87,10 @@ def peak_memory_gib() -> float:
 
 
 def machine() -> str:
-    return f"{platform.machine()}, {platform.system()}, Python {platform.python_version()}"
+    """What times were measured on."""
+    model = platform.processor() or platform.machine()
+    with suppress(OSError, StopIteration):
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        model = next(line.split(":")[1].strip() for line in lines if line.startswith("model name"))
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return f"{model}, {cores} cores, {platform.system()}, Python {platform.python_version()}"

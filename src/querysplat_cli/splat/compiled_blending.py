@@ -32,7 +32,7 @@ from querysplat_cli.splat.compiled_projection import (
     Y,
 )
 
-WIDE, HIGH = 16, 16
+WIDE, HIGH = 16, 32
 PIXELS = WIDE * HIGH
 PLANES = 5
 """What is blended: red, green, blue, 1 (alpha) and z."""
@@ -259,7 +259,10 @@ def _row_reach(a, b, q, half_width, low, high, reach):
 
 @nb.njit(cache=True, error_model="numpy", parallel=True)
 def deal(rows, order, alpha_min, tiles_x, tiles_y, bands, counts, starts, lists):
-    """Count (lists empty) or fill the tiles' lists. Each band of tile rows is one task, so nothing is shared."""
+    """Count (lists empty) or fill the tiles' lists of row numbers. `order` is by depth.
+
+    Each band of tile rows is one task, so nothing is shared.
+    """
     filling = len(lists) > 0
     bright = -2 * np.log(alpha_min)
     for band in nb.prange(bands):

@@ -30,6 +30,9 @@ XX, XY, YY = A, B, C
 GRADIENT_COLUMNS = 10
 """The columns that blending sends gradients to: all but the extent."""
 CHUNK = 512
+DIGITS, MASK = 2048, np.uint32(2047)
+INFINITY = np.uint32(0x7F800000)
+"""The bits of ∞ in float32."""
 
 A20, A21, A22, A23, A24 = SH_2
 A30, A31, A32, A33, A34, A35, A36 = SH_3
@@ -91,8 +94,8 @@ def _fill_slopes(slope, bands, x, y, z):
 
 
 @nb.njit(cache=True, error_model="numpy", parallel=True)
-def project(means, quats, scales, opacities, sh, view, limits, rows):
-    """Fill rows [n, COLUMNS] for one view."""
+def project(means, quats, scales, opacities, sh, view, limits, rows, depths):
+    """Fill rows [n, COLUMNS] for one view, and depths [n]: ∞ for what is not visible."""
     n = means.shape[0]
     bands = sh.shape[1]
     near, far, low_pass, alpha_min = limits[0], limits[1], limits[2], limits[3]
@@ -101,7 +104,7 @@ def project(means, quats, scales, opacities, sh, view, limits, rows):
     for chunk in nb.prange((n + CHUNK - 1) // CHUNK):
         basis = np.empty(16)
         for i in range(chunk * CHUNK, min(n, (chunk + 1) * CHUNK)):
-            rows[i, HALF_WIDTH] = np.float32(0)
+            rows[i, HALF_WIDTH], depths[i] = np.float32(0), np.inf
             dx = np.float64(means[i, 0]) - view[9]
             dy = np.float64(means[i, 1]) - view[10]
             dz = np.float64(means[i, 2]) - view[11]
@@ -161,8 +164,40 @@ def project(means, quats, scales, opacities, sh, view, limits, rows):
             rows[i, X], rows[i, Y] = u, v
             rows[i, A], rows[i, B], rows[i, C] = np.sqrt(yy / det), -xy / np.sqrt(yy * det), 1 / np.sqrt(yy)
             rows[i, OPACITY], rows[i, LOST], rows[i, DEPTH] = opacity, -np.log(opacity), z
+            depths[i] = z
             # A hair more than float32 rounding, so that the extent never cuts what the threshold keeps.
             rows[i, HALF_WIDTH], rows[i, HALF_HEIGHT] = half_width * 1.0001 + 1e-3, half_height * 1.0001 + 1e-3
+
+
+@nb.njit(cache=True, error_model="numpy")
+def by_depth(bits):
+    """Numbers of the visible Gaussians, nearest first, equal depths in their given order.
+
+    `bits` are the depths as unsigned integers, which sort like the positive floats that they are: a radix
+    sort of three passes, each of which leaves alone the order of equals.
+    """
+    counts = np.zeros((3, DIGITS), np.int64)
+    visible = 0
+    for i in range(len(bits)):
+        if bits[i] != INFINITY:
+            visible += 1
+            for digit in range(3):
+                counts[digit, (bits[i] >> np.uint32(11 * digit)) & MASK] += 1
+    order, spare = np.empty(visible, np.int32), np.empty(visible, np.int32)
+    for digit in range(3):
+        start = 0
+        for value in range(DIGITS):
+            count = counts[digit, value]
+            counts[digit, value] = start
+            start += count
+        for k in range(len(bits) if digit == 0 else visible):
+            i = k if digit == 0 else spare[k]
+            if bits[i] != INFINITY:
+                value = (bits[i] >> np.uint32(11 * digit)) & MASK
+                order[counts[digit, value]] = i
+                counts[digit, value] += 1
+        order, spare = spare, order
+    return spare
 
 
 @nb.njit(cache=True, error_model="numpy", parallel=True)

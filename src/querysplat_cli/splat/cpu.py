@@ -16,9 +16,8 @@ from querysplat_cli.splat.compiled_blending import HIGH, PLANES, WIDE, blend_bac
 from querysplat_cli.splat.compiled_blending import blend as blend_tiles
 from querysplat_cli.splat.compiled_projection import (
     COLUMNS,
-    DEPTH,
     GRADIENT_COLUMNS,
-    HALF_WIDTH,
+    by_depth,
     project,
     project_backward,
 )
@@ -109,8 +108,9 @@ def _forward_view(arrays: list[np.ndarray], camera: np.ndarray, settings: Render
     height, width = planes.shape[1:]
     tiles_x, tiles_y = -(-width // WIDE), -(-height // HIGH)
     rows = np.empty((len(arrays[0]), COLUMNS), np.float32)
-    project(*arrays, camera, _projection_limits(settings), rows)
-    order = _by_depth(rows)
+    depths = np.empty(len(arrays[0]), np.float32)
+    project(*arrays, camera, _projection_limits(settings), rows, depths)
+    order = by_depth(depths.view(np.uint32))
     bands = min(tiles_y, 2 * numba.get_num_threads())
     counts = np.empty(tiles_x * tiles_y, np.int64)
     starts = np.zeros(tiles_x * tiles_y + 1, np.int64)
@@ -127,19 +127,6 @@ def _forward_view(arrays: list[np.ndarray], camera: np.ndarray, settings: Render
         deal(rows, order, settings.alpha_min, tiles_x, tiles_y, bands, counts, starts, lists)
     blend_tiles(rows, starts, lists, tiles_x, _blend_limits(settings), planes)
     return _View(camera, rows, starts, lists)
-
-
-def _by_depth(rows: np.ndarray) -> np.ndarray:
-    """Visible rows, nearest first, equal depths in their given order.
-
-    Positive floats sort like their bits; with the row number below them every key is unique, and numpy's
-    fast unstable sort is a stable one.
-    """
-    visible = np.flatnonzero(rows[:, HALF_WIDTH] > 0)
-    depth = np.ascontiguousarray(rows[visible, DEPTH]).view(np.uint32).astype(np.uint64)
-    keys = (depth << np.uint64(32)) | visible.astype(np.uint64)
-    keys.sort()
-    return (keys & np.uint64(0xFFFFFFFF)).astype(np.int32)
 
 
 def _fair_shares(starts: np.ndarray, tasks: int) -> np.ndarray:
