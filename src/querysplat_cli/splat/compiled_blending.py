@@ -11,6 +11,7 @@ import numba as nb
 import numpy as np
 from llvmlite import ir
 from numba.core import cgutils, types
+from numba.np.arrayobj import make_array
 from numba.extending import intrinsic
 
 from querysplat_cli.splat.compiled_projection import (
@@ -41,6 +42,8 @@ SUMS = 7
 """What the backward pass sums over a column: −∂loss/∂σ times 1, dy, dy²; red, green, blue, z."""
 COLUMN_SUMS = SUMS * WIDE
 
+AHEAD = 4
+"""Gaussians between asking for a row and using it."""
 HALF = np.float32(0.5)
 QUARTER = np.float32(0.25)
 EIGHTH = np.float32(0.125)
@@ -63,6 +66,25 @@ def _scratch(typing, size):
         return place
 
     return types.CPointer(types.float32)(size), generate
+
+
+@intrinsic
+def _prefetch(typing, array, row):
+    """Ask for a row of a 2D float32 array ahead of its use."""
+
+    def generate(context, builder, signature, arguments):
+        place = make_array(signature.args[0])(context, builder, arguments[0])
+        columns = builder.extract_value(place.shape, 1)
+        first = builder.gep(place.data, [builder.mul(arguments[1], columns)])
+        number, byte = ir.IntType(32), ir.IntType(8).as_pointer()
+        kind = ir.FunctionType(ir.VoidType(), [byte, number, number, number])
+        fetch = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0")
+        last = builder.gep(first, [builder.sub(columns, ir.Constant(columns.type, 1))])
+        for address in (first, last):
+            builder.call(fetch, [builder.bitcast(address, byte), number(0), number(3), number(1)])
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp), generate
 
 
 @nb.njit(error_model="numpy", fastmath={"contract"}, inline="always")
@@ -98,6 +120,7 @@ def _blend_tile(rows, members, left, top, width, height, limits, planes):
             blue[r, c] = ZERO
             depth[r, c] = ZERO
     for k in range(len(members)):
+        _prefetch(rows, members[min(k + AHEAD, len(members) - 1)])
         row = rows[members[k]]
         a, b, q = QUARTER * row[A], QUARTER * row[B], QUARTER * row[C]
         offset = a * (np.float32(left) + HALF - row[X])
@@ -153,6 +176,8 @@ def _blend_tile_backward(rows, members, left, top, width, height, limits, planes
                 g[plane, r, c] = given[plane, top + r, left + c] if inside else ZERO
                 behind[r, c] += g[plane, r, c] * planes[plane, top + r, left + c] if inside else ZERO
     for k in range(len(members)):
+        _prefetch(rows, members[min(k + AHEAD, len(members) - 1)])
+        _prefetch(out, members[min(k + AHEAD, len(members) - 1)])
         row = rows[members[k]]
         a, b, q = QUARTER * row[A], QUARTER * row[B], QUARTER * row[C]
         offset = a * (np.float32(left) + HALF - row[X])
@@ -258,42 +283,59 @@ def _row_reach(a, b, q, half_width, low, high, reach):
 
 
 @nb.njit(cache=True, error_model="numpy", parallel=True)
-def deal(rows, order, alpha_min, tiles_x, tiles_y, bands, counts, starts, lists):
-    """Count (lists empty) or fill the tiles' lists of row numbers. `order` is by depth.
+def tile_rows(rows, tiles_y, first, count):
+    """The first row of tiles that each Gaussian's extent meets, and how many; 0 where it is not visible."""
+    for i in nb.prange(len(rows)):
+        top, bottom = rows[i, Y] - rows[i, HALF_HEIGHT], rows[i, Y] + rows[i, HALF_HEIGHT]
+        seen = rows[i, HALF_WIDTH] > 0 and bottom > 0 and top < tiles_y * HIGH
+        first[i] = int(max(top, ZERO)) // HIGH if seen else 0
+        count[i] = int(min(bottom, tiles_y * HIGH - HALF)) // HIGH - first[i] + 1 if seen else 0
 
-    Each band of tile rows is one task, so nothing is shared.
+
+@nb.njit(cache=True, error_model="numpy", parallel=True)
+def find_spans(rows, first, offsets, alpha_min, tiles_x, spans, counts):
+    """spans [offsets[i] + r] = first tile, and the one after the last, that Gaussian i meets in its r-th row of tiles.
+
+    counts [tasks, tiles] are the pairs that each task found: runs of Gaussians, so that nothing is shared.
     """
-    filling = len(lists) > 0
     bright = -2 * np.log(alpha_min)
-    for band in nb.prange(bands):
-        first, last = band * tiles_y // bands, (band + 1) * tiles_y // bands
-        counts[first * tiles_x : last * tiles_x] = 0
-        for k in range(len(order)):
-            i = order[k]
-            x, y = np.float64(rows[i, X]), np.float64(rows[i, Y])
-            top, bottom = y - rows[i, HALF_HEIGHT], y + rows[i, HALF_HEIGHT]
-            if bottom <= first * HIGH or top >= last * HIGH:
+    tasks, n = len(counts), len(rows)
+    for task in nb.prange(tasks):
+        for i in range(task * n // tasks, (task + 1) * n // tasks):
+            if offsets[i] == offsets[i + 1]:
                 continue
-            low = max(first, int(max(top, 0.0)) // HIGH)
-            high = min(last - 1, int(min(bottom, last * HIGH - 0.5)) // HIGH)
+            x, y = np.float64(rows[i, X]), np.float64(rows[i, Y])
             a, b, q = np.float64(rows[i, A]), np.float64(rows[i, B]), np.float64(rows[i, C])
             reach = bright - 2 * np.float64(rows[i, LOST])
             half_width = np.float64(rows[i, HALF_WIDTH])
-            for tile_y in range(low, high + 1):
-                left, right = _row_reach(
-                    a, b, q, half_width, tile_y * HIGH + 0.5 - y, (tile_y + 1) * HIGH - 0.5 - y, reach
-                )
+            for r in range(offsets[i + 1] - offsets[i]):
+                top = (first[i] + r) * HIGH + 0.5 - y
+                left, right = _row_reach(a, b, q, half_width, top, top + HIGH - 1, reach)
                 left, right = x + left, x + right
+                start, stop = 0, 0
                 # Only pixel centres count.
-                if right < 0.5 or left > tiles_x * WIDE - 0.5 or left > right:
-                    continue
-                from_x = int(max(left - 0.5, 0.0)) // WIDE
-                to_x = int(min(right - 0.5, tiles_x * WIDE - 1.0)) // WIDE
-                for tile_x in range(from_x, to_x + 1):
-                    tile = tile_y * tiles_x + tile_x
-                    if filling:
-                        lists[starts[tile] + counts[tile]] = i
-                    counts[tile] += 1
+                if right >= 0.5 and left <= tiles_x * WIDE - 0.5 and left <= right:
+                    start = int(max(left - 0.5, 0.0)) // WIDE
+                    stop = int(min(right - 0.5, tiles_x * WIDE - 1.0)) // WIDE + 1
+                spans[offsets[i] + r, 0], spans[offsets[i] + r, 1] = start, stop
+                for tile in range((first[i] + r) * tiles_x + start, (first[i] + r) * tiles_x + stop):
+                    counts[task, tile] += 1
+
+
+@nb.njit(cache=True, error_model="numpy", parallel=True)
+def deal(order, first, offsets, spans, tiles_x, tiles_y, bands, starts, lists):
+    """Fill the tiles' lists in the order given. Each band of tile rows is one task, so nothing is shared."""
+    for band in nb.prange(bands):
+        top, bottom = band * tiles_y // bands, (band + 1) * tiles_y // bands
+        ends = starts[top * tiles_x : bottom * tiles_x].copy()
+        for k in range(len(order)):
+            i = order[k]
+            skipped = offsets[i] - first[i]
+            for tile_y in range(max(top, first[i]), min(bottom, first[i] + offsets[i + 1] - offsets[i])):
+                row = (tile_y - top) * tiles_x
+                for tile in range(row + spans[skipped + tile_y, 0], row + spans[skipped + tile_y, 1]):
+                    lists[ends[tile]] = i
+                    ends[tile] += 1
 
 
 @nb.njit(cache=True, error_model="numpy", parallel=True)

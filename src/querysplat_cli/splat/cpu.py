@@ -12,7 +12,7 @@ from torch import Tensor
 from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.splat.compiled_blending import HIGH, PLANES, WIDE, blend_backward, deal
+from querysplat_cli.splat.compiled_blending import HIGH, PLANES, WIDE, blend_backward, deal, find_spans, tile_rows
 from querysplat_cli.splat.compiled_blending import blend as blend_tiles
 from querysplat_cli.splat.compiled_projection import (
     COLUMNS,
@@ -111,20 +111,21 @@ def _forward_view(arrays: list[np.ndarray], camera: np.ndarray, settings: Render
     depths = np.empty(len(arrays[0]), np.float32)
     project(*arrays, camera, _projection_limits(settings), rows, depths)
     order = by_depth(depths.view(np.uint32))
-    bands = min(tiles_y, 2 * numba.get_num_threads())
-    counts = np.empty(tiles_x * tiles_y, np.int64)
-    starts = np.zeros(tiles_x * tiles_y + 1, np.int64)
-    nothing = np.empty(0, np.int32)
-    deal(rows, order, settings.alpha_min, tiles_x, tiles_y, bands, counts, starts, nothing)
-    np.cumsum(counts, out=starts[1:])
+    tasks = 2 * numba.get_num_threads()
+    first, spans_of = (np.empty(len(rows), np.int32) for _ in range(2))
+    tile_rows(rows, tiles_y, first, spans_of)
+    offsets = np.concatenate([[0], np.cumsum(spans_of, dtype=np.int64)])
+    counts = np.zeros((tasks, tiles_x * tiles_y), np.int64)
+    spans = np.empty((offsets[-1], 2), np.int32)
+    find_spans(rows, first, offsets, settings.alpha_min, tiles_x, spans, counts)
+    starts = np.concatenate([[0], np.cumsum(counts.sum(0))])
     if starts[-1] > PAIRS_LIMIT:
         raise QuerySplatError(
             f"{len(order):,} Gaussians cover {starts[-1]:,} tiles, more than the {PAIRS_LIMIT:,} that fit in memory",
             "Most of them are far too large; prune or shrink them, or render smaller pictures.",
         )
     lists = np.empty(starts[-1], np.int32)
-    if len(lists):
-        deal(rows, order, settings.alpha_min, tiles_x, tiles_y, bands, counts, starts, lists)
+    deal(order, first, offsets, spans, tiles_x, tiles_y, min(tiles_y, tasks), starts, lists)
     blend_tiles(rows, starts, lists, tiles_x, _blend_limits(settings), planes)
     return _View(camera, rows, starts, lists)
 
