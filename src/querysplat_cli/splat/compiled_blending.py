@@ -11,8 +11,8 @@ import numba as nb
 import numpy as np
 from llvmlite import ir
 from numba.core import cgutils, types
-from numba.np.arrayobj import make_array
 from numba.extending import intrinsic
+from numba.np.arrayobj import make_array
 
 from querysplat_cli.splat.compiled_projection import (
     BLUE,
