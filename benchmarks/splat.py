@@ -1,11 +1,16 @@
 """Time, memory and error of the CPU splatter on random Gaussians, beside the torch reference.
 
-    python benchmarks/splat.py [--gaussians N] [--size S] [--radius PX] [--views V] [--degree D] [--json]
+    python benchmarks/splat.py [--gaussians N] [--size S] [--radius PX] [--views V] [--degree D]
+                               [--against REVISION] [--brief] [--json]
 
 The Gaussians fill the picture, with 3 standard deviations of about `radius` pixels and opacities of 0.05 to
 0.95. "Forward" is everything from Gaussians to picture, "backward" everything from the picture's gradient to
 the Gaussians'. Milliseconds are medians; `best` are the fastest runs, to be believed on a busy machine. The
 reference runs on a smaller piece of the same density (stated), and is what the error is measured against.
+`--against` times the kernel of an earlier revision, turn by turn with this one, in processes of their own.
+
+The floor is the least time in which this machine could do the operations of the (pixel, Gaussian) pairs that
+count, those of α ≥ 1/255, at the rate of fused multiply-adds that it is seen to reach.
 """
 
 import argparse
@@ -18,16 +23,28 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
 
 import numba
+import numpy as np
 import torch
 
+from querysplat_cli.report import machine
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.splat.compiled_blending import HIGH, WIDE
-from querysplat_cli.splat.render import render
+from querysplat_cli.splat.render import RenderSettings, render
 
+ROOT = Path(__file__).resolve().parents[1]
+TURNS = 5
+"""Runs of either revision in a comparison."""
+OPERATIONS = {"forward": 26, "backward": 43}
+"""Vector instructions for one pixel and Gaussian, counted in `compiled_blending.py`: α takes 15 (2 multiply-adds,
+2 bounds, 6 for the polynomial, 3 squarings, 2 for the cut-off), light and stop 7 forward and 8 backward, the four
+sums 4; backward the slope of the value 5, what lies behind 1, the slope of σ 7 and the seven sums 7."""
 PIECE = 64
 """Side of the piece that the reference renders, in pixels."""
 FIRST_CALL = """
@@ -68,13 +85,22 @@ class Result:
     radius: float
     degree: int
     threads: int
+    machine: str
     kernel_ms: Timing
+    peak_mb: float
+    """Beyond what the process took before it rendered."""
+
+
+@dataclass(frozen=True)
+class Details:
     lanes: int
     evaluations: int
     evaluations_per_second: float
+    multiply_adds_per_second: float
+    floor_ms: dict[str, float]
+    times_the_floor: float
     first_call_s: float
     cached_first_call_s: float
-    peak_mb: float
     piece: dict[str, int]
     piece_kernel_ms: Timing
     piece_reference_ms: Timing
@@ -102,22 +128,24 @@ def random_scene(count: int, size: int, radius: float, views: int, degree: int) 
 
 
 def both(
-    gaussians: Gaussians, cameras: Cameras, backend: str
+    gaussians: Gaussians, cameras: Cameras, backend: str, settings: RenderSettings | None = None
 ) -> tuple[float, float, torch.Tensor, tuple[torch.Tensor, ...]]:
     """Seconds forward and backward, the colour, and the gradients of a random linear functional of it."""
     leaves = gaussians.map(lambda field: field.detach().clone().requires_grad_())
     generator = torch.Generator().manual_seed(1)
     slope = torch.randn(len(cameras), 3, cameras.height, cameras.width, generator=generator).to(leaves.means)
     start = time.perf_counter()
-    colour = render(leaves, cameras, backend=backend).colour
+    colour = render(leaves, cameras, backend=backend, settings=settings).colour
     middle = time.perf_counter()
     inputs = (leaves.means, leaves.quats, leaves.scales, leaves.opacities, leaves.sh)
     gradients = torch.autograd.grad(colour, inputs, slope)
     return middle - start, time.perf_counter() - middle, colour.detach(), gradients
 
 
-def timing(gaussians: Gaussians, cameras: Cameras, backend: str, repeats: int) -> Timing:
-    runs = [both(gaussians, cameras, backend)[:2] for _ in range(repeats + 1)][1:]
+def timing(
+    gaussians: Gaussians, cameras: Cameras, backend: str, repeats: int, settings: RenderSettings | None = None
+) -> Timing:
+    runs = [both(gaussians, cameras, backend, settings)[:2] for _ in range(repeats + 1)][1:]
     forward, backward = [1e3 * run[0] for run in runs], [1e3 * run[1] for run in runs]
     return Timing(
         statistics.median(forward),
@@ -143,6 +171,8 @@ def work(gaussians: Gaussians, cameras: Cameras) -> tuple[int, int]:
     blended = render(leaves, cameras, backend="cpu").colour.grad_fn
     while blended is not None and not hasattr(blended, "views"):
         blended = blended.next_functions[0][0]
+    from querysplat_cli.splat.compiled_blending import HIGH, WIDE
+
     lanes = evaluations = 0
     tiles_x = -(-cameras.width // WIDE)
     for view in blended.views:  # type: ignore[union-attr]
@@ -171,37 +201,94 @@ def first_call(cache: str) -> float:
     return float(done.stdout)
 
 
-def measure(count: int, size: int, radius: float, views: int, degree: int, repeats: int) -> Result:
-    gaussians, cameras = random_scene(count, size, radius, views, degree)
-    both(gaussians, cameras, "cpu")
+@numba.njit(parallel=True, fastmath=True, error_model="numpy")
+def _multiply_add(rounds: int, sums: np.ndarray) -> None:
+    for thread in numba.prange(len(sums)):
+        row = sums[thread]
+        for _ in range(rounds):
+            for lane in range(128):
+                row[lane] = row[lane] * np.float32(0.999) + np.float32(0.001)
+
+
+def multiply_adds_per_second() -> float:
+    """Float32 fused multiply-adds that all threads together reach, lanes counted."""
+    sums = np.zeros((numba.get_num_threads(), 128), np.float32)
+    _multiply_add(1, sums)
+    rounds, seconds = 2_000_000, []
+    for _ in range(5):
+        start = time.perf_counter()
+        _multiply_add(rounds, sums)
+        seconds.append(time.perf_counter() - start)
+    return rounds * sums.size / min(seconds)
+
+
+def measure(scene: tuple[Gaussians, Cameras], options: argparse.Namespace) -> Result:
+    both(*random_scene(100, 32, 4.0, 1, options.degree), "cpu")
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    kernel = timing(gaussians, cameras, "cpu", repeats)
+    kernel = timing(*scene, "cpu", options.repeats)
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    lanes, evaluations = work(gaussians, cameras)
-    side = min(PIECE, size)
-    piece_count = max(1, round(count * (side / size) ** 2))
-    piece = random_scene(piece_count, side, radius, 1, degree)
+    return Result(
+        gaussians=options.gaussians,
+        size=options.size,
+        views=options.views,
+        radius=options.radius,
+        degree=options.degree,
+        threads=numba.get_num_threads(),
+        machine=machine(),
+        kernel_ms=kernel,
+        peak_mb=(peak - before) / 1024,
+    )
+
+
+def details(scene: tuple[Gaussians, Cameras], result: Result) -> Details:
+    lanes, evaluations = work(*scene)
+    side = min(PIECE, result.size)
+    count = max(1, round(result.gaussians * (side / result.size) ** 2))
+    piece = random_scene(count, side, result.radius, 1, result.degree)
     with tempfile.TemporaryDirectory() as cache:
         cold, warm = first_call(cache), first_call(cache)
-    return Result(
-        gaussians=count,
-        size=size,
-        views=views,
-        radius=radius,
-        degree=degree,
-        threads=numba.get_num_threads(),
-        kernel_ms=kernel,
+    rate = multiply_adds_per_second()
+    floor = {name: 1e3 * evaluations * operations / rate for name, operations in OPERATIONS.items()}
+    return Details(
         lanes=lanes,
         evaluations=evaluations,
-        evaluations_per_second=evaluations / (1e-3 * kernel.both),
+        evaluations_per_second=evaluations / (1e-3 * result.kernel_ms.both),
+        multiply_adds_per_second=rate,
+        floor_ms=floor,
+        times_the_floor=result.kernel_ms.both / sum(floor.values()),
         first_call_s=cold,
         cached_first_call_s=warm,
-        peak_mb=max(before, peak) / 1024,
-        piece={"gaussians": piece_count, "size": side},
-        piece_kernel_ms=timing(*piece, "cpu", repeats),
+        piece={"gaussians": count, "size": side},
+        piece_kernel_ms=timing(*piece, "cpu", 15),
         piece_reference_ms=timing(*piece, "reference", 2),
         piece_error=error(*piece),
     )
+
+
+def in_tree(tree: Path, options: list[str]) -> dict[str, Any]:
+    """The brief result of this program with the package of another source tree."""
+    environment = {**os.environ, "PYTHONPATH": str(tree / "src"), "NUMBA_CACHE_DIR": str(tree / "cache")}
+    command = [sys.executable, __file__, *options, "--brief", "--json"]
+    done = subprocess.run(command, env=environment, check=True, capture_output=True, text=True)
+    return dict(json.loads(done.stdout))
+
+
+@contextmanager
+def checked_out(revision: str) -> Iterator[Path]:
+    """A folder with the sources of `revision`."""
+    with tempfile.TemporaryDirectory() as folder:
+        archive = subprocess.run(["git", "archive", revision, "src"], cwd=ROOT, check=True, capture_output=True)
+        subprocess.run(["tar", "-x", "-C", folder], input=archive.stdout, check=True)
+        yield Path(folder)
+
+
+def compare(revision: str, options: list[str]) -> dict[str, float]:
+    """Median milliseconds of both passes here and at `revision`, and the ratio of the two."""
+    with checked_out(revision) as tree:
+        in_tree(tree, options)  # compiles
+        turns = [(in_tree(ROOT, options), in_tree(tree, options)) for _ in range(TURNS)]
+    now, then = (statistics.median(turn[i]["kernel_ms"]["both"] for turn in turns) for i in (0, 1))
+    return {"now_ms": now, "then_ms": then, "times_faster": then / now}
 
 
 def main() -> None:
@@ -212,17 +299,27 @@ def main() -> None:
     parser.add_argument("--views", type=int, default=1)
     parser.add_argument("--degree", type=int, default=0)
     parser.add_argument("--repeats", type=int, default=15)
+    parser.add_argument("--against", metavar="REVISION", help="an earlier revision of this repository to compare with")
+    parser.add_argument("--brief", action="store_true", help="only the kernel's time and memory")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
-    result = asdict(
-        measure(options.gaussians, options.size, options.radius, options.views, options.degree, options.repeats)
-    )
+    scene = random_scene(options.gaussians, options.size, options.radius, options.views, options.degree)
+    measured = measure(scene, options)
+    result = asdict(measured)
+    if not options.brief:
+        result |= asdict(details(scene, measured))
+    if options.against:
+        names = ("gaussians", "size", "radius", "views", "degree", "repeats")
+        chosen = [f"--{name}={getattr(options, name)}" for name in names]
+        result["against"] = {"revision": options.against, **compare(options.against, chosen)}
     if options.json:
         print(json.dumps(result, indent=2))
         return
     for name, value in result.items():
-        print(f"{name:24}", *(f"{k} {v:.3g}" if isinstance(v, float) else f"{k} {v}" for k, v in value.items())
-              if isinstance(value, dict) else (f"{value:.4g}" if isinstance(value, float) else value,))  # fmt: skip
+        parts = value.items() if isinstance(value, dict) else [("", value)]
+        print(
+            f"{name:24}", *(f"{key} {part:.4g}" if isinstance(part, float) else f"{key} {part}" for key, part in parts)
+        )
 
 
 if __name__ == "__main__":

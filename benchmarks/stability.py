@@ -42,11 +42,11 @@ Made by
 
 on {machine}. {held} of {count} cases hold.
 
-The compiled kernel works on float32 numbers; the reference does the same equations in float64, on the
-same inputs. *image* is the largest difference of colour or alpha, *gradient* the largest relative L2
-difference of any parameter's gradient, *flips* the share of pixels in which an alpha at the cut-off 1/255 fell to
-either side (they differ by at most two steps of 1/255), *ms* forward and backward together, the first call left
-out. A case holds at an image error of {image:g} and a gradient error of {gradient:g} unless the program says otherwise.
+The compiled kernel works on float32 numbers; the reference does the same equations in float64, on the same inputs.
+*image* is the largest difference of colour or alpha, *gradient* the largest relative L2 difference of any parameter's
+gradient (relative to 1e-9 of the largest where it is next to nothing), *flips* the share of pixels in which an alpha
+at the cut-off 1/255 fell to either side (they differ by at most two steps of 1/255), *ms* forward and backward
+together, the first call left out. A case holds at an image error of {image:g} and a gradient error of {gradient:g} unless the program says otherwise.
 *nothing*: culled, and every gradient exactly 0. *refuse*: one clear message.
 
 | row | case | expected | image | gradient | flips | ms | holds | |
@@ -62,12 +62,13 @@ photos (22 to 25). In `tests/model` and `tests/tto`: heads (27), rates that are 
 
 κ is the ratio between the largest and the smallest scale that one computation must carry: the length of a needle over
 its thickness, the distance from the origin over the size of the scene, the number of blended Gaussians. Dotted: the
-reference's equations in plain float32, which is what a straightforward implementation gets. The kernel projects in
-float64 relative to the camera and keeps the conic as a triangular factor, so that a needle's terms do not cancel.
+same equations in plain float32, by torch. The kernel projects in float64, relative to the camera, blends in float32,
+and keeps the conic as a triangular factor, so that a needle's terms do not cancel.
 
 ![error against κ]({picture})
 {sweeps}
 """
+NEXT_TO_NOTHING = 1e-9
 KAPPAS = [10.0**k for k in range(9)]
 SQUARE = math.sqrt(0.5)
 TURNS = {"across the view": [1.0, 0, 0, 0], "along the view": [SQUARE, 0, SQUARE, 0], "askew": [0.8, 0.1, -0.3, 0.5]}
@@ -210,8 +211,12 @@ def cases() -> Iterator[Case]:
     yield Case("11", "none in view", single(means=[0.0, 50, 3]), small, "nothing")
     for height, width in ((1, 1), (17, 33), (4096, 8)):
         odd = camera(height, width)
-        scene = cloud(100, odd, pixels=3)
-        yield Case("12", f"{height} × {width} pixels", scene, odd, flips=0.002, gradient=1e-3)
+        scene, what = cloud(100, odd, pixels=3), f"{height} × {width} pixels"
+        if height < 4096:
+            yield Case("12", what, scene, odd, flips=0.002, gradient=1e-3)
+        else:
+            note = "float32 tells pixel 4,096 to 1/4,096 px"
+            yield Case("12", what, scene, odd, flips=0.005, gradient=1e-3, note=note)
     for angle in (1.0, 170.0):
         seen = camera(24, 32, angle)
         yield Case("13", f"field of view {angle:g}°", cloud(80, seen), seen, flips=0.003, gradient=1e-3)
@@ -237,8 +242,8 @@ def cases() -> Iterator[Case]:
     yield Case("39", "scale e⁴⁰", single(scales=[math.exp(40)] * 3), small)
     for text, scales in (("e⁴⁵", [math.exp(45)] * 3), ("0 along one axis", [0.3, 0, 0.3]), ("3e38", [3e38, 0.1, 0.1])):
         yield Case("39", f"scale {text}", single(scales=scales), small, "nothing")
-    yield Case("43", "a thousand copies of one Gaussian", stacked(*[single(opacities=0.01)] * 1000), small,
-               gradient=1e-3)  # fmt: skip
+    copies = stacked(*[single(opacities=0.01)] * 1000)
+    yield Case("43", "a thousand copies of one Gaussian", copies, small, gradient=2e-4, note="gradients nearly cancel")
 
 
 def outcome(case: Case, backend: str, dtype: torch.dtype) -> tuple[Tensor, list[Tensor], float]:
@@ -255,13 +260,19 @@ def outcome(case: Case, backend: str, dtype: torch.dtype) -> tuple[Tensor, list[
     return picture.detach().double(), [gradient.double() for gradient in filled], 1e3 * seconds
 
 
-def relative(found: list[Tensor], exact: list[Tensor]) -> float:
-    """The largest relative L2 error of the gradients; infinite where one should be 0 and is not."""
-    errors = []
-    for one, two in zip(found, exact, strict=True):
-        size, difference = float(two.norm()), float((one - two).norm())
-        errors.append(difference / size if size else math.inf if difference else 0.0)
-    return max(errors)
+def relative(case: Case, found: list[Tensor], exact: list[Tensor]) -> float:
+    """The largest relative L2 error of a parameter's gradient.
+
+    Where all of a gradient is next to nothing, such as that of a sphere's rotation, its error is relative to
+    `NEXT_TO_NOTHING` of what the other parameters can change, each by its own size.
+    """
+    sizes = [float(getattr(case.gaussians, name).norm().clamp_min(1e-300)) for name in FIELDS]
+    norms = [float(two.norm()) for two in exact]
+    least = NEXT_TO_NOTHING * max(size * norm for size, norm in zip(sizes, norms, strict=True))
+    return max(
+        float((one - two).norm()) / max(norm, least / size, 1e-300)
+        for one, two, norm, size in zip(found, exact, norms, sizes, strict=True)
+    )
 
 
 def rounded(case: Case) -> Case:
@@ -292,7 +303,7 @@ def measure(case: Case) -> Measured:
     exact, exact_gradients, _ = outcome(case, "reference", torch.float64)
     difference = (picture - exact).abs() / exact.abs().clamp_min(1)
     flipped = float((difference > IMAGE).double().mean())
-    image, gradient = float(difference.max()), relative(gradients, exact_gradients)
+    image, gradient = float(difference.max()), relative(case, gradients, exact_gradients)
     holds = gradient <= case.gradient and flipped <= case.flips
     holds &= image <= (max(case.image, 2 / 255) if case.flips else case.image)
     return row(bool(holds), case.note, image, flipped, gradient, milliseconds)
@@ -309,7 +320,9 @@ def threads() -> Measured:
     same = torch.equal(every[0], one[0]) and all(map(torch.equal, every[1], again[1]))
     what = f"one thread and {numba.config.NUMBA_NUM_THREADS}: the same picture; twice the same gradient"
     note = "gradients of different thread counts are summed in another order"
-    return Measured("19", what, "agree", 0.0 if same else math.nan, 0.0, relative(one[1], every[1]), one[2], same, note)
+    return Measured(
+        "19", what, "agree", 0.0 if same else math.nan, 0.0, relative(case, one[1], every[1]), one[2], same, note
+    )
 
 
 def poison() -> Measured:
@@ -355,7 +368,7 @@ def sweeps() -> dict[str, dict[str, list[float]]]:
             exact = outcome(rounded(case), "reference", torch.float64)
             found = [outcome(rounded(case), backend, torch.float32) for backend in ("cpu", "reference")]
             errors = [float((one[0] - exact[0]).abs().max()) for one in found]
-            slopes = [relative(one[1], exact[1]) for one in found]
+            slopes = [relative(rounded(case), one[1], exact[1]) for one in found]
             for key, value in zip(SWEPT, (kappa, errors[0], slopes[0], errors[1], slopes[1]), strict=True):
                 columns[key].append(value)
         result[name] = columns

@@ -3,6 +3,7 @@
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.utils.checkpoint import checkpoint
 
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
@@ -39,16 +40,21 @@ def _blend_view(seen: Projected, height: int, width: int, settings: RenderSettin
     dtype = centre.dtype
     x = (torch.arange(width, dtype=dtype) + 0.5).repeat(height)
     y = (torch.arange(height, dtype=dtype) + 0.5).repeat_interleave(width)
-    parts = []
-    step = max(1, PAIRS_AT_ONCE // max(1, len(order)))
-    for start in range(0, height * width, step):
-        dx = x[start : start + step, None] - centre[:, 0]
-        dy = y[start : start + step, None] - centre[:, 1]
+
+    def rows_of(x: Tensor, y: Tensor) -> Tensor:
+        dx, dy = x[:, None] - centre[:, 0], y[:, None] - centre[:, 1]
         sigma = 0.5 * (conic[:, 0] * dx * dx + conic[:, 2] * dy * dy) + conic[:, 1] * dx * dy
         alpha = (opacity * torch.exp(-sigma.clamp_min(0))).clamp_max(settings.alpha_max)
         alpha = torch.where(alpha < settings.alpha_min, 0.0, alpha)
         left = torch.cumprod(1 - alpha, 1)
         alpha = torch.where(left <= settings.transmittance_min, 0.0, alpha)
         before = torch.cat([torch.ones_like(left[:, :1]), left[:, :-1]], 1)
-        parts.append((alpha * before) @ values)
+        return (alpha * before) @ values
+
+    # The backward pass computes each part anew rather than keep all their pairs.
+    step = max(1, PAIRS_AT_ONCE // max(1, len(order)))
+    parts = [
+        checkpoint(rows_of, x[start : start + step], y[start : start + step], use_reentrant=False)
+        for start in range(0, height * width, step)
+    ]
     return torch.cat(parts).T.reshape(5, height, width)
