@@ -46,8 +46,8 @@ The compiled kernel works on float32 numbers; the reference does the same equati
 *image* is the largest difference of colour or alpha, *gradient* the largest relative L2 difference of any parameter's
 gradient (relative to 1e-9 of the largest where it is next to nothing), *flips* the share of pixels in which an alpha
 at the cut-off 1/255 fell to either side (they differ by at most two steps of 1/255), *ms* forward and backward
-together, the first call left out. A case holds at an image error of {image:g} and a gradient error of {gradient:g} unless the program says otherwise.
-*nothing*: culled, and every gradient exactly 0. *refuse*: one clear message.
+together, the first call left out. A case holds at an image error of {image:g} and a gradient error of {gradient:g}
+unless the program says otherwise. *nothing*: culled, and every gradient exactly 0. *refuse*: one clear message.
 
 | row | case | expected | image | gradient | flips | ms | holds | |
 | --- | --- | --- | --- | --- | --- | --- | --- | --- |
