@@ -8,13 +8,13 @@ and memory are what a user sees; the splatted depth is measured on the same came
 
 import argparse
 import json
-import platform
 import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
 from typing import Any
+
+from querysplat_cli.report import machine
 
 SETS = ("fortress", "dtu106", "sceaux", "kermit", "riverview", "fox")
 FOX_VIEWS = 12
@@ -108,8 +108,7 @@ def main() -> None:
         gain = sum(row["joint"]["psnr"] - row["splatted_depth_psnr"] for row in done) / len(done)
         print(f"mean gain over splatted depth, joint cameras: {gain:+.2f} dB over {len(done)} sets")
     if arguments.json:
-        machine = f"{platform.processor() or platform.machine()}, Python {platform.python_version()}"
-        arguments.json.write_text(json.dumps({"command": sys.argv, "machine": machine, "rows": rows}, indent=2) + "\n")
+        arguments.json.write_text(json.dumps({"machine": machine(), "rows": rows}, indent=2) + "\n")
 
 
 if __name__ == "__main__":
