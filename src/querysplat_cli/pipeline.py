@@ -32,6 +32,7 @@ from querysplat_cli.scene.formats.known import read_known_cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.photos import find_photos, load_photos
 from querysplat_cli.scene.views import Photo, Views
+from querysplat_cli.splat.compile_ahead import compile_ahead
 from querysplat_cli.store import StoredScene, ply_path, read_scene, scene_folder, write_scene
 from querysplat_cli.tto.features import TtoResult, TtoSettings, optimise_memories
 from querysplat_cli.tto.plan import plan_tto
@@ -80,6 +81,8 @@ def reconstruct(settings: ReconstructSettings, stages: Stages) -> Report:
     refuse_existing([settings.ply, scene_folder(settings.ply)], force=settings.force)
     check_writable(settings.ply.parent)
     device = find_device(settings.device)
+    if device.type == "cpu":
+        compile_ahead()
     with stages("photos") as progress:
         photos, unread = load_photos(find_photos(settings.inputs), progress=progress)
     with stages("model"):

@@ -94,7 +94,7 @@ class _Photometric(torch.autograd.Function):
         gradient = np.empty((views, 3, height, width), np.float32)
         losses = np.zeros((views, 3))
         share = 1 / (3 * views * mask.sum((1, 2)).clamp_min(1).double())
-        _loss_and_gradient(
+        loss_and_gradient(
             image.detach().contiguous().numpy(),
             target.contiguous().numpy(),
             mask.contiguous().numpy(),
@@ -112,7 +112,7 @@ class _Photometric(torch.autograd.Function):
 
 
 @nb.njit(cache=True, error_model="numpy", parallel=True)
-def _loss_and_gradient(
+def loss_and_gradient(
     image: np.ndarray,
     target: np.ndarray,
     mask: np.ndarray,
