@@ -1,6 +1,6 @@
 """How the CPU splatter scales, and what its knobs buy: error against run time.
 
-    python benchmarks/splat_curves.py [--write docs/splatter.md] [--json]
+    python benchmarks/splat_curves.py [--write docs/splatter.md] [--json results.json] [--against REVISION]
 
 Scaling: the random scenes of `splat.py`, each in a process of its own, so that memory is the scene's own. Knobs:
 50,000 Gaussians at 512 × 512 for the time; a piece of the same density for the error, against float64
@@ -23,7 +23,6 @@ import numpy as np
 import torch
 
 import splat
-from querysplat_cli.report import machine
 from querysplat_cli.splat.render import RenderSettings, render
 
 EXACT = RenderSettings(alpha_min=1e-8, transmittance_min=0.0)
@@ -31,6 +30,8 @@ GAUSSIANS = (1000, 3000, 10_000, 30_000, 100_000, 300_000, 1_000_000)
 SIZES = (64, 128, 256, 512, 1024, 2048)
 VIEWS = (1, 2, 4, 8, 16)
 TILES = ((8, 8), (8, 16), (8, 32), (16, 8), (16, 16), (16, 32), (16, 64), (32, 16))
+PIECE, PIECE_GAUSSIANS = 128, 3125
+"""What the error is measured on."""
 TILE_LINE = "WIDE, HIGH = 16, 32"
 LIMITS = {
     "alpha_min": (1 / 32, 1 / 64, 1 / 128, 1 / 255, 1 / 400),
@@ -81,8 +82,9 @@ pixels, from blending in float64 without any cut-off; a colour spans 0 to 1. **B
 
 
 def kernel(tree: Path = splat.ROOT, **options: float) -> Row:
-    """Milliseconds and memory of one scene, in a process of its own."""
-    return splat.in_tree(tree, [f"--{name}={value}" for name, value in options.items()])
+    """Milliseconds and megabytes of one scene, in a process of its own."""
+    row = splat.in_tree(tree, [f"--{name}={value}" for name, value in options.items()])
+    return {"ms": row["kernel_ms"]["both"], "mb": max(row["peak_mb"], 0.1)}
 
 
 def scaling() -> dict[str, list[Row]]:
@@ -115,11 +117,9 @@ def with_tile(wide: int, high: int) -> Iterator[Path]:
         yield tree
 
 
-def knobs() -> tuple[dict[str, list[Row]], Row]:
-    """Error and time for each value of each knob, and what the error was measured on."""
-    side = splat.PIECE * 2
-    count = round(50_000 * (side / 512) ** 2)
-    piece = splat.random_scene(count, side, 8.0, 1, 0)
+def knobs() -> dict[str, list[Row]]:
+    """Error and time for each value of each knob."""
+    piece = splat.random_scene(PIECE_GAUSSIANS, PIECE, 8.0, 1, 0)
     whole = splat.random_scene(50_000, 512, 8.0, 1, 0)
     exact_scene = piece[0].to(torch.float64)
     exact = render(exact_scene, piece[1], backend="reference", settings=EXACT).colour
@@ -144,7 +144,7 @@ def knobs() -> tuple[dict[str, list[Row]], Row]:
     for wide, high in TILES:
         with with_tile(wide, high) as tree:
             kernel(tree, repeats=1)  # compiles
-            ms = kernel(tree)["kernel_ms"]["both"]
+            ms = kernel(tree)["ms"]
         chosen = f"WIDE, HIGH = {wide}, {high}" == TILE_LINE
         result["tile, pixels"].append(row(f"{wide} × {high}", chosen, ms, colour))
     result["precision, on the piece"] = [
@@ -156,7 +156,7 @@ def knobs() -> tuple[dict[str, list[Row]], Row]:
             for dtype in (torch.float32, torch.float64)
         ),
     ]  # fmt: skip
-    return result, {"piece": side, "piece_gaussians": count}
+    return result
 
 
 def plot(scales: dict[str, list[Row]], knob_rows: dict[str, list[Row]], path: Path) -> None:
@@ -189,7 +189,8 @@ def markdown(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
 def standing(rows: list[Row]) -> str:
     """What one run of splat.py says of each of the two sizes that are quoted."""
     head = ("Gaussians, size", "forward, ms", "backward, ms", "both, ms", "pairs that count", "floor, ms",
-            "times the floor", "first call, s (compiled before)", "colour error, max", "gradient error")  # fmt: skip
+            "times the floor", "times the floor of what is walked", "first call, s (compiled before)",
+            "colour error, max", "gradient error")  # fmt: skip
     lines = []
     for row in rows:
         ms, error = row["kernel_ms"], row["piece_error"]
@@ -200,6 +201,7 @@ def standing(rows: list[Row]) -> str:
                 f"{row['evaluations'] / 1e6:.1f} M",
                 f"{sum(row['floor_ms'].values()):.1f}",
                 f"{row['times_the_floor']:.1f}",
+                f"{row['times_the_floor'] * row['evaluations'] / row['lanes']:.1f}",
                 f"{row['first_call_s']:.1f} ({row['cached_first_call_s']:.1f})",
                 f"{error['colour_max']:.0e}",
                 f"{max(error['gradients'].values()):.0e}",
@@ -211,7 +213,7 @@ def standing(rows: list[Row]) -> str:
         f"The floor counts {splat.OPERATIONS['forward']} vector instructions forward and "
         f"{splat.OPERATIONS['backward']} backward for each pixel and Gaussian of α ≥ 1/255, at the "
         f"{piece['multiply_adds_per_second'] / 1e9:.0f} billion multiply-adds a second that the machine was seen to "
-        f"reach. The kernel walks {piece['lanes'] / piece['evaluations']:.1f} lanes for each that counts, since rows "
+        f"reach. The kernel walks {piece['lanes'] / piece['evaluations']:.1f} pairs for each that counts, since rows "
         f"are 16 wide; the rest is projection, dealing and memory. On {piece['piece']['gaussians']:,} Gaussians at "
         f"{piece['piece']['size']}² it is {ratio:.0f} times as fast as the plain torch reference."
     )
@@ -230,25 +232,8 @@ def full(count: int, size: int, against: str | None) -> Row:
     return dict(json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout))
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--write", type=Path, help="write the page here, and its figure into images/ beside it")
-    parser.add_argument("--against", metavar="REVISION", help="an earlier revision to compare with")
-    parser.add_argument("--json", action="store_true")
-    options = parser.parse_args()
-    stands = [full(50_000, 512, options.against), full(10_000, 256, None)]
-    scales = scaling()
-    for rows in scales.values():
-        for row in rows:
-            row["ms"], row["mb"] = row["kernel_ms"]["both"], max(row["peak_mb"], 0.1)
-    knob_rows, measured_on = knobs()
-    if options.json:
-        print(json.dumps({"standing": stands, "scaling": scales, "knobs": knob_rows}, indent=2))
-    if not options.write:
-        return
-    picture = options.write.parent / "images" / "splatter.svg"
-    picture.parent.mkdir(exist_ok=True)
-    plot(scales, knob_rows, picture)
+def page(results: Row, command: str, picture: str) -> str:
+    """docs/splatter.md."""
     scaling_text = [
         f"**{name}**, slope {slope(rows):.2f}\n\n"
         + markdown(
@@ -258,7 +243,7 @@ def main() -> None:
                 ("MB", *(f"{row['mb']:.0f}" for row in rows)),
             ],
         )
-        for name, rows in scales.items()
+        for name, rows in results["scaling"].items()
     ]
     knob_text = [
         markdown(
@@ -273,23 +258,37 @@ def main() -> None:
                 for row in rows
             ],
         )
-        for name, rows in knob_rows.items()
+        for name, rows in results["knobs"].items()
     ]
-    command = f"python benchmarks/splat_curves.py --write {options.write}"
-    if options.against:
-        command += f" --against {options.against}"
-    options.write.write_text(
-        TEMPLATE.format(
-            command=command,
-            machine=machine(),
-            standing=standing(stands),
-            scaling="\n\n".join(scaling_text),
-            knobs="\n\n".join(knob_text),
-            picture=f"images/{picture.name}",
-            reading=READING,
-            **measured_on,
-        )
+    return TEMPLATE.format(
+        command=command,
+        machine=results["standing"][0]["machine"],
+        standing=standing(results["standing"]),
+        scaling="\n\n".join(scaling_text),
+        knobs="\n\n".join(knob_text),
+        picture=picture,
+        reading=READING,
+        piece=PIECE,
+        piece_gaussians=PIECE_GAUSSIANS,
     )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--write", type=Path, help="write the page here, and its figure into images/ beside it")
+    parser.add_argument("--against", metavar="REVISION", help="an earlier revision to compare with")
+    parser.add_argument("--json", type=Path, help="write the results here")
+    options = parser.parse_args()
+    standing_rows = [full(50_000, 512, options.against), full(10_000, 256, None)]
+    results: Row = {"standing": standing_rows, "scaling": scaling(), "knobs": knobs()}
+    if options.json:
+        options.json.write_text(json.dumps(results, indent=2) + "\n")
+    if options.write:
+        picture = options.write.parent / "images" / "splatter.svg"
+        picture.parent.mkdir(exist_ok=True)
+        plot(results["scaling"], results["knobs"], picture)
+        command = " ".join(["python", "benchmarks/splat_curves.py", *sys.argv[1:]])
+        options.write.write_text(page(results, command, f"images/{picture.name}"))
 
 
 if __name__ == "__main__":
