@@ -15,7 +15,7 @@ import statistics
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import numba
@@ -27,8 +27,8 @@ from querysplat_cli.report import machine
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.splat.render import RenderSettings, render
+from scenes import FIELDS, camera, cloud, single, stacked
 
-FIELDS = ("means", "quats", "scales", "opacities", "sh")
 IMAGE, GRADIENT = 1e-5, 1e-4
 """What a case must keep unless it says otherwise, with the reason in its `note`."""
 POISON = (0.0, -0.0, 1e-45, -1e-45, 1e-40, -1e-40, 1e-38, -1e-38, 1e-20, -1e-20, 1e-6, -1e-6, 1.0, -1.0, 1e6, -1e6,
@@ -104,54 +104,6 @@ class Measured:
     note: str
 
 
-def camera(height: int, width: int, field_of_view: float = 50.0) -> Cameras:
-    """One camera at the origin that looks along z; degrees along the longer side."""
-    focal = max(height, width) / (2 * math.tan(math.radians(field_of_view) / 2))
-    K = torch.tensor([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]], dtype=torch.float64)
-    return Cameras(torch.eye(4, dtype=torch.float64)[None], K[None], height, width)
-
-
-def single(**changes: object) -> Gaussians:
-    """One sound Gaussian in front of the camera, with the named fields replaced by one row each."""
-    rows: dict[str, object] = {
-        "means": [0.0, 0.0, 3.0],
-        "quats": [1.0, 0.0, 0.0, 0.0],
-        "scales": [0.3, 0.3, 0.3],
-        "opacities": 0.7,
-        "sh": [[0.5, 0.1, -0.2]],
-    }
-    return Gaussians(**{name: torch.tensor([value], dtype=torch.float64) for name, value in (rows | changes).items()})
-
-
-def stacked(*parts: Gaussians) -> Gaussians:
-    return Gaussians(**{f.name: torch.cat([getattr(part, f.name) for part in parts]) for f in fields(Gaussians)})
-
-
-def cloud(
-    count: int, cameras: Cameras, *, pixels: float = 2.5, opacity: tuple[float, float] = (0.05, 0.95), degree: int = 1
-) -> Gaussians:
-    """Gaussians all over the picture, z in [2, 6], about `pixels` of standard deviation."""
-    generator = torch.Generator().manual_seed(count)
-
-    def uniform(*shape: int) -> Tensor:
-        return torch.rand(*shape, generator=generator, dtype=torch.float64)
-
-    def normal(*shape: int) -> Tensor:
-        return torch.randn(*shape, generator=generator, dtype=torch.float64)
-
-    focal = float(cameras.K[0, 0, 0])
-    z = 2 + 4 * uniform(count)
-    spread = torch.tensor([cameras.width, cameras.height], dtype=torch.float64) / focal
-    xy = (uniform(count, 2) - 0.5) * 1.2 * spread * z[:, None]
-    return Gaussians(
-        torch.cat([xy, z[:, None]], 1),
-        normal(count, 4),
-        torch.exp(0.5 * normal(count, 3)) * (pixels / focal * z[:, None]),
-        opacity[0] + (opacity[1] - opacity[0]) * uniform(count),
-        0.4 * normal(count, (degree + 1) ** 2, 3),
-    )
-
-
 def changed(cameras: Cameras, **entries: float) -> Cameras:
     """`cameras` with other fx, fy, cx or cy."""
     K = cameras.K.clone()
@@ -192,8 +144,8 @@ def cases() -> Iterator[Case]:
     for z, place in ((0.0, "at the camera"), (1e-7, "1e-7 before it"), (-3.0, "behind it"), (126.0, "beyond far")):
         yield Case("5", f"centre {place}", single(means=[0.0, 0, z]), small, "nothing")
     yield Case("5", "centre on the near plane", single(means=[0.0, 0, 0.025], scales=[0.0025] * 3), small)
-    wide = changed(camera(32, 32, 120), cx=3.2)
-    scene = cloud(60, wide, pixels=4.0)
+    wide = changed(camera(32, 32, field_of_view=120), cx=3.2)
+    scene = cloud(60, 60, wide, pixels=4.0)
     scene.means[:, :2] *= 2.5
     yield Case("6, 41", "far off-axis, 120°, cx at 0.1", scene, wide, gradient=1e-3, flips=0.005)
     for opacity in (1 / 255, 1 - 1e-9, 1.0):
@@ -201,38 +153,38 @@ def cases() -> Iterator[Case]:
     for opacity in (0.0, 1 / 256):
         yield Case("7, 36", f"opacity {opacity:.4g}", single(opacities=opacity), small, "nothing")
     pixel = camera(1, 1)
-    yield Case("8, 37", "10,000 opaque on one pixel", cloud(10_000, pixel, opacity=(0.9, 1), pixels=1), pixel,
+    yield Case("8, 37", "10,000 opaque on one pixel", cloud(10_000, 10_000, pixel, opacity=(0.9, 1), pixels=1), pixel,
                flips=1.0, gradient=1e-3)  # fmt: skip
-    yield Case("9", "10,000 of opacity 1/254 to 1/250 on one pixel", cloud(
-        10_000, pixel, opacity=(1 / 254, 1 / 250), pixels=30), pixel, flips=1.0, gradient=5e-3)  # fmt: skip
+    faint = cloud(10_000, 10_000, pixel, opacity=(1 / 254, 1 / 250), pixels=30)
+    yield Case("9", "10,000 of opacity 1/254 to 1/250 on one pixel", faint, pixel, flips=1.0, gradient=5e-3)
     pair = stacked(single(sh=[[1.0, -2, -2]]), single(sh=[[-2.0, -2, 1]]))
     yield Case("10", "equal depths keep their given order", pair, small)
-    yield Case("11", "no Gaussians", cloud(0, small), small, "nothing")
+    yield Case("11", "no Gaussians", cloud(0, 0, small), small, "nothing")
     yield Case("11", "none in view", single(means=[0.0, 50, 3]), small, "nothing")
     for height, width in ((1, 1), (17, 33), (4096, 8)):
         odd = camera(height, width)
-        scene, what = cloud(100, odd, pixels=3), f"{height} × {width} pixels"
+        scene, what = cloud(100, 100, odd, pixels=3), f"{height} × {width} pixels"
         if height < 4096:
             yield Case("12", what, scene, odd, flips=0.002, gradient=1e-3)
         else:
             note = "float32 tells pixel 4,096 to 1/4,096 px"
             yield Case("12", what, scene, odd, flips=0.005, gradient=1e-3, note=note)
     for angle in (1.0, 170.0):
-        seen = camera(24, 32, angle)
-        yield Case("13", f"field of view {angle:g}°", cloud(80, seen), seen, flips=0.003, gradient=1e-3)
+        seen = camera(24, 32, field_of_view=angle)
+        yield Case("13", f"field of view {angle:g}°", cloud(80, 80, seen), seen, flips=0.003, gradient=1e-3)
     odd = changed(small, cx=40.0, fy=0.6 * float(small.K[0, 1, 1]))
-    yield Case("13", "principal point outside, fx ≠ fy", cloud(150, odd), odd, flips=0.003, gradient=1e-3)
-    distant = away(cloud(60, small), small, 1e6)
+    yield Case("13", "principal point outside, fx ≠ fy", cloud(150, 150, odd), odd, flips=0.003, gradient=1e-3)
+    distant = away(cloud(60, 60, small), small, 1e6)
     yield Case("14", "1e6 units from the origin", *distant, flips=0.005, gradient=1e-3)
     for scale in (1e-6, 1e6):
-        grown, limits = sized(cloud(60, small), scale)
+        grown, limits = sized(cloud(60, 60, small), scale)
         what = f"scene of size {scale:g}"
         yield Case("15", what, grown, small, settings=limits, flips=0.005, gradient=1e-3)
     wild = stacked(single(sh=[[1e10, -1e10, 0]]), single())
     yield Case("16, 45", "SH of ±1e10 beside a sound one", wild, small, note="colours are clamped to [0, 1e6]")
     for value in (math.nan, math.inf):
         yield Case("17", f"{value} in a centre", single(means=[value, 0, 3.0]), small, "refuse")
-    many = cloud(1_000_000, pixel, pixels=0.5, opacity=(1 / 255, 0.02), degree=0)
+    many = cloud(1_000_000, 1_000_000, pixel, pixels=0.5, opacity=(1 / 255, 0.02), degree=0)
     yield Case("18", "a million in one tile", many, pixel, flips=1.0, gradient=5e-3)
     yield Case("18", "a million that each cover 4,096 tiles", replace(
         many, scales=many.scales * 1e6, opacities=many.opacities * 0 + 0.9), camera(1024, 1024), "refuse")  # fmt: skip
@@ -311,7 +263,7 @@ def measure(case: Case) -> Measured:
 
 def threads() -> Measured:
     """Row 19: the same bits from one thread and from all; gradients for the same number of threads."""
-    case = rounded(Case("19", "", cloud(3000, camera(240, 320)), camera(240, 320)))
+    case = rounded(Case("19", "", cloud(3000, 3000, camera(240, 320)), camera(240, 320)))
     every = outcome(case, "cpu", torch.float32)
     again = outcome(case, "cpu", torch.float32)
     numba.set_num_threads(1)
@@ -330,7 +282,7 @@ def poison() -> Measured:
     small, held, tried = camera(12, 12), 0, 0
     for name in FIELDS:
         for value in POISON:
-            scene = rounded(Case("46", "", cloud(12, small, degree=0), small)).gaussians.to(torch.float32)
+            scene = rounded(Case("46", "", cloud(12, 12, small, degree=0), small)).gaussians.to(torch.float32)
             getattr(scene, name)[5] = value
             case = Case("46", "", scene, small)
             tried += 1
@@ -352,13 +304,13 @@ def sweeps() -> dict[str, dict[str, list[float]]]:
         ]
         for name, turn in TURNS.items()
     }
-    detail = cloud(60, camera(24, 32))
+    detail = cloud(60, 60, camera(24, 32))
     curves["distance from the origin"] = [
         (kappa, Case("", "", *away(detail, camera(24, 32), kappa))) for kappa in KAPPAS
     ]
     pixel = camera(1, 1)
     curves["Gaussians on one pixel"] = [
-        (float(count), Case("", "", cloud(count, pixel, opacity=(1 / 250, 1 / 240), pixels=30), pixel))
+        (float(count), Case("", "", cloud(count, count, pixel, opacity=(1 / 250, 1 / 240), pixels=30), pixel))
         for count in (1, 10, 100, 1000, 10_000, 100_000)
     ]
     result = {}

@@ -1,14 +1,13 @@
 """The released arithmetic, as fixtures hold it, and that the program which compares with it can fail."""
 
-import importlib.util
 import json
-import sys
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 import torch
 from safetensors.torch import load_file, save_file
+
+import parity
 
 ROOT = Path(__file__).resolve().parents[2]
 GOLDEN = ROOT.parent / "shared" / "golden"
@@ -27,17 +26,6 @@ UNITS = [
 ]
 
 
-@pytest.fixture(scope="module")
-def parity() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("parity", ROOT / "benchmarks" / "parity.py")
-    assert spec
-    assert spec.loader
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["parity"] = module
-    spec.loader.exec_module(module)
-    return module
-
-
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """A copy of one small golden unit, to be tampered with."""
@@ -49,7 +37,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("unit", UNITS)
-def test_golden_unit(parity: ModuleType, unit: str) -> None:
+def test_golden_unit(unit: str) -> None:
     path = GOLDEN / f"{unit}.json"
     if not path.is_file():
         pytest.skip(f"no golden fixture {path}")
@@ -58,7 +46,7 @@ def test_golden_unit(parity: ModuleType, unit: str) -> None:
     assert row["ok"], row
 
 
-def test_prints_one_json_object(parity: ModuleType, folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_prints_one_json_object(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (folder / "newcomer.json").write_text('{"unit": "newcomer"}')
     save_file({"a": torch.zeros(1)}, folder / "newcomer.safetensors")
     assert parity.main([str(folder), "--json"]) == 0
@@ -69,9 +57,7 @@ def test_prints_one_json_object(parity: ModuleType, folder: Path, capsys: pytest
 
 
 @pytest.mark.parametrize("change", ["value", "not a number", "shape", "weight's name", "output"])
-def test_fails_when_something_is_wrong(
-    parity: ModuleType, folder: Path, change: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_fails_when_something_is_wrong(folder: Path, change: str, capsys: pytest.CaptureFixture[str]) -> None:
     tensors = load_file(folder / "geometry_head.safetensors")
     description = json.loads((folder / "geometry_head.json").read_text())
     if change == "value":
@@ -91,14 +77,14 @@ def test_fails_when_something_is_wrong(
     assert not json.loads(capsys.readouterr().out)["units"]["geometry_head"]["ok"]
 
 
-def test_an_output_that_a_fixture_lacks_is_not_asked_for(parity: ModuleType, folder: Path) -> None:
+def test_an_output_that_a_fixture_lacks_is_not_asked_for(folder: Path) -> None:
     tensors = load_file(folder / "geometry_head.safetensors")
     del tensors["with_z_offset"]
     save_file(tensors, folder / "geometry_head.safetensors")
     assert parity.main([str(folder)]) == 0
 
 
-def test_an_empty_folder_is_refused(parity: ModuleType, tmp_path: Path) -> None:
+def test_an_empty_folder_is_refused(tmp_path: Path) -> None:
     with pytest.raises(SystemExit) as stopped:
         parity.main([str(tmp_path)])
     assert stopped.value.code == 2

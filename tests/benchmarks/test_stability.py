@@ -1,33 +1,17 @@
 """Every row of docs/stability.md holds where the tests run, too."""
 
-import importlib.util
-import sys
-from pathlib import Path
-from types import ModuleType
-
 import pytest
 
-PROGRAM = Path(__file__).resolve().parents[2] / "benchmarks" / "stability.py"
+import stability
 
 
-@pytest.fixture(scope="module")
-def stability() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("stability", PROGRAM)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["stability"] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-def test_every_case_holds(stability: ModuleType) -> None:
+def test_every_case_holds() -> None:
     rows = [stability.measure(case) for case in stability.cases()] + [stability.threads(), stability.poison()]
     assert len(rows) > 40
     assert [row for row in rows if not row.holds] == []
 
 
-def test_a_wrong_picture_is_seen(stability: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_wrong_picture_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
     """The program can fail: an error of 1e-4 in every colour of the kernel is one."""
     honest = stability.render
 

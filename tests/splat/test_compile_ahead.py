@@ -1,11 +1,11 @@
 """What is compiled ahead is what a picture and its loss need, and nothing is compiled again."""
 
 import torch
-from splat_scenes import camera, cloud
 
 from querysplat_cli.splat.compile_ahead import SIGNATURES, compile_ahead
 from querysplat_cli.splat.render import render
 from querysplat_cli.splat.similarity import photometric_loss
+from scenes import camera, cloud
 
 
 def test_nothing_is_left_to_compile() -> None:

@@ -11,11 +11,11 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 from scipy.special import sph_harm_y
-from splat_scenes import camera, cloud
 
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.splat.render import render
+from scenes import camera, cloud
 
 
 def harmonic(degree: int, order: int, direction: np.ndarray) -> float:

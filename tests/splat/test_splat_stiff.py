@@ -1,7 +1,7 @@
 """Extreme and badly conditioned scenes. Numbers in brackets are rows of docs/stability.md."""
 
 import math
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numba
 import numpy as np
@@ -10,7 +10,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-from splat_scenes import FIELDS, as_kernel_sees, assert_agree, camera, cloud, outcome
+from splat_scenes import as_kernel_sees, assert_agree, outcome
 from torch import Tensor
 
 from querysplat_cli.errors import QuerySplatError
@@ -19,24 +19,9 @@ from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.sim3 import Sim3
 from querysplat_cli.splat import cpu
 from querysplat_cli.splat.render import RenderSettings, render
+from scenes import FIELDS, camera, cloud, single, stacked
 
 BACKENDS = ("reference", "cpu")
-
-
-def single(**changes: object) -> Gaussians:
-    """One sound Gaussian in front of `camera`, float64, with the named fields replaced by one row each."""
-    rows: dict[str, object] = {
-        "means": [0.0, 0.0, 3.0],
-        "quats": [1.0, 0.0, 0.0, 0.0],
-        "scales": [0.3, 0.3, 0.3],
-        "opacities": 0.7,
-        "sh": [[0.5, 0.1, -0.2]],
-    }
-    return Gaussians(**{name: torch.tensor([value], dtype=torch.float64) for name, value in (rows | changes).items()})
-
-
-def stacked(*parts: Gaussians) -> Gaussians:
-    return Gaussians(**{f.name: torch.cat([getattr(part, f.name) for part in parts]) for f in fields(Gaussians)})
 
 
 def all_finite(gaussians: Gaussians, cameras: Cameras, backend: str) -> Tensor:

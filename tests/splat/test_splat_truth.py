@@ -7,13 +7,14 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from splat_scenes import FIELDS, as_kernel_sees, assert_agree, camera, cloud, outcome
+from splat_scenes import as_kernel_sees, assert_agree, outcome
 
 from querysplat_cli.errors import MissingPart, QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.splat.projection import colours
 from querysplat_cli.splat.render import RenderSettings, contributions, render
+from scenes import FIELDS, camera, cloud
 
 SMOOTH = RenderSettings(alpha_min=1e-30, transmittance_min=0.0, alpha_max=1.0)
 """No steps within reach, so that finite differences tell the truth."""
