@@ -43,7 +43,7 @@ def stored() -> tuple[StoredScene, Gaussians]:
     depth = torch.full(inputs.masks.shape, 3.0)
     anchors, _ = build_anchors(inputs, cameras, depth, torch.ones_like(depth), patch=6)
     generator = torch.Generator().manual_seed(2)
-    memories = Memories(*(torch.randn(5 + i // 2, 2, 3, generator=generator).half().float() for i in range(4)))
+    memories = Memories(*(torch.randn(5 + i // 2, 2, 3, generator=generator) for i in range(4)))
     gaussians = Gaussians(
         torch.randn(7, 3, generator=generator) + torch.tensor([0.0, 0, 4]),
         torch.nn.functional.normalize(torch.randn(7, 4, generator=generator), dim=-1),
@@ -82,6 +82,8 @@ def test_round_trip(stored: tuple[StoredScene, Gaussians], tmp_path: Path) -> No
         equal(scene.anchors, found.anchors)
         assert found.model == "compact"
     assert len(read_ply(tmp_path / "s.ply")) == 7
+    files = [tmp_path / "s.ply", *(path for path in (tmp_path / "s").rglob("*") if path.is_file())]
+    assert len({file.stat().st_mode for file in files}) == 1  # all as readable as any other file of the user's
 
 
 @pytest.mark.parametrize("part", ["cameras.json", "report.json", "memories.safetensors", "images/a.png"])

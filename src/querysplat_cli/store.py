@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 from torch import Tensor
 
 from querysplat_cli.errors import QuerySplatError
@@ -76,11 +76,11 @@ def write_scene(ply: Path, scene: StoredScene, gaussians: Gaussians, report: dic
             _write_images(draft / "images", views)
         write_cameras(draft / "cameras.json", scene.cameras, scene.views, heldout=scene.heldout)
         masks = torch.cat([views.masks for views, _ in scene.groups.values()])
-        # Half precision is far finer than a step of the optimiser, and halves the folder.
-        tensors = {"masks": masks, **_flatten("memories", scene.memories.map(Tensor.half))}
+        tensors = {"masks": masks, **_flatten("memories", scene.memories)}
         if scene.anchors is not None:
             tensors |= _flatten("anchors", scene.anchors)
-        save_file(tensors, draft / "memories.safetensors", metadata={"model": scene.model})
+        # By our own hand, since save_file makes files that nobody else may read.
+        (draft / "memories.safetensors").write_bytes(save(tensors, metadata={"model": scene.model}))
         (draft / "report.json").write_text(json.dumps(report, indent=2) + "\n")
         write_preview(draft / "preview.png", gaussians, scene.groups)
     return written

@@ -59,6 +59,8 @@ def _table(report: dict[str, Any]) -> Table:
     for group, quality in report["quality"].items():
         if quality:
             table.add_row(f"{group} views", _quality_text(quality))
+    for run in report["tto"]:
+        table.add_row("tto", _tto_text(run))
     for part in report["left_out"]:
         table.add_row("left out", f"{part['what']}: {part['why']} (saved {part['saved']})")
     for doubt in report["doubts"]:
@@ -78,6 +80,12 @@ def _quality_text(quality: dict[str, Any]) -> str:
         difference = quality["pose_difference"]
         text += f"; the two differ by {difference['degrees']:.2f}°, {difference['pixels']:.1f} px"
     return text
+
+
+def _tto_text(run: dict[str, Any]) -> str:
+    text = f"{run['steps']} steps, loss {run['loss_before']:.4f} → {run['loss_after']:.4f}"
+    kept = run["steps"] and run["loss_after"] == run["loss_before"]
+    return f"{text}, no better: the state before was kept" if kept else text
 
 
 def print_rendered(rendered: Rendered, *, quiet: bool, as_json: bool) -> None:
