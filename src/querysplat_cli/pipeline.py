@@ -166,7 +166,8 @@ def optimise_scene(
         scene, before = read_scene(path)
         model = load(scene.model).to(find_device(device))
     with stages("tto") as progress:
-        plan = plan_tto(steps, views=len(scene.views), gaussians=before["gaussians"], lr=lr)
+        resumed = any(run["steps"] for run in before["tto"])
+        plan = plan_tto(steps, views=len(scene.views), gaussians=before["gaussians"], lr=lr, resumed=resumed)
         tto, gaussians = _optimise(
             model, scene.memories, scene.anchors, scene.views, scene.cameras, plan, seed, progress
         )

@@ -107,11 +107,12 @@ def test_the_score_is_that_of_the_files(scene: tuple[Path, dict[str, Any]], tmp_
 
 def test_tto_takes_the_scene_up(scene: tuple[Path, dict[str, Any]], capsys: pytest.CaptureFixture[str]) -> None:
     ply, before = scene
-    assert run(["tto", str(ply.with_suffix("")), "--steps", "8", "--lr", "0.01", "--json", "-q"]) == 0
+    assert run(["tto", str(ply.with_suffix("")), "--steps", "12", "--json", "-q"]) == 0
     after = json.loads(capsys.readouterr().out)
     assert after == json.loads((ply.with_suffix("") / "report.json").read_text())
     assert after["quality"]["input"]["psnr"] > before["quality"]["input"]["psnr"]
-    assert [part["steps"] for part in after["tto"]] == [6, 8]
+    assert [part["steps"] for part in after["tto"]] == [6, 12]
+    assert after["tto"][1]["lr"] < before["tto"][0]["lr"]
     assert run(["tto", str(ply), "--steps", "0", "--json", "-q"]) == 0  # by the .ply, and doing nothing
     again = json.loads(capsys.readouterr().out)
     assert again["quality"]["input"]["psnr"] == after["quality"]["input"]["psnr"]

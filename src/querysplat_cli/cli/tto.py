@@ -11,7 +11,10 @@ from querysplat_cli.cli.options import Device, Json, Quiet, Seed, number_or_auto
 def tto(
     scene: Annotated[Path, typer.Argument(help="The folder that `reconstruct` wrote, or the .ply beside it.")],
     steps: Annotated[str, typer.Option(metavar="STEPS|auto", help="Optimisation steps.")] = "auto",
-    lr: Annotated[float | None, typer.Option(min=1e-8, help="Learning rate; the model's own by default.")] = None,
+    lr: Annotated[
+        float | None,
+        typer.Option(min=1e-8, help="Learning rate; 0.02, or 0.005 for a scene that was optimised before."),
+    ] = None,
     device: Device = "auto",
     seed: Seed = 42,
     quiet: Quiet = False,

@@ -21,6 +21,10 @@ from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.tto.rendering_loss import RenderingLoss
 
 
+WARM_UP = 10
+"""Steps until the full rate: Adam's first ones move every number by as much, whatever its gradient."""
+
+
 @dataclass(frozen=True)
 class TtoSettings:
     """How to optimise. `views_per_step` None takes every view in every step, as the paper's release does;
@@ -60,7 +64,7 @@ def optimise_memories(
     generator: torch.Generator,
     progress: Callable[[TtoStep], None] = lambda step: None,
 ) -> TtoResult:
-    """Adam (β 0.9, 0.999) on the four memory tensors, its rate falling to a tenth along a cosine.
+    """Adam (β 0.9, 0.999) on the four memory tensors, its rate rising over ten steps and falling to a tenth along a cosine.
 
     When Gaussians or gradients stop being finite it starts again at half the rate, with the steps that are
     left; a last state that is worse than the first over all views is dropped.
@@ -84,7 +88,8 @@ def optimise_memories(
         if not _finite([tensor.grad for tensor in _tensors(variables) if tensor.grad is not None]):
             variables, optimiser, rate = _start(memories, rate / 2)
             continue
-        optimiser.param_groups[0]["lr"] = rate * (0.55 + 0.45 * math.cos(math.pi * step / settings.steps))
+        fall = 0.55 + 0.45 * math.cos(math.pi * step / settings.steps)
+        optimiser.param_groups[0]["lr"] = rate * fall * min(1.0, (step + 1) / WARM_UP)
         optimiser.step()
     adapted = variables.map(Tensor.detach)
     with torch.no_grad():

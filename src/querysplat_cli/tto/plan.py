@@ -3,6 +3,8 @@
 from querysplat_cli.tto.features import TtoSettings
 
 LEARNING_RATE = 0.02
+RESUMED_LEARNING_RATE = 0.005
+"""For memories that were optimised before: from there the full rate leads uphill first."""
 VIEWS_PER_STEP = 3
 STEPS = (40, 150)
 """Fewest and most steps of an automatic plan; what more of them bring on held-out photos is little."""
@@ -13,11 +15,14 @@ STEP_COST, GAUSSIAN_COST = 0.047, 1.65e-6
 the same seed gives the same scene however busy the machine is."""
 
 
-def plan_tto(steps: int | None, *, views: int, gaussians: int, lr: float | None = None) -> TtoSettings:
+def plan_tto(
+    steps: int | None, *, views: int, gaussians: int, lr: float | None = None, resumed: bool = False
+) -> TtoSettings:
     """Settings for `steps` steps, or for as many as usually pay (None)."""
+    usual = RESUMED_LEARNING_RATE if resumed else LEARNING_RATE
     affordable = int(WORK / (STEP_COST + GAUSSIAN_COST * gaussians))
     return TtoSettings(
         steps=min(max(affordable, STEPS[0]), STEPS[1]) if steps is None else steps,
-        lr=LEARNING_RATE if lr is None else lr,
+        lr=usual if lr is None else lr,
         views_per_step=VIEWS_PER_STEP if views > VIEWS_PER_STEP else None,
     )
