@@ -20,7 +20,6 @@ from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.tto.rendering_loss import RenderingLoss
 
-
 WARM_UP = 10
 """Steps until the full rate: Adam's first ones move every number by as much, whatever its gradient."""
 
@@ -64,9 +63,9 @@ def optimise_memories(
     generator: torch.Generator,
     progress: Callable[[TtoStep], None] = lambda step: None,
 ) -> TtoResult:
-    """Adam (β 0.9, 0.999) on the four memory tensors, its rate rising over ten steps and falling to a tenth along a cosine.
+    """Adam (β 0.9, 0.999) on the four memory tensors.
 
-    When Gaussians or gradients stop being finite it starts again at half the rate, with the steps that are
+    Its rate rises over the first steps and falls to a tenth along a cosine. When Gaussians or gradients stop being finite it starts again at half the rate, with the steps that are
     left; a last state that is worse than the first over all views is dropped.
     """
     everything = list(range(len(target.views)))
