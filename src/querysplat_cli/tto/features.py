@@ -65,8 +65,9 @@ def optimise_memories(
 ) -> TtoResult:
     """Adam (β 0.9, 0.999) on the four memory tensors.
 
-    Its rate rises over the first steps and falls to a tenth along a cosine. When Gaussians or gradients stop being finite it starts again at half the rate, with the steps that are
-    left; a last state that is worse than the first over all views is dropped.
+    Its rate rises over the first steps and falls to a tenth along a cosine. When Gaussians or gradients stop
+    being finite it starts again at half the rate, with the steps that are left; a last state that is worse
+    than the first over all views is dropped.
     """
     everything = list(range(len(target.views)))
     with torch.no_grad():
