@@ -20,18 +20,16 @@ from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.tto.rendering_loss import RenderingLoss
 
-WARM_UP = 10
-"""Steps until the full rate: Adam's first ones move every number by as much, whatever its gradient."""
-
 
 @dataclass(frozen=True)
 class TtoSettings:
     """How to optimise. `views_per_step` None takes every view in every step, as the paper's release does;
-    a number draws that many, each view once before any comes again."""
+    a number draws that many, each view once before any comes again. The rate rises over `warm_up` steps."""
 
     steps: int
     lr: float
     views_per_step: int | None = None
+    warm_up: int = 0
 
 
 @dataclass(frozen=True)
@@ -65,9 +63,9 @@ def optimise_memories(
 ) -> TtoResult:
     """Adam (β 0.9, 0.999) on the four memory tensors.
 
-    Its rate rises over the first steps and falls to a tenth along a cosine. When Gaussians or gradients stop
-    being finite it starts again at half the rate, with the steps that are left; a last state that is worse
-    than the first over all views is dropped.
+    Its rate falls to a tenth along a cosine. When Gaussians or gradients stop being finite it starts again at
+    half the rate, with the steps that are left; a last state that is worse than the first over all views is
+    dropped.
     """
     everything = list(range(len(target.views)))
     with torch.no_grad():
@@ -89,7 +87,7 @@ def optimise_memories(
             variables, optimiser, rate = _start(memories, rate / 2)
             continue
         fall = 0.55 + 0.45 * math.cos(math.pi * step / settings.steps)
-        optimiser.param_groups[0]["lr"] = rate * fall * min(1.0, (step + 1) / WARM_UP)
+        optimiser.param_groups[0]["lr"] = rate * fall * min(1.0, (step + 1) / max(1, settings.warm_up))
         optimiser.step()
     adapted = variables.map(Tensor.detach)
     with torch.no_grad():

@@ -3,8 +3,9 @@
 from querysplat_cli.tto.features import TtoSettings
 
 LEARNING_RATE = 0.02
-RESUMED_LEARNING_RATE = 0.005
-"""For memories that were optimised before: from there the full rate leads uphill first."""
+RESUMED_LEARNING_RATE, RESUMED_WARM_UP = 0.005, 10
+"""For memories that were optimised before: Adam's first steps move every number by as much, whatever its gradient,
+which helps a fresh scene (held out, dtu106 gains 0.3 dB and fortress loses 0.1) but leads an optimised one uphill."""
 VIEWS_PER_STEP = 3
 STEPS = (40, 150)
 """Fewest and most steps of an automatic plan; what more of them bring on held-out photos is little."""
@@ -25,4 +26,5 @@ def plan_tto(
         steps=min(max(affordable, STEPS[0]), STEPS[1]) if steps is None else steps,
         lr=usual if lr is None else lr,
         views_per_step=VIEWS_PER_STEP if views > VIEWS_PER_STEP else None,
+        warm_up=RESUMED_WARM_UP if resumed else 0,
     )
