@@ -33,7 +33,7 @@ from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.views import Views
 
 LOSSLESS_SUFFIXES = {".png", ".bmp", ".tif", ".tiff"}
-JPEG_SETTINGS = (cv2.IMWRITE_JPEG_QUALITY, 98, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
+JPEG_SETTINGS = (cv2.IMWRITE_JPEG_QUALITY, 100, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
 
 
 @dataclass(frozen=True)
