@@ -22,4 +22,4 @@ def test_kernel_agrees_on_a_real_scene(name: str, real_photos: Path, tmp_path: P
     K = cameras.K.clone()
     K[:, 0, 2] -= (cameras.width - 32) / 2
     K[:, 1, 2] -= (cameras.height - 24) / 2
-    assert_agree(read_ply(ply), replace(cameras, K=K, width=32, height=24), flips=0.02, gradient=1e-3, depth=False)
+    assert_agree(read_ply(ply), replace(cameras, K=K, width=32, height=24), depth=False)
