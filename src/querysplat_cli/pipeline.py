@@ -81,10 +81,10 @@ def reconstruct(settings: ReconstructSettings, stages: Stages) -> Report:
     refuse_existing([settings.ply, scene_folder(settings.ply)], force=settings.force)
     check_writable(settings.ply.parent)
     device = find_device(settings.device)
-    if device.type == "cpu":
-        compile_ahead()
     with stages("photos") as progress:
         photos, unread = load_photos(find_photos(settings.inputs), progress=progress)
+    if device.type == "cpu":
+        compile_ahead()
     with stages("model"):
         model = load(settings.preset).to(device)
         encoder = find_encoder(settings.encoder)

@@ -7,8 +7,7 @@ from torch import Tensor
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.views import Views
-
-SH_BAND_0 = 0.28209479177387814
+from querysplat_cli.splat.conventions import SH_0
 
 
 def back_project(
@@ -22,10 +21,8 @@ def back_project(
     colour = torch.nn.functional.avg_pool2d(views.images, stride).permute(0, 2, 3, 1)
     inside = torch.nn.functional.avg_pool2d(views.masks[:, None].float(), stride)[:, 0] > 0.5
     rows, columns = ((torch.arange(size) + 0.5) * stride for size in z.shape[1:])
-    fx, fy, cx, cy = (cameras.K[:, i, j, None, None] for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
-    local = torch.stack([(columns - cx) / fx * z, (rows[:, None] - cy) / fy * z, z], -1)
-    c2w = cameras.c2w
-    means = torch.einsum("vij,vrcj->vrci", c2w[:, :3, :3], local) + c2w[:, None, None, :3, 3]
+    means = cameras.unproject(z, columns, rows)
+    fx, fy = (cameras.K[:, i, i, None, None] for i in (0, 1))
     scales = 0.6 * stride * z / (fx * fy).sqrt()
     count = int(inside.sum())
     return Gaussians(
@@ -33,5 +30,5 @@ def back_project(
         quats=torch.tensor([1.0, 0, 0, 0]).expand(count, 4).contiguous(),
         scales=scales[inside][:, None].expand(count, 3).contiguous(),
         opacities=torch.full((count,), 0.9),
-        sh=((colour[inside] - 0.5) / SH_BAND_0)[:, None],
+        sh=((colour[inside] - 0.5) / SH_0)[:, None],
     )

@@ -355,10 +355,7 @@ def _patch_positions(cameras: Cameras, depth: Tensor, patch: int) -> Float[Tenso
     z = depth[:, middle::patch, middle::patch]
     rows = torch.arange(z.shape[1]) * patch + middle + 0.5
     columns = torch.arange(z.shape[2]) * patch + middle + 0.5
-    fx, fy, cx, cy = (part[:, None, None] for part in _intrinsics(cameras))
-    local = torch.stack([(columns - cx) / fx * z, (rows[:, None] - cy) / fy * z, z], -1)
-    c2w = cameras.c2w
-    return (torch.einsum("vij,vrcj->vrci", c2w[:, :3, :3], local) + c2w[:, None, None, :3, 3]).reshape(-1, 3)
+    return cameras.unproject(z, columns, rows).reshape(-1, 3)
 
 
 def _neighbours(points: Tensor, spacing: Tensor, rows: Tensor, near: int) -> Neighbours:

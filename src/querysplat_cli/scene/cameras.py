@@ -62,6 +62,15 @@ class Cameras:
         """Camera centres in the world."""
         return self.c2w[:, :3, 3]
 
+    def unproject(
+        self, depth: Float[Tensor, "views rows columns"], x: Float[Tensor, "columns"], y: Float[Tensor, "rows"]
+    ) -> Float[Tensor, "views rows columns 3"]:
+        """World points of the given camera z at pixels (x, y)."""
+        fx, fy, cx, cy = (self.K[:, i, j, None, None] for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
+        local = torch.stack([(x - cx) / fx * depth, (y[:, None] - cy) / fy * depth, depth], -1)
+        c2w = self.c2w
+        return torch.einsum("vij,vrcj->vrci", c2w[:, :3, :3], local) + c2w[:, None, None, :3, 3]
+
     def to(self, target: torch.dtype | torch.device | str) -> "Cameras":
         return replace(self, w2c=self.w2c.to(target), K=self.K.to(target))
 

@@ -20,10 +20,7 @@ def patch_features(
     z = depth[:, middle::PATCH, middle::PATCH]
     rows = torch.arange(z.shape[1]) * PATCH + middle + 0.5
     columns = torch.arange(z.shape[2]) * PATCH + middle + 0.5
-    fx, fy, cx, cy = (cameras.K[:, i, j, None, None] for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
-    local = torch.stack([(columns - cx) / fx * z, (rows[:, None] - cy) / fy * z, z], -1)
-    c2w = cameras.c2w
-    world = torch.einsum("vij,vrcj->vrci", c2w[:, :3, :3], local) + c2w[:, None, None, :3, 3]
+    world = cameras.unproject(z, columns, rows)
     across, down = torch.gradient(world, dim=(2, 1))
     normal = torch.nn.functional.normalize(torch.linalg.cross(down, across), dim=-1)
     images = located.views.images
