@@ -12,7 +12,7 @@ import querysplat_cli
 ROOT = Path(querysplat_cli.__file__).parent
 MODULES = sorted(ROOT.rglob("*.py"))
 LAYERS = [
-    {"errors", "progress", "device"},
+    {"errors", "progress", "device", "precision", "tensor_files"},
     {"scene"},
     {"model", "encoders", "splat"},
     {"tto", "training", "evaluation"},

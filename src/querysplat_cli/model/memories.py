@@ -11,9 +11,7 @@ from torch.nn import functional as F
 from querysplat_cli.model.anchors import Anchors, Neighbours
 from querysplat_cli.model.config import ModelConfig
 from querysplat_cli.scene.cameras import Cameras
-
-IMAGENET_MEAN = (0.485, 0.456, 0.406)
-IMAGENET_STD = (0.229, 0.224, 0.225)
+from querysplat_cli.scene.fit import normalised
 
 
 @dataclass(frozen=True)
@@ -122,8 +120,7 @@ class PhotoEmbedding(nn.Module):
     def forward(
         self, images: Float[Tensor, "views 3 height width"], cameras: Cameras
     ) -> Float[Tensor, "patches channels"]:
-        mean, std = (images.new_tensor(part)[:, None, None] for part in (IMAGENET_MEAN, IMAGENET_STD))
-        colour = self.colour((images - mean) / std).flatten(2).mT
+        colour = self.colour(normalised(images)).flatten(2).mT
         rays = self.rays(plucker_rays(cameras).to(images)).flatten(2).mT
         return (self.colour_norm(colour) + self.rays_norm(rays)).flatten(0, 1)
 
