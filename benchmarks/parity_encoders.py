@@ -8,7 +8,7 @@ from torch import nn
 
 from golden import Fixture, Tensors
 from parity_model import querysplat_outputs
-from querysplat_cli.encoders.aggregator import AggregatorConfig
+from querysplat_cli.encoders.config import VgmConfig
 from querysplat_cli.encoders.pose import decode_pose, encode_pose
 from querysplat_cli.encoders.vggt import heads as vggt_heads
 from querysplat_cli.encoders.vggt.aggregator import VggtAggregator
@@ -32,10 +32,10 @@ CONFIG_NAMES = {
 }
 
 
-def aggregator_config(settings: dict[str, Any]) -> AggregatorConfig:
+def vgm_config(settings: dict[str, Any]) -> VgmConfig:
     chosen = {ours: settings[theirs] for theirs, ours in CONFIG_NAMES.items() if theirs in settings}
     sequences = {name: tuple(value) for name, value in chosen.items() if isinstance(value, list)}
-    return AggregatorConfig(**{**chosen, **sequences, "registers": settings["registers"]})
+    return VgmConfig(**{**chosen, **sequences, "registers": settings["registers"]})
 
 
 Part = TypeVar("Part", bound=nn.Module)
@@ -47,7 +47,7 @@ def loaded(part: Part, state: Tensors) -> Part:
 
 
 def omega_aggregator(fixture: Fixture) -> Tensors:
-    model = loaded(OmegaAggregator(aggregator_config(fixture.settings)), fixture.state)
+    model = loaded(OmegaAggregator(vgm_config(fixture.settings)), fixture.state)
     patch = model.config.patch
     rotation = model.rotation(*(side // patch for side in fixture.settings["image_hw"]))
     rows = []
@@ -117,7 +117,7 @@ def omega_depth_head(fixture: Fixture) -> Tensors:
 
 def vggt_aggregator(fixture: Fixture) -> Tensors:
     settings = {"storage_tokens": fixture.settings["registers"], "register_blocks": [], **fixture.settings}
-    model = loaded(VggtAggregator(aggregator_config(settings)), fixture.state)
+    model = loaded(VggtAggregator(vgm_config(settings)), fixture.state)
     rows = [layers(model, images) for images in fixture.tensors["images"]]
     made = {name: torch.stack([row[name] for row in rows]) for name in rows[0]}
     return {"patch_tokens": model.patch_embed(normalised(fixture.tensors["images"].flatten(0, 1))), **made}
@@ -149,7 +149,7 @@ def pipeline(fixture: Fixture) -> Tensors:
     """Photos to Gaussians, with one pass of the VGM for cameras, depth and features."""
     settings, dense = fixture.settings, fixture.settings["dense"]
     parts = {part: fixture.neighbour(name) for part, name in fixture.description["state_from"].items()}
-    config = aggregator_config(settings["vggt_omega"])
+    config = vgm_config(settings["vggt_omega"])
     width = 2 * config.width
     aggregator = loaded(OmegaAggregator(config), parts["aggregator"].state)
     camera_settings = parts["camera_head"].settings

@@ -11,32 +11,12 @@ from safetensors.torch import load_file as read_safetensors
 from safetensors.torch import save_file
 
 from querysplat_cli.errors import MissingPart, QuerySplatError
-from querysplat_cli.model.checkpoints import check_tensors, load, load_file, official_config, our_name, save
+from querysplat_cli.model.checkpoints import load, load_file, official_config, our_name, save
 from querysplat_cli.model.config import ModelConfig, preset, preset_names
 from querysplat_cli.model.initialise import initial_model
 from querysplat_cli.model.querysplat import QuerySplat
-
-WEIGHT_AND_BIAS = {
-    "": """patch_embed.proj patch_embed.norm patch_plucker_embed.proj patch_plucker_embed.norm
-        vggt_encoder.eye_layer_mlp.0 vggt_encoder.eye_layer_mlp.1 vggt_encoder.eye_layer_mlp.3 vggt_encoder.output_norm
-        enc_dec_backbone.encoder_norm enc_dec_backbone.kv_proj enc_dec_backbone.k_proj_norm
-        original_encoder_norm original_kv_proj original_k_proj_norm non_rgb_activation_head.deconv
-        post_rgb_delta_head""",
-    "block": """gs_self_attn.norm gs_self_attn.gs_self_attn.qkv gs_self_attn.gs_self_attn.q_norm
-        gs_self_attn.gs_self_attn.k_norm gs_self_attn.gs_self_attn.proj gs_cross_attn.gs_token_norm gs_cross_attn.q_norm
-        gs_cross_attn.q_proj gs_cross_attn.out_proj mlp.norm mlp.mlp.fc1 mlp.mlp.fc2""",
-}
-GAMMAS = ("gs_self_attn_scale.gamma", "gs_cross_attn_scale.gamma", "mlp_scale.gamma")
-
-
-def official_names() -> list[str]:
-    """The 521 names of ../shared/spec/official-checkpoint.md, section 1."""
-    names = ["vggt_encoder.eye_token", "post_rgb_gs_tokens", "gs_tokens"]
-    names += [f"{name}.{part}" for name in WEIGHT_AND_BIAS[""].split() for part in ("weight", "bias")]
-    block = [f"{name}.{part}" for name in WEIGHT_AND_BIAS["block"].split() for part in ("weight", "bias")]
-    for branch, blocks in (("enc_dec_backbone.decoder_blocks", 12), ("post_rgb_decoder_blocks", 6)):
-        names += [f"{branch}.{i}.{name}" for i in range(blocks) for name in (*block, *GAMMAS)]
-    return names
+from querysplat_cli.tensor_files import check_tensors
+from tiny_weights import official_names
 
 
 def small() -> ModelConfig:

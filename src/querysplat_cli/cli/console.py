@@ -55,7 +55,9 @@ def _table(report: dict[str, Any]) -> Table:
     for photo in report["views"]["left_out"]:
         table.add_row("photo left out", f"{photo['name']}: {photo['why']}")
     table.add_row("Gaussians", f"{report['gaussians']:,}")
-    table.add_row("peak memory", f"{report['peak_memory_gib']:.2f} GiB")
+    estimate = report["memory_estimate_gib"]
+    said = f" ({estimate:.2f} GiB expected)" if estimate else ""
+    table.add_row("peak memory", f"{report['peak_memory_gib']:.2f} GiB{said}")
     for group, quality in report["quality"].items():
         if quality:
             table.add_row(f"{group} views", _quality_text(quality))
@@ -78,7 +80,9 @@ def _quality_text(quality: dict[str, Any]) -> str:
         text += f"; {quality[other]['psnr']:.2f} dB with {other} cameras"
     if quality["pose_difference"]:
         difference = quality["pose_difference"]
-        text += f"; the two differ by {difference['degrees']:.2f}°, {difference['pixels']:.1f} px"
+        text += f"; the two differ by {difference['degrees']:.2f}°"
+        if difference["pixels"] is not None:
+            text += f", {difference['pixels']:.1f} px"
     return text
 
 

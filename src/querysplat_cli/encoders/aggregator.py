@@ -1,42 +1,16 @@
 """Alternating attention: every view alone, then all views together. What VGGT and VGGT-Omega share."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
 from querysplat_cli.encoders.blocks import Block
+from querysplat_cli.encoders.config import CHUNK, VgmConfig
 from querysplat_cli.encoders.rotation import Rotation
 from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.scene.fit import normalised
-
-
-@dataclass(frozen=True)
-class AggregatorConfig:
-    """Sizes of a VGM; the defaults are those of VGGT-Omega 1B.
-
-    `layers` are the blocks whose tokens are handed on, counted from 0. In `register_blocks` only the camera
-    and register tokens look at other views. `storage_tokens` are the patch encoder's own; `pretrained_image`
-    is the side, in pixels, of the pictures that a learned grid of positions was trained for.
-    """
-
-    width: int = 1024
-    depth: int = 24
-    vit_depth: int = 24
-    heads: int = 16
-    registers: int = 16
-    storage_tokens: int = 4
-    register_blocks: tuple[int, ...] = (2, 6, 9, 14, 20)
-    layers: tuple[int, ...] = (4, 11, 17, 23)
-    patch: int = 16
-    pretrained_image: int = 512
-
-    @property
-    def special_tokens(self) -> int:
-        """Camera and register tokens, which come before a view's patches."""
-        return 1 + self.registers
 
 
 class Aggregator(nn.Module):
@@ -45,7 +19,7 @@ class Aggregator(nn.Module):
     rotate_across = False
     patch_embed: nn.Module
 
-    def __init__(self, config: AggregatorConfig, *, masked: bool) -> None:
+    def __init__(self, config: VgmConfig, *, masked: bool) -> None:
         super().__init__()
         self.config = config
         self.camera_token = nn.Parameter(torch.zeros(1, 2, 1, config.width))
@@ -81,7 +55,7 @@ class Aggregator(nn.Module):
 
     @torch.no_grad()
     def layers(
-        self, images: Float[Tensor, "views 3 height width"], chunk: int = 16
+        self, images: Float[Tensor, "views 3 height width"], chunk: int = CHUNK
     ) -> Iterator[Float[Tensor, "views tokens channels"]]:
         """The tokens after each block of `config.layers`: [after the frame block ; after the other] by channel.
 

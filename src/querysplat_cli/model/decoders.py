@@ -8,6 +8,7 @@ from torch.nn import functional as F
 
 from querysplat_cli.model.anchors import Neighbours
 from querysplat_cli.model.attention import CrossAttention, LayerScale, SelfAttention
+from querysplat_cli.precision import LayerNorm, Linear
 
 
 class Mlp(nn.Module):
@@ -15,9 +16,9 @@ class Mlp(nn.Module):
 
     def __init__(self, width: int, ratio: float) -> None:
         super().__init__()
-        self.norm = nn.LayerNorm(width)
-        self.fc1 = nn.Linear(width, int(width * ratio))
-        self.fc2 = nn.Linear(int(width * ratio), width)
+        self.norm = LayerNorm(width)
+        self.fc1 = Linear(width, int(width * ratio))
+        self.fc2 = Linear(int(width * ratio), width)
 
     def forward(self, tokens: Float[Tensor, "tokens width"]) -> Float[Tensor, "tokens width"]:
         return self.fc2(F.gelu(self.fc1(self.norm(tokens))))

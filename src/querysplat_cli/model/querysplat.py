@@ -7,6 +7,7 @@ photos, rays ─► appearance K, V ─► appearance decoder ─► opacity, SH
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import torch
 from jaxtyping import Float
@@ -43,6 +44,53 @@ class QuerySplat(nn.Module):
         self.appearance_queries = nn.Parameter(torch.zeros(tokens, width))
         if config.queries == "anchored":
             self.anchor_embedding = nn.Linear(config.anchor_features, width)
+
+    @property
+    def layer_weights(self) -> tuple[float, ...] | None:
+        """How the VGM's layers are mixed, the same for every photo; None where there is one layer."""
+        if self.eye_token is None:
+            return None
+        with torch.no_grad():
+            return tuple(self.layer_mixer.weights(self.eye_token).tolist())
+
+    def keep_queries(self, count: int) -> None:
+        """Keep the first `count` learned queries; raises QuerySplatError when there are not so many."""
+        if count > self.config.query_count:
+            raise QuerySplatError(
+                f"--queries {count}: the model has {self.config.query_count} learned queries", "Ask for fewer."
+            )
+        self.geometry_queries = nn.Parameter(self.geometry_queries[:count], requires_grad=False)
+        self.appearance_queries = nn.Parameter(self.appearance_queries[:count], requires_grad=False)
+        self.config = replace(self.config, query_count=count)
+
+    def check_features(self, features: Sequence[Tensor], height: int, width: int) -> None:
+        """Raises QuerySplatError unless the model can read these features, and pictures of this size."""
+        config = self.config
+        if features[-1].shape[-1] != config.vgm_width or len(features) not in (1, config.mixed_layers):
+            raise QuerySplatError(
+                f"the encoder gives {len(features)} layers of {features[-1].shape[-1]} channels, the model reads "
+                f"{config.mixed_layers} of {config.vgm_width}",
+                "Use the preset's own encoder.",
+            )
+        if config.queries == "learned" and (height % config.patch or width % config.patch):
+            raise QuerySplatError(
+                f"the model reads patches of {config.patch} pixels, the pictures are {width} × {height}",
+                "Choose a --max-size that both patches divide, for instance 448.",
+            )
+
+    def bytes_needed(self, views: int, size: int, special_tokens: int) -> int:
+        """About the most memory that decoding takes, weights, features and memories included."""
+        config = self.config
+        weights = sum(tensor.numel() * tensor.element_size() for tensor in self.state_dict().values())
+        share = self.geometry_memory.proj.weight.element_size() / 4
+        patches = views * (size // config.patch) ** 2
+        tokens = patches + views * special_tokens
+        # Features, their norm, and keys and values with a copy of each while they are joined; photos alike.
+        memory = (2 + 4 * share) * 4 * config.width * (tokens + patches)
+        # Residual stream, a branch's input, its widened result twice, and the raw numbers of both heads.
+        raw = config.gaussians_per_query * (GEOMETRY_CHANNELS + config.appearance_channels)
+        queries = config.query_count * 4 * (config.width * (3 + 2 * config.mlp_ratio * share) + 3 * raw)
+        return int(weights + memory + queries)
 
     def remember(
         self,

@@ -1,13 +1,38 @@
 """Photos to the pictures that a network of fixed size looks at (spec, section 2)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
+import numpy as np
+import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 from torch.nn import functional as F
 
+from querysplat_cli.scene.views import Photo, Views
+
+Fit = Literal["crop", "pad"]
+"""crop: the largest square in the middle. pad: the whole photo, on a canvas that holds the widest and the highest."""
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)
+
+
+def network_views(photos: Sequence[Photo], size: int, patch: int, fit: Fit) -> Views:
+    """The photos as a network sees them: sides of at most `size` pixels, multiples of `patch`.
+
+    A padded photo stands in the middle of its canvas, white around it and masked there, so that its optical
+    axis stays in the middle.
+    """
+    side = size // patch * patch
+    pixels = [torch.from_numpy(np.ascontiguousarray(photo.pixels)).permute(2, 0, 1) for photo in photos]
+    if fit == "crop":
+        images = torch.stack([centred_crop(_size(each), (side, side)).picture(each) for each in pixels])
+        masks = torch.ones(len(photos), side, side, dtype=torch.bool)
+    else:
+        images, masks = _padded(pixels, side, patch)
+    canvas = (images.shape[-2], images.shape[-1])
+    return Views(images, masks, tuple(photo.name for photo in photos), (canvas,) * len(photos))
 
 
 @dataclass(frozen=True)
@@ -55,3 +80,24 @@ def normalised(images: Float[Tensor, "*views 3 height width"]) -> Float[Tensor, 
     """By ImageNet's mean and deviation."""
     mean, std = (images.new_tensor(part)[:, None, None] for part in (IMAGENET_MEAN, IMAGENET_STD))
     return (images - mean) / std
+
+
+def _padded(pixels: Sequence[Tensor], side: int, patch: int) -> tuple[Tensor, Tensor]:
+    """Images and masks."""
+    fitted = []
+    for each in pixels:
+        height, width = _size(each)
+        scale = side / max(height, width)
+        fitted.append(resized(each.float() / 255, (max(1, round(height * scale)), max(1, round(width * scale)))))
+    rows, columns = (-(-max(_size(each)[axis] for each in fitted) // patch) * patch for axis in (0, 1))
+    images, masks = torch.ones(len(pixels), 3, rows, columns), torch.zeros(len(pixels), rows, columns, dtype=torch.bool)
+    for image, mask, each in zip(images, masks, fitted, strict=True):
+        height, width = _size(each)
+        top, left = (rows - height) // 2, (columns - width) // 2
+        image[:, top : top + height, left : left + width] = each
+        mask[top : top + height, left : left + width] = True
+    return images, masks
+
+
+def _size(picture: Tensor) -> tuple[int, int]:
+    return picture.shape[-2], picture.shape[-1]

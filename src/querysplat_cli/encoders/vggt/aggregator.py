@@ -5,8 +5,9 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from querysplat_cli.encoders.aggregator import Aggregator, AggregatorConfig
+from querysplat_cli.encoders.aggregator import Aggregator
 from querysplat_cli.encoders.blocks import Block, PatchConvolution
+from querysplat_cli.encoders.config import VgmConfig
 from querysplat_cli.encoders.rotation import Rotation, split_rotation
 from querysplat_cli.precision import LayerNorm
 
@@ -16,7 +17,7 @@ VIT_EPS = 1e-6
 class PatchEncoder(nn.Module):
     """Each view alone, with a learned grid of positions; class and register tokens stay inside."""
 
-    def __init__(self, config: AggregatorConfig) -> None:
+    def __init__(self, config: VgmConfig) -> None:
         super().__init__()
         width, self.side = config.width, config.pretrained_image // config.patch
         self.cls_token = nn.Parameter(torch.zeros(1, 1, width))
@@ -55,7 +56,7 @@ class VggtAggregator(Aggregator):
 
     rotate_across = True
 
-    def __init__(self, config: AggregatorConfig) -> None:
+    def __init__(self, config: VgmConfig) -> None:
         super().__init__(config, masked=False)
         self.patch_embed = PatchEncoder(config)
         self.global_blocks = self.make_blocks(masked=False)

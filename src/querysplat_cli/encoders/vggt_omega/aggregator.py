@@ -4,8 +4,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from querysplat_cli.encoders.aggregator import Aggregator, AggregatorConfig
+from querysplat_cli.encoders.aggregator import Aggregator
 from querysplat_cli.encoders.blocks import Block, PatchConvolution
+from querysplat_cli.encoders.config import VgmConfig
 from querysplat_cli.encoders.rotation import Rotation, axial_rotation
 from querysplat_cli.precision import LayerNorm
 
@@ -26,7 +27,7 @@ class RotaryEmbedding(nn.Module):
 class PatchEncoder(nn.Module):
     """Each view alone; the class and storage tokens stay inside."""
 
-    def __init__(self, config: AggregatorConfig) -> None:
+    def __init__(self, config: VgmConfig) -> None:
         super().__init__()
         width = config.width
         self.cls_token = nn.Parameter(torch.zeros(1, 1, width))
@@ -59,7 +60,7 @@ class PatchEncoder(nn.Module):
 class OmegaAggregator(Aggregator):
     """Positions turn inside views only; in some blocks only camera and register tokens meet."""
 
-    def __init__(self, config: AggregatorConfig) -> None:
+    def __init__(self, config: VgmConfig) -> None:
         super().__init__(config, masked=True)
         self.rope_embed = RotaryEmbedding(config.width // config.heads)
         self.patch_embed = PatchEncoder(config)
