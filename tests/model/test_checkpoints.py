@@ -1,7 +1,10 @@
 """Files of weights: official names, strictness, damage, and the bundled checkpoint."""
 
 import json
+import math
 import pickle
+import resource
+import struct
 from pathlib import Path
 
 import pytest
@@ -16,7 +19,7 @@ from querysplat_cli.model.config import ModelConfig, preset, preset_names
 from querysplat_cli.model.initialise import initial_model
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.tensor_files import check_tensors
-from tiny_weights import official_names
+from tiny_weights import official_names, write_model
 
 
 def small() -> ModelConfig:
@@ -152,3 +155,50 @@ def test_weights_that_are_not_here() -> None:
         load("official-paper")
     with pytest.raises(QuerySplatError, match="neither a preset nor a file"):
         load("/nowhere/weights.safetensors")
+
+
+def sparse_file(path: Path, config: ModelConfig) -> None:
+    """A full-size official file of zeros that takes no room on the disk."""
+    with torch.device("meta"):
+        state = QuerySplat(config).state_dict()
+    header, end = {}, 0
+    for name in official_names():
+        shape = list(state[our_name(name)].shape)
+        size = 4 * math.prod(shape)
+        header[name] = {"dtype": "F32", "shape": shape, "data_offsets": [end, end + size]}
+        end += size
+    text = json.dumps(header).encode()
+    text += b" " * (-len(text) % 8)
+    with path.open("wb") as file:
+        file.write(struct.pack("<Q", len(text)) + text)
+        file.truncate(8 + len(text) + end)
+
+
+@pytest.mark.parametrize(("degree", "values"), [(1, 1_117_923_780), (0, 1_116_743_556)])
+def test_a_full_size_file_is_mapped_not_read(tmp_path: Path, degree: int, values: int) -> None:
+    """4.2 GiB of weights are there without taking memory, and every one of the 521 names is needed."""
+    sparse_file(tmp_path / "full.safetensors", ModelConfig(sh_degree=degree))
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    model = load_file(tmp_path / "full.safetensors")
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 2**20  # 1 GiB in KiB
+    assert model.config.sh_degree == degree
+    assert len(model.state_dict()) == 521
+    assert sum(tensor.numel() for tensor in model.state_dict().values()) == values
+    assert float(model.geometry_queries[-1, -1]) == 0
+
+
+def test_half_precision_is_for_matrices_alone(tmp_path: Path) -> None:
+    write_model(tmp_path / "tiny.safetensors")
+    model = load_file(tmp_path / "tiny.safetensors", precision="bf16")
+    half = {name for name, tensor in model.state_dict().items() if tensor.dtype == torch.bfloat16}
+    assert "geometry_decoder.blocks.0.mlp.fc1.weight" in half
+    assert not any("norm" in name or "gamma" in name or "head" in name or "queries" in name for name in half)
+
+
+def test_a_preset_is_found_in_a_folder(tmp_path: Path) -> None:
+    written = write_model(tmp_path / "querysplat_vggto_1B_512_8192.safetensors")
+    loaded = load("official-8192", tmp_path)
+    for name, tensor in written.state_dict().items():
+        assert torch.equal(loaded.state_dict()[name], tensor), name
+    with pytest.raises(MissingPart, match="paper"):
+        load("official-paper", tmp_path)
