@@ -16,7 +16,19 @@ LAYERS = [
     {"scene"},
     {"model", "encoders", "splat"},
     {"tto", "training", "evaluation"},
-    {"holdout", "quality", "report", "preview", "store", "memory", "weight_files", "pipeline", "rendering", "demo"},
+    {
+        "holdout",
+        "quality",
+        "report",
+        "preview",
+        "store",
+        "memory",
+        "weight_files",
+        "inspection",
+        "pipeline",
+        "rendering",
+        "demo",
+    },
     {"cli", "__main__"},
 ]
 

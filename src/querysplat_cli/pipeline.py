@@ -37,7 +37,7 @@ from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.photos import find_photos, load_photos
 from querysplat_cli.scene.views import Photo, Views
 from querysplat_cli.splat.compile_ahead import compile_ahead
-from querysplat_cli.store import StoredScene, ply_path, read_scene, scene_folder, write_scene
+from querysplat_cli.store import MemoryMap, StoredScene, ply_path, read_scene, scene_folder, write_scene
 from querysplat_cli.tto.features import TtoResult, TtoSettings, optimise_memories
 from querysplat_cli.tto.plan import plan_tto
 from querysplat_cli.tto.rendering_loss import RenderingLoss
@@ -79,6 +79,7 @@ class BuiltScene:
     anchors: Anchors | None
     anchor_report: AnchorReport | None
     memories: Memories
+    map: MemoryMap
     gaussians: Gaussians
     tto: TtoResult
     tto_settings: TtoSettings
@@ -159,6 +160,7 @@ def _reconstruct(settings: ReconstructSettings, device: torch.device, stages: St
             scene.memories,
             scene.anchors,
             settings.preset,
+            scene.map,
         )
         write_scene(settings.ply, stored, scene.gaussians, asdict(report))
     return report
@@ -190,6 +192,7 @@ def build_scene(
         with torch.no_grad():
             memories = model.remember(*moved((geometry.features, views.images, cameras), device))
             memories = moved(memories, torch.device("cpu"))
+        rows = torch.arange(len(memories.geometry_keys)), torch.arange(len(memories.appearance_keys))
         anchors = anchor_report = None
         plan = TtoSettings(settings.tto or 0, RELEASE_RATE)
         if model.config.queries == "anchored":
@@ -198,13 +201,22 @@ def build_scene(
             anchors, anchor_report = build_anchors(
                 views, cameras, geometry.depth, geometry.confidence, patch=geometry.patch, queries=settings.queries
             )
+            rows = anchors.geometry.index.unique(), anchors.appearance.index.unique()
             memories, anchors = attended_rows(memories, anchors)
             plan = plan_tto(settings.tto, views=len(views), gaussians=anchors.opacities.numel())
         if plan.steps:
             memories = memories.map(torch.Tensor.float)
     with stages("tto") as progress:
         tto, gaussians = _optimise(model, memories, anchors, views, cameras, plan, settings.seed, progress)
-    return BuiltScene(located, geometry, anchors, anchor_report, tto.memories, gaussians, tto, plan)
+    where = _memory_map(rows, geometry, cameras)
+    return BuiltScene(located, geometry, anchors, anchor_report, tto.memories, where, gaussians, tto, plan)
+
+
+def _memory_map(rows: tuple[torch.Tensor, torch.Tensor], geometry: Geometry, cameras: Cameras) -> MemoryMap:
+    height, width = cameras.height // geometry.patch, cameras.width // geometry.patch
+    special = geometry.features[-1].shape[1] - height * width
+    depth = torch.zeros(0, 0, 0) if geometry.depth is None else geometry.depth
+    return MemoryMap(rows[0].int(), rows[1].int(), torch.tensor([special, height, width]).int(), depth)
 
 
 def optimise_scene(
