@@ -16,19 +16,8 @@ LAYERS = [
     {"scene"},
     {"model", "encoders", "splat"},
     {"tto", "training", "evaluation"},
-    {
-        "holdout",
-        "quality",
-        "report",
-        "preview",
-        "store",
-        "memory",
-        "weight_files",
-        "inspection",
-        "pipeline",
-        "rendering",
-        "demo",
-    },
+    {"holdout", "quality", "report", "preview", "store", "memory", "weight_files", "remembering"}
+    | {"pipeline", "rendering", "inspection", "demo"},
     {"cli", "__main__"},
 ]
 

@@ -23,6 +23,7 @@ from querysplat_cli.splat.conventions import SH_0
 from querysplat_cli.store import MemoryMap, StoredScene, read_scene
 
 COLUMNS = 4
+RING = 12
 QUANTILES = (0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0)
 POINTS = 20_000
 """At most so many in a drawing."""
@@ -113,7 +114,7 @@ def _quantiles(values: Tensor) -> dict[str, float]:
 
 
 def _overlays(views: Views, cameras: Cameras, weight: Tensor, own: Gaussians) -> np.ndarray:
-    """Photos with the weights laid over them, brightest where they are largest, and the query's centres as rings."""
+    """Photos with the weights laid over them, brightest where they are largest, and a ring where the query is."""
     heat = F.interpolate(weight[:, None], views.images.shape[-2:], mode="bilinear")[:, 0] / weight.max().clamp_min(
         1e-12
     )
@@ -123,8 +124,10 @@ def _overlays(views: Views, cameras: Cameras, weight: Tensor, own: Gaussians) ->
         colours = cv2.applyColorMap((heat[i] * 255).byte().numpy(), cv2.COLORMAP_INFERNO)[..., ::-1]
         share = heat[i, ..., None].sqrt().numpy()
         tile = np.ascontiguousarray((photo * (1 - 0.7 * share) + colours * 0.7 * share).astype(np.uint8))
-        for x, y in _projected(own, cameras, i):
-            cv2.circle(tile, (round(x), round(y)), 3, (0, 255, 120), 1, cv2.LINE_AA)
+        centres = _projected(own, cameras, i)
+        if centres:
+            x, y = np.median(centres, 0)
+            cv2.circle(tile, (round(x), round(y)), RING, (0, 255, 120), 1, cv2.LINE_AA)
         tile[height:], tile[:, width:] = 255, 255
         tiles.append(tile)
     tiles += [np.full_like(tiles[0], 255)] * (-len(tiles) % min(COLUMNS, len(tiles)))

@@ -12,13 +12,14 @@ from querysplat_cli.encoders.base import Encoder, EncoderOptions, Geometry, Loca
 from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.holdout import CameraPass, CameraSource, locate_passes
 from querysplat_cli.memory import free_bytes, within_memory
-from querysplat_cli.model.anchors import AnchorReport, Anchors, build_anchors
+from querysplat_cli.model.anchors import Anchors
 from querysplat_cli.model.checkpoints import load
-from querysplat_cli.model.memories import Memories, attended_rows
+from querysplat_cli.model.memories import Features, Memories
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.precision import check_precision, matrix_products
 from querysplat_cli.progress import Progress, Stages
 from querysplat_cli.quality import Quality, score
+from querysplat_cli.remembering import Remembered, Target, remember
 from querysplat_cli.report import (
     Report,
     heldout_entry,
@@ -37,7 +38,7 @@ from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.photos import find_photos, load_photos
 from querysplat_cli.scene.views import Photo, Views
 from querysplat_cli.splat.compile_ahead import compile_ahead
-from querysplat_cli.store import MemoryMap, StoredScene, ply_path, read_scene, scene_folder, write_scene
+from querysplat_cli.store import StoredScene, ply_path, read_scene, scene_folder, write_scene
 from querysplat_cli.tto.features import TtoResult, TtoSettings, optimise_memories
 from querysplat_cli.tto.plan import plan_tto
 from querysplat_cli.tto.rendering_loss import RenderingLoss
@@ -55,6 +56,7 @@ class ReconstructSettings:
     holdout_every: int | None = None
     holdout_cameras: CameraSource = "isolated"
     tto: int | None = None
+    tto_target: Target = "kv"
     queries: int | None = None
     max_size: int | None = None
     max_views: int | None = None
@@ -76,10 +78,8 @@ class BuiltScene:
 
     located: Located
     geometry: Geometry
-    anchors: Anchors | None
-    anchor_report: AnchorReport | None
+    known: Remembered
     memories: Memories
-    map: MemoryMap
     gaussians: Gaussians
     tto: TtoResult
     tto_settings: TtoSettings
@@ -158,9 +158,9 @@ def _reconstruct(settings: ReconstructSettings, device: torch.device, stages: St
             scene.located.cameras,
             passes.chosen.heldout,
             scene.memories,
-            scene.anchors,
+            scene.known.anchors,
             settings.preset,
-            scene.map,
+            scene.known.map,
         )
         write_scene(settings.ply, stored, scene.gaussians, asdict(report))
     return report
@@ -183,40 +183,19 @@ def build_scene(
     located: Located, encoder: Encoder, model: QuerySplat, settings: ReconstructSettings, stages: Stages
 ) -> BuiltScene:
     """Depth, queries, memories, test-time optimisation: a scene from photos with cameras."""
-    device = next(model.parameters()).device
     views, cameras = located.views, located.cameras
     with stages("depth") as progress:
         geometry = encoder.perceive(located, seed=settings.seed, progress=progress)
-    model.check_features(geometry.features, cameras.height, cameras.width)
     with stages("queries"):
-        with torch.no_grad():
-            memories = model.remember(*moved((geometry.features, views.images, cameras), device))
-            memories = moved(memories, torch.device("cpu"))
-        rows = torch.arange(len(memories.geometry_keys)), torch.arange(len(memories.appearance_keys))
-        anchors = anchor_report = None
-        plan = TtoSettings(settings.tto or 0, RELEASE_RATE)
-        if model.config.queries == "anchored":
-            assert geometry.depth is not None
-            assert geometry.confidence is not None
-            anchors, anchor_report = build_anchors(
-                views, cameras, geometry.depth, geometry.confidence, patch=geometry.patch, queries=settings.queries
-            )
-            rows = anchors.geometry.index.unique(), anchors.appearance.index.unique()
-            memories, anchors = attended_rows(memories, anchors)
-            plan = plan_tto(settings.tto, views=len(views), gaussians=anchors.opacities.numel())
-        if plan.steps:
-            memories = memories.map(torch.Tensor.float)
+        known = remember(model, located, geometry, queries=settings.queries, target=settings.tto_target)
     with stages("tto") as progress:
-        tto, gaussians = _optimise(model, memories, anchors, views, cameras, plan, settings.seed, progress)
-    where = _memory_map(rows, geometry, cameras)
-    return BuiltScene(located, geometry, anchors, anchor_report, tto.memories, where, gaussians, tto, plan)
-
-
-def _memory_map(rows: tuple[torch.Tensor, torch.Tensor], geometry: Geometry, cameras: Cameras) -> MemoryMap:
-    height, width = cameras.height // geometry.patch, cameras.width // geometry.patch
-    special = geometry.features[-1].shape[1] - height * width
-    depth = torch.zeros(0, 0, 0) if geometry.depth is None else geometry.depth
-    return MemoryMap(rows[0].int(), rows[1].int(), torch.tensor([special, height, width]).int(), depth)
+        if known.anchors is None:
+            plan = TtoSettings(settings.tto or 0, RELEASE_RATE)
+        else:
+            plan = plan_tto(settings.tto, views=len(views), gaussians=known.anchors.opacities.numel())
+        start = known.variables.map(torch.Tensor.float) if plan.steps else known.variables
+        tto, memories, gaussians = _optimise(model, start, known.anchors, views, cameras, plan, settings.seed, progress)
+    return BuiltScene(located, geometry, known, memories, gaussians, tto, plan)
 
 
 def optimise_scene(
@@ -239,7 +218,7 @@ def optimise_scene(
     with stages("tto") as progress:
         resumed = any(run["steps"] for run in before["tto"])
         plan = plan_tto(steps, views=len(scene.views), gaussians=before["gaussians"], lr=lr, resumed=resumed)
-        tto, gaussians = _optimise(
+        tto, memories, gaussians = _optimise(
             model, scene.memories, scene.anchors, scene.views, scene.cameras, plan, seed, progress
         )
     with stages("score"):
@@ -257,16 +236,15 @@ def optimise_scene(
             peak_memory_gib=peak_memory_gib(),
             machine=machine(),
         )
-        write_scene(ply_path(path), replace(scene, memories=tto.memories), gaussians, asdict(report))
+        write_scene(ply_path(path), replace(scene, memories=memories), gaussians, asdict(report))
     return report
 
 
 def load_again(name: str, settings: dict[str, Any], weights: Path | None, device: torch.device) -> QuerySplat:
     """The model of a stored scene, from the settings in its report."""
-    stored = settings.get("weights") or "None"
-    folder = weights or (None if stored == "None" else Path(stored))
-    precision = check_precision(settings.get("precision", "fp32"))
-    model = load(name, folder, precision=precision, device=device)
+    stored = settings.get("weights")
+    folder = weights or (Path(stored) if stored else None)
+    model = load(name, folder, precision=check_precision(settings.get("precision", "fp32")), device=device)
     if model.config.queries == "learned" and settings["queries"]:
         model.keep_queries(settings["queries"])
     return model
@@ -274,14 +252,14 @@ def load_again(name: str, settings: dict[str, Any], weights: Path | None, device
 
 def _optimise(
     model: QuerySplat,
-    memories: Memories,
+    memories: Memories | Features,
     anchors: Anchors | None,
     views: Views,
     cameras: Cameras,
     plan: TtoSettings,
     seed: int,
     progress: Progress,
-) -> tuple[TtoResult, Gaussians]:
+) -> tuple[TtoResult, Memories, Gaussians]:
     """The result on the CPU, however it was made: on the device of `model`."""
     device, cpu = next(model.parameters()).device, torch.device("cpu")
     memories, anchors = moved((memories, anchors), device)
@@ -295,7 +273,9 @@ def _optimise(
         progress=lambda step: progress(f"loss {step.loss:.4f}", (step.step + 1) / plan.steps),
     )
     with torch.no_grad():
-        return moved((result, model.decode(result.memories, anchors)), cpu)
+        best = result.memories
+        adapted = best if isinstance(best, Memories) else model.project(best)
+        return moved((result, adapted, model.decode(adapted, anchors)), cpu)
 
 
 def _score_heldout(scene: BuiltScene, cameras: CameraPass) -> Quality | None:
@@ -305,7 +285,7 @@ def _score_heldout(scene: BuiltScene, cameras: CameraPass) -> Quality | None:
 def _left_out(settings: ReconstructSettings, scene: BuiltScene) -> list[dict[str, str]]:
     """Work that was not done because it would change nothing, or could not be done."""
     rows = [("LPIPS loss", "its weights are not part of this package", "the network's run in every step")]
-    blocks = scene.anchor_report
+    blocks = scene.known.anchor_report
     if blocks:
         rows.append(
             (

@@ -108,6 +108,7 @@ def test_held_out_photos_do_not_enter_the_scene(room: Path, tmp_path: Path, caps
         (["--encoder", "vggt", "--max-size", "518"], ExitCode.BAD_INPUT, "patches of 16"),
         (["--encoder", "dino"], ExitCode.BAD_INPUT, "classical"),
         (["--holdout-every", "2", "--holdout-cameras", "joint"], ExitCode.BAD_INPUT, "--holdout-cameras isolated"),
+        (["--preset", "compact", "--tto-target", "features"], ExitCode.BAD_INPUT, "Use --tto-target kv"),
         (["--weights", "nowhere"], ExitCode.MISSING_PART, "hf download inspatio/querysplat"),
     ],
 )
@@ -134,3 +135,17 @@ def test_too_little_memory_is_said_before_any_work(
     monkeypatch.setattr("querysplat_cli.pipeline.free_bytes", lambda device: 2**20)
     assert run(command(room, tmp_path / "a.ply")) == ExitCode.BAD_INPUT
     assert "GiB" in capsys.readouterr().err
+
+
+def test_features_can_be_optimised_instead(room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Both targets start at the same scene and go down, each its own way; either can be taken up again."""
+    losses = {}
+    for target in ("kv", "features"):
+        made = command(room, tmp_path / f"{target}.ply", "--tto", "4", "--tto-target", target)
+        report = reported(capsys, made)
+        losses[target] = report["tto"][0]["loss_before"], report["tto"][0]["loss_after"]
+        assert losses[target][1] < losses[target][0]
+        again = reported(capsys, ["tto", str(tmp_path / target), "--steps", "0", "-q", "--json"])
+        assert again["quality"]["input"]["psnr"] == pytest.approx(report["quality"]["input"]["psnr"], abs=0.02)
+    assert losses["kv"][0] == losses["features"][0]
+    assert losses["kv"][1] != losses["features"][1]

@@ -9,6 +9,11 @@ import typer
 from querysplat_cli.cli.options import Device, Force, Json, Quiet, Seed, number_or_auto
 
 
+class TtoTarget(StrEnum):
+    kv = "kv"
+    features = "features"
+
+
 class PhotoFit(StrEnum):
     crop = "crop"
     pad = "pad"
@@ -40,6 +45,9 @@ def reconstruct(
     tto: Annotated[
         str, typer.Option(metavar="STEPS|auto", help="Steps of test-time optimisation; 0 for none.")
     ] = "auto",
+    tto_target: Annotated[
+        TtoTarget, typer.Option(help="What it optimises: keys and values, or the features that they are made of.")
+    ] = TtoTarget.kv,
     queries: Annotated[
         str, typer.Option(metavar="N|auto", help="At most this many queries; of learned ones the first N.")
     ] = "auto",
@@ -83,6 +91,7 @@ def reconstruct(
         holdout_every=holdout_every,
         holdout_cameras=holdout_cameras.value,
         tto=steps,
+        tto_target=tto_target.value,
         queries=limit,
         max_size=size,
         max_views=most,

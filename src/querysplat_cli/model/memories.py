@@ -17,7 +17,7 @@ from querysplat_cli.scene.fit import normalised
 
 @dataclass(frozen=True)
 class Memories:
-    """Keys (already normed) and values of both branches, the only variables of test-time optimisation."""
+    """Keys (already normed) and values of both branches, by default the only variables of test-time optimisation."""
 
     geometry_keys: Float[Tensor, "geometry heads channels"]
     geometry_values: Float[Tensor, "geometry heads channels"]
@@ -27,6 +27,18 @@ class Memories:
     def map(self, change: Callable[[Tensor], Tensor]) -> "Memories":
         """The result of applying `change` to every tensor."""
         return Memories(**{field.name: change(getattr(self, field.name)) for field in fields(self)})
+
+
+@dataclass(frozen=True)
+class Features:
+    """Tokens of both branches before they become keys and values: what the paper's text optimises at test time."""
+
+    geometry: Float[Tensor, "geometry width"]
+    appearance: Float[Tensor, "appearance width"]
+
+    def map(self, change: Callable[[Tensor], Tensor]) -> "Features":
+        """The result of applying `change` to both."""
+        return Features(change(self.geometry), change(self.appearance))
 
 
 def attended_rows(memories: Memories, anchors: Anchors) -> tuple[Memories, Anchors]:

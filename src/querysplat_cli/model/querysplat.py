@@ -18,7 +18,7 @@ from querysplat_cli.model.anchors import Anchors
 from querysplat_cli.model.config import ModelConfig
 from querysplat_cli.model.decoders import Decoder
 from querysplat_cli.model.heads import GEOMETRY_CHANNELS, assemble, assemble_anchored
-from querysplat_cli.model.memories import KeyValue, LayerMixer, Memories, PhotoEmbedding
+from querysplat_cli.model.memories import Features, KeyValue, LayerMixer, Memories, PhotoEmbedding
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 
@@ -99,17 +99,30 @@ class QuerySplat(nn.Module):
         cameras: Cameras,
     ) -> Memories:
         """Keys and values of both branches. `images` in [0, 1], sides multiples of the patch."""
-        geometry = self.geometry_memory(self.layer_mixer(features, self.eye_token))
-        appearance = self.appearance_memory(self.photo_embedding(images, cameras))
-        return Memories(*geometry, *appearance)
+        return self.project(self.embed(features, images, cameras))
 
-    def decode(self, memories: Memories, anchors: Anchors | None = None) -> Gaussians:
-        """Everything after the memories: queries × Gaussians per query, query by query.
+    def embed(
+        self,
+        features: Sequence[Float[Tensor, "views tokens channels"]],
+        images: Float[Tensor, "views 3 height width"],
+        cameras: Cameras,
+    ) -> Features:
+        """Tokens of both branches: the first half of `remember`."""
+        return Features(self.layer_mixer(features, self.eye_token), self.photo_embedding(images, cameras))
+
+    def project(self, features: Features) -> Memories:
+        """Keys and values of tokens: the second half of `remember`."""
+        return Memories(*self.geometry_memory(features.geometry), *self.appearance_memory(features.appearance))
+
+    def decode(self, memories: Memories | Features, anchors: Anchors | None = None) -> Gaussians:
+        """Everything after the memories (or features): queries × Gaussians per query, query by query.
 
         Anchored queries need `anchors`, learned ones take none; raises QuerySplatError otherwise.
         """
         if (anchors is not None) != (self.config.queries == "anchored"):
             raise QuerySplatError("anchored queries need anchors, and learned ones take none", "This is a bug.")
+        if isinstance(memories, Features):
+            memories = self.project(memories)
         if anchors is None:
             tokens = self.geometry_tokens(memories)
             after = self.appearance_tokens(tokens, memories)
