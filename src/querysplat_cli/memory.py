@@ -31,11 +31,14 @@ def free_bytes(device: torch.device) -> int:
 
 
 def bytes_needed(encoder: Encoder, model: QuerySplat, views: int, size: int) -> int | None:
-    """About the peak of a scene, weights included; None where the encoder cannot tell."""
-    perceiving, weights = encoder.bytes_needed(views, size), encoder.bytes_needed(0, size)
-    if perceiving is None or weights is None:
+    """About the peak of a scene, weights included; None where the encoder cannot tell.
+
+    The encoder's weights are given back before the decoders start.
+    """
+    perceiving = encoder.bytes_needed(views, size)
+    if perceiving is None:
         return None
-    decoding = weights + model.bytes_needed(views, size, model.config.special_tokens)
+    decoding = model.bytes_needed(views, size, model.config.special_tokens)
     return RUNTIME + max(perceiving + model.bytes_needed(0, size, 0), decoding)
 
 

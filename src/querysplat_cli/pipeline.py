@@ -186,8 +186,11 @@ def build_scene(
     views, cameras = located.views, located.cameras
     with stages("depth") as progress:
         geometry = encoder.perceive(located, seed=settings.seed, progress=progress)
+    if encoder.own_frame:
+        encoder.release()
     with stages("queries"):
         known = remember(model, located, geometry, queries=settings.queries, target=settings.tto_target)
+        geometry = replace(geometry, features=())
     with stages("tto") as progress:
         if known.anchors is None:
             plan = TtoSettings(settings.tto or 0, RELEASE_RATE)

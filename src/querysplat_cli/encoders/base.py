@@ -98,6 +98,10 @@ class Encoder(Protocol):
         """Depth, confidence and features of every view."""
         ...
 
+    def release(self) -> None:
+        """Give back what memory can be: it will not be asked again."""
+        ...
+
     def bytes_needed(self, views: int, size: int) -> int | None:
         """About the most memory that so many views of `size` × `size` pixels take, weights included.
 

@@ -72,6 +72,11 @@ class FeedForwardEncoder:
         found = self._perceive(located.views, progress)
         return Geometry(found.depth, found.confidence, found.features, self.patch)
 
+    def release(self) -> None:
+        """The weights, and the last pass."""
+        self._model.to("meta")
+        self._last = None
+
     def bytes_needed(self, views: int, size: int) -> int | None:
         """Weights and `VgmConfig.working_bytes`."""
         options = self._options

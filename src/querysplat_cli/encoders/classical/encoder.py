@@ -35,6 +35,9 @@ class ClassicalEncoder:
 
         return perceive(located, seed=seed, progress=progress)
 
+    def release(self) -> None:
+        """There is nothing to give back."""
+
     def bytes_needed(self, views: int, size: int) -> int | None:
         """Unknown: under 2 GiB for twenty photos."""
         return None
