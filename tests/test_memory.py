@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from querysplat_cli.encoders.base import EncoderOptions
 from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.errors import QuerySplatError
-from querysplat_cli.memory import SHARE, bytes_needed, evenly_spaced, free_bytes, within_memory
+from querysplat_cli.memory import SHARE, MemoryNeeds, evenly_spaced, free_bytes, within_memory
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.scene.views import Photo
 from tiny_weights import MODEL, OMEGA, write_weights
@@ -34,23 +34,25 @@ def test_evenly_spaced(items: int, count: int) -> None:
 def test_as_many_as_fit(tmp_path: Path) -> None:
     model = QuerySplat(MODEL).requires_grad_(False)
     encoder = find_encoder("vggt_omega", EncoderOptions(write_weights(tmp_path), mixture=model.layer_weights))
-    needed = [bytes_needed(encoder, model, views, 512) or 0 for views in range(1, 41)]
+    needs = MemoryNeeds(encoder, model, 512)
+    needed = [needs.bytes(views) or 0 for views in range(1, 41)]
     assert needed == sorted(needed)
+    assert model.bytes_needed(9, 512, 5, optimising=True) > model.bytes_needed(9, 512, 5)
     free = int(needed[16] / SHARE) + 2
-    kept, left_out, expected = within_memory(PHOTOS, encoder, model, 512, free, None)
+    kept, left_out, expected = within_memory(PHOTOS, needs, free, None)
     assert len(kept) == 17
     assert expected == needed[16]
     assert {photo.name for photo in kept} | {each.name for each in left_out} == {photo.name for photo in PHOTOS}
     assert "17 views" in left_out[0].why
-    kept, _, _ = within_memory(PHOTOS, encoder, model, 512, free, 5)
+    kept, _, _ = within_memory(PHOTOS, needs, free, 5)
     assert [photo.name for photo in kept] == ["0.png", "10.png", "20.png", "29.png", "39.png"]
     with pytest.raises(QuerySplatError, match="one view"):
-        within_memory(PHOTOS, encoder, model, 512, 2**20, None)
+        within_memory(PHOTOS, needs, 2**20, None)
 
 
 def test_an_encoder_that_cannot_tell_is_not_limited() -> None:
-    model = QuerySplat(MODEL)
-    kept, left_out, expected = within_memory(PHOTOS, find_encoder("classical"), model, 448, 1, None)
+    needs = MemoryNeeds(find_encoder("classical"), QuerySplat(MODEL), 448)
+    kept, left_out, expected = within_memory(PHOTOS, needs, 1, None)
     assert (len(kept), left_out, expected) == (40, [], None)
 
 

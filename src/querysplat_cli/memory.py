@@ -2,6 +2,7 @@
 
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
@@ -30,33 +31,43 @@ def free_bytes(device: torch.device) -> int:
     return sys.maxsize
 
 
-def bytes_needed(encoder: Encoder, model: QuerySplat, views: int, size: int) -> int | None:
-    """About the peak of a scene, weights included; None where the encoder cannot tell.
+@dataclass(frozen=True)
+class MemoryNeeds:
+    """Two networks, pictures of `size` × `size` pixels, and whether memories are optimised."""
 
-    The encoder's weights are given back before the decoders start.
-    """
-    perceiving = encoder.bytes_needed(views, size)
-    if perceiving is None:
-        return None
-    decoding = model.bytes_needed(views, size, model.config.special_tokens)
-    return RUNTIME + max(perceiving + model.bytes_needed(0, size, 0), decoding)
+    encoder: Encoder
+    model: QuerySplat
+    size: int
+    optimising: bool = False
+
+    def bytes(self, views: int) -> int | None:
+        """About the peak of a scene, weights included; None where the encoder cannot tell.
+
+        The encoder's weights are given back before the decoders start.
+        """
+        perceiving = self.encoder.bytes_needed(views, self.size)
+        if perceiving is None:
+            return None
+        special = self.model.config.special_tokens
+        decoding = self.model.bytes_needed(views, self.size, special, optimising=self.optimising)
+        return RUNTIME + max(perceiving + self.model.bytes_needed(0, self.size, 0), decoding)
 
 
 def within_memory(
-    photos: Sequence[Photo], encoder: Encoder, model: QuerySplat, size: int, free: int, limit: int | None
+    photos: Sequence[Photo], needs: MemoryNeeds, free: int, limit: int | None
 ) -> tuple[list[Photo], list[LeftOut], int | None]:
     """Evenly spaced photos, at most `limit` and no more than fit into `free` bytes; the others; bytes expected.
 
     Raises QuerySplatError when not even one fits.
     """
     wanted = min(len(photos), limit or len(photos))
-    fitting, needed = wanted, bytes_needed(encoder, model, wanted, size)
+    fitting, needed = wanted, needs.bytes(wanted)
     while needed is not None and needed > SHARE * free and fitting > 0:
         fitting -= 1
-        needed = bytes_needed(encoder, model, max(fitting, 1), size)
+        needed = needs.bytes(max(fitting, 1))
     if not fitting:
         raise QuerySplatError(
-            f"one view of {size} pixels takes about {(needed or 0) / 2**30:.1f} GiB, and {free / 2**30:.1f} are free",
+            f"one view of {needs.size} pixels takes about {(needed or 0) / 2**30:.1f} GiB, {free / 2**30:.1f} are free",
             "Use --precision bf16, a smaller --max-size or fewer --queries.",
         )
     kept = evenly_spaced(photos, fitting)

@@ -11,7 +11,7 @@ from querysplat_cli.device import find_device, moved
 from querysplat_cli.encoders.base import Encoder, EncoderOptions, Geometry, Located
 from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.holdout import CameraPass, CameraSource, locate_passes
-from querysplat_cli.memory import free_bytes, within_memory
+from querysplat_cli.memory import MemoryNeeds, free_bytes, within_memory
 from querysplat_cli.model.anchors import Anchors
 from querysplat_cli.model.checkpoints import load
 from querysplat_cli.model.memories import Features, Memories
@@ -78,7 +78,7 @@ class BuiltScene:
 
     located: Located
     geometry: Geometry
-    known: Remembered
+    remembered: Remembered
     memories: Memories
     gaussians: Gaussians
     tto: TtoResult
@@ -108,7 +108,8 @@ def _reconstruct(settings: ReconstructSettings, device: torch.device, stages: St
         model, encoder = load_parts(settings, device)
         known = read_known_cameras(settings.poses) if settings.poses else None
         size = settings.max_size or encoder.size
-        photos, too_many, expected = within_memory(photos, encoder, model, size, free, settings.max_views)
+        needs = MemoryNeeds(encoder, model, size, optimising=bool(settings.tto))
+        photos, too_many, expected = within_memory(photos, needs, free, settings.max_views)
         if expected:
             progress(f"{len(photos)} views will take about {expected / 2**30:.1f} GiB", 1.0)
 
@@ -158,9 +159,9 @@ def _reconstruct(settings: ReconstructSettings, device: torch.device, stages: St
             scene.located.cameras,
             passes.chosen.heldout,
             scene.memories,
-            scene.known.anchors,
+            scene.remembered.anchors,
             settings.preset,
-            scene.known.map,
+            scene.remembered.map,
         )
         write_scene(settings.ply, stored, scene.gaussians, asdict(report))
     return report
@@ -189,16 +190,18 @@ def build_scene(
     if encoder.own_frame:
         encoder.release()
     with stages("queries"):
-        known = remember(model, located, geometry, queries=settings.queries, target=settings.tto_target)
+        remembered = remember(model, located, geometry, queries=settings.queries, target=settings.tto_target)
         geometry = replace(geometry, features=())
     with stages("tto") as progress:
-        if known.anchors is None:
+        if remembered.anchors is None:
             plan = TtoSettings(settings.tto or 0, RELEASE_RATE)
         else:
-            plan = plan_tto(settings.tto, views=len(views), gaussians=known.anchors.opacities.numel())
-        start = known.variables.map(torch.Tensor.float) if plan.steps else known.variables
-        tto, memories, gaussians = _optimise(model, start, known.anchors, views, cameras, plan, settings.seed, progress)
-    return BuiltScene(located, geometry, known, memories, gaussians, tto, plan)
+            plan = plan_tto(settings.tto, views=len(views), gaussians=remembered.anchors.opacities.numel())
+        start = remembered.variables.map(torch.Tensor.float) if plan.steps else remembered.variables
+        tto, memories, gaussians = _optimise(
+            model, start, remembered.anchors, views, cameras, plan, settings.seed, progress
+        )
+    return BuiltScene(located, geometry, remembered, memories, gaussians, tto, plan)
 
 
 def optimise_scene(
@@ -266,11 +269,18 @@ def _optimise(
     """The result on the CPU, however it was made: on the device of `model`."""
     device, cpu = next(model.parameters()).device, torch.device("cpu")
     memories, anchors = moved((memories, anchors), device)
+    target = RenderingLoss(*moved((views, cameras), device))
+    if not plan.steps and isinstance(memories, Memories):
+        # Decoding once is enough, and for thousands of learned queries takes minutes on a CPU.
+        with torch.no_grad():
+            gaussians = model.decode(memories, anchors)
+            loss = target.value(gaussians, list(range(len(views))))
+        return moved((TtoResult(memories, loss, loss, ()), memories, gaussians), cpu)
     result = optimise_memories(
         model,
         memories,
         anchors,
-        RenderingLoss(*moved((views, cameras), device)),
+        target,
         plan,
         generator=torch.Generator().manual_seed(seed),
         progress=lambda step: progress(f"loss {step.loss:.4f}", (step.step + 1) / plan.steps),
@@ -288,7 +298,7 @@ def _score_heldout(scene: BuiltScene, cameras: CameraPass) -> Quality | None:
 def _left_out(settings: ReconstructSettings, scene: BuiltScene) -> list[dict[str, str]]:
     """Work that was not done because it would change nothing, or could not be done."""
     rows = [("LPIPS loss", "its weights are not part of this package", "the network's run in every step")]
-    blocks = scene.known.anchor_report
+    blocks = scene.remembered.anchor_report
     if blocks:
         rows.append(
             (

@@ -2,9 +2,11 @@
 
 from collections.abc import Iterator
 
+import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
+from torch.utils.checkpoint import checkpoint
 
 from querysplat_cli.model.anchors import Neighbours
 from querysplat_cli.model.attention import CrossAttention, LayerScale, SelfAttention
@@ -88,9 +90,16 @@ class Decoder(nn.Module):
         near_memory: Neighbours | None = None,
         near_queries: Neighbours | None = None,
     ) -> Iterator[Float[Tensor, "queries width"]]:
-        """The tokens after each block."""
+        """The tokens after each block.
+
+        For a gradient, blocks that see everything are run again backward instead of being remembered:
+        thousands of queries would take gigabytes for each.
+        """
         for block in self.blocks:
-            tokens = block(tokens, keys, values, near_memory, near_queries)
+            if near_memory is None and torch.is_grad_enabled():
+                tokens = checkpoint(block, tokens, keys, values, use_reentrant=False)
+            else:
+                tokens = block(tokens, keys, values, near_memory, near_queries)
             yield tokens
 
     def forward(

@@ -78,8 +78,11 @@ class QuerySplat(nn.Module):
                 "Choose a --max-size that both patches divide, for instance 448.",
             )
 
-    def bytes_needed(self, views: int, size: int, special_tokens: int) -> int:
-        """About the most memory that decoding takes, weights, features and memories included."""
+    def bytes_needed(self, views: int, size: int, special_tokens: int, *, optimising: bool = False) -> int:
+        """About the most memory that decoding takes, weights, features and memories included.
+
+        When memories are optimised, their gradients and two moments, and the tokens between blocks, come on top.
+        """
         config = self.config
         weights = sum(tensor.numel() * tensor.element_size() for tensor in self.state_dict().values())
         share = self.geometry_memory.proj.weight.element_size() / 4
@@ -90,6 +93,10 @@ class QuerySplat(nn.Module):
         # Residual stream, a branch's input, its widened result twice, and the raw numbers of both heads.
         raw = config.gaussians_per_query * (GEOMETRY_CHANNELS + config.appearance_channels)
         queries = config.query_count * 4 * (config.width * (3 + 2 * config.mlp_ratio * share) + 3 * raw)
+        if optimising:
+            memory += 4 * 2 * 4 * config.width * (tokens + patches)
+            blocks = config.geometry_blocks + config.appearance_blocks
+            queries += config.query_count * 4 * config.width * (blocks + 4 * (8 + 2 * config.mlp_ratio))
         return int(weights + memory + queries)
 
     def remember(
