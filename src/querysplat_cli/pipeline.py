@@ -125,7 +125,7 @@ def _reconstruct(settings: ReconstructSettings, device: torch.device, stages: St
         poses_known=bool(known),
         own_frame=encoder.own_frame,
     )
-    scene = build_scene(passes.chosen.inputs, encoder, model, settings, stages)
+    scene = build_scene(passes.chosen.inputs, encoder, model, settings, stages, last=passes.other is None)
     with stages("score"):
         quality = score(scene.gaussians, scene.located.views, scene.located.cameras)
         scores = {passes.chosen.source: _score_heldout(scene, passes.chosen)}
@@ -181,13 +181,22 @@ def load_parts(settings: ReconstructSettings, device: torch.device) -> tuple[Que
 
 
 def build_scene(
-    located: Located, encoder: Encoder, model: QuerySplat, settings: ReconstructSettings, stages: Stages
+    located: Located,
+    encoder: Encoder,
+    model: QuerySplat,
+    settings: ReconstructSettings,
+    stages: Stages,
+    *,
+    last: bool = False,
 ) -> BuiltScene:
-    """Depth, queries, memories, test-time optimisation: a scene from photos with cameras."""
+    """Depth, queries, memories, test-time optimisation: a scene from photos with cameras.
+
+    After the `last` scene the encoder cannot be used any more: its weights make room for the decoders.
+    """
     views, cameras = located.views, located.cameras
     with stages("depth") as progress:
         geometry = encoder.perceive(located, seed=settings.seed, progress=progress)
-    if encoder.own_frame:
+    if last:
         encoder.release()
     with stages("queries"):
         remembered = remember(model, located, geometry, queries=settings.queries, target=settings.tto_target)

@@ -16,6 +16,8 @@ from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.store import MemoryMap
 
 CPU = torch.device("cpu")
+FARTHEST = 6e4
+"""Depth is kept in half precision, which ends a little beyond."""
 Target = Literal["kv", "features"]
 """What test-time optimisation changes: keys and values (the release), or the tokens that they are made of."""
 
@@ -74,4 +76,6 @@ def _memory_map(
     grid = height // geometry.patch, width // geometry.patch
     special = geometry.features[-1].shape[1] - grid[0] * grid[1]
     depth = torch.zeros(0, 0, 0) if geometry.depth is None else geometry.depth
-    return MemoryMap(rows[0].int(), rows[1].int(), torch.tensor([special, *grid]).int(), depth)
+    return MemoryMap(
+        rows[0].int(), rows[1].int(), torch.tensor([special, *grid]).int(), depth.clamp_max(FARTHEST).half()
+    )
