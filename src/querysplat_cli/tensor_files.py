@@ -12,7 +12,7 @@ from querysplat_cli.errors import QuerySplatError
 
 NAMED = 5
 """How many wrong tensors an error message names."""
-AT_ONCE = 64
+AT_ONCE = 32
 """Tensors converted between two openings of a file, so that pages already read can be given back."""
 
 
@@ -45,12 +45,17 @@ def fill(
 ) -> None:
     """Give `model`, made on the meta device, its tensors: our name → name in the file.
 
-    Each goes straight to `device` and its type of `dtypes`; what fits already stays mapped to the file.
+    Each goes straight to `device` and its type of `dtypes`; where all fit already they stay mapped to the file.
     """
     names = list(stored)
+    tensors, _ = read_tensors(path)
+    # A single tensor that stays mapped would keep every page of the file that was read.
+    copy = any(tensors[stored[name]].dtype != dtypes[name] for name in names)
     for start in range(0, len(names), AT_ONCE):
         tensors, _ = read_tensors(path)
-        some = {name: tensors[stored[name]].to(device, dtypes[name]) for name in names[start : start + AT_ONCE]}
+        some = {
+            name: tensors[stored[name]].to(device, dtypes[name], copy=copy) for name in names[start : start + AT_ONCE]
+        }
         model.load_state_dict(some, assign=True, strict=False)
 
 

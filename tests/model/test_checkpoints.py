@@ -19,7 +19,7 @@ from querysplat_cli.model.config import ModelConfig, preset, preset_names
 from querysplat_cli.model.initialise import initial_model
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.tensor_files import check_tensors
-from tiny_weights import official_names, write_model
+from tiny_weights import MODEL, official_names, write_model
 
 
 def small() -> ModelConfig:
@@ -193,6 +193,25 @@ def test_half_precision_is_for_matrices_alone(tmp_path: Path) -> None:
     half = {name for name, tensor in model.state_dict().items() if tensor.dtype == torch.bfloat16}
     assert "geometry_decoder.blocks.0.mlp.fc1.weight" in half
     assert not any("norm" in name or "gamma" in name or "head" in name or "queries" in name for name in half)
+
+
+def mapped_bytes() -> int:
+    """Pages of files that this process holds in memory."""
+    status = Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) * 1024 for line in status if line.startswith("RssFile:"))
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").is_file(), reason="there is no /proc")
+def test_the_file_is_let_go_where_its_numbers_were_converted(tmp_path: Path) -> None:
+    """One norm that stays a view of the mapped file would keep all of it in memory, beside the converted copy."""
+    path = tmp_path / "some.safetensors"
+    write_model(path, ModelConfig(**{**MODEL.__dict__, "width": 512, "vgm_width": 512}))
+    size = path.stat().st_size
+    load_file(path, precision="bf16")  # whatever the first use brings into memory
+    before = mapped_bytes()
+    model = load_file(path, precision="bf16")
+    assert mapped_bytes() - before < size / 4
+    assert sum(tensor.nbytes for tensor in model.state_dict().values()) > size / 3
 
 
 def test_a_preset_is_found_in_a_folder(tmp_path: Path) -> None:
