@@ -34,21 +34,28 @@ def vggt_omega(precision: Precision, device: torch.device) -> VggtOmega:
 
 def randomised(make: Callable[[], Network], precision: Precision, device: torch.device, seed: int = 0) -> Network:
     """A frozen network whose tensors are random from the first on, tensor by tensor."""
-    with torch.device("meta"):
-        model = make()
+    model = without_numbers(make, precision)
     generator = torch.Generator(device).manual_seed(seed)
-    dtypes = weight_dtypes(model, precision)
     for name, tensor in model.state_dict().items():
-        if precision == "bf16" and name.startswith(("camera_head.", "dense_head.")):
-            dtypes[name] = torch.float32
         values = torch.empty(tensor.shape, device=device)
         spread = next((value for part, value in SPREAD.items() if part in name), 0.02)
         if "norm" in name or "gamma" in name:
             values.fill_(0 if name.endswith("bias") else 1 if "norm" in name else spread)
         else:
             values.normal_(0, spread, generator=generator)
-        model.load_state_dict({name: values.to(dtypes[name])}, assign=True, strict=False)
+        model.load_state_dict({name: values.to(tensor.dtype)}, assign=True, strict=False)
     return model.requires_grad_(False).eval()
+
+
+def without_numbers(make: Callable[[], Network], precision: Precision) -> Network:
+    """Shapes and types alone, as loading from a file would give them."""
+    with torch.device("meta"):
+        model = make()
+        for name, dtype in weight_dtypes(model, precision).items():
+            if dtype == torch.bfloat16 and not name.startswith(("camera_head.", "dense_head.")):
+                half = torch.empty(model.state_dict()[name].shape, dtype=dtype)
+                model.load_state_dict({name: half}, assign=True, strict=False)
+    return model
 
 
 def photos(views: int, size: int, device: torch.device) -> torch.Tensor:

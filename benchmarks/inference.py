@@ -24,6 +24,10 @@ from typing import Any
 import torch
 
 import full_size
+from querysplat_cli.encoders.vggt_omega.model import CONFIG, VggtOmega
+from querysplat_cli.memory import RUNTIME
+from querysplat_cli.model.config import preset
+from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.precision import check_precision, matrix_products
 from querysplat_cli.report import machine
 
@@ -125,6 +129,22 @@ def table(rows: list[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
+def foretold() -> str:
+    """Markdown: the GiB that `reconstruct` says beforehand, by views and precision, for 8,192 queries."""
+    lines = [f"| views | {' | '.join(map(str, VIEWS))} |", "| --- " * (len(VIEWS) + 1) + "|"]
+    for name in ("fp32", "bf16"):
+        precision = check_precision(name)
+        encoder = full_size.without_numbers(lambda: VggtOmega(CONFIG), precision)
+        decoder = full_size.without_numbers(lambda: QuerySplat(preset("official-8192")), precision)
+        weights = sum(tensor.nbytes for tensor in encoder.state_dict().values()) + decoder.weight_bytes
+        needed = []
+        for views in VIEWS:
+            perceiving = weights + CONFIG.working_bytes(views, SIZE, name == "bf16", mixed=True, depth=False)
+            needed.append((RUNTIME + max(perceiving, decoder.bytes_needed(views, SIZE, SPECIALS))) / 2**30)
+        lines.append(f"| {name} | {' | '.join(f'{each:.1f}' for each in needed)} |")
+    return "\n".join(lines)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--views", type=int, nargs="+", default=VIEWS)
@@ -135,7 +155,11 @@ def main() -> None:
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     parser.add_argument("--json", type=Path)
     parser.add_argument("--row", action="store_true", help="print one row as JSON and stop")
+    parser.add_argument("--foretell", action="store_true", help="print what memory will be expected, and stop")
     options = parser.parse_args()
+    if options.foretell:
+        print(foretold())
+        return
     device = torch.device(options.device)
     if options.row:
         row = measure(options.views[0], options.queries, options.precision[0], device, options.part, options.runs)

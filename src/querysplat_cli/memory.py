@@ -50,7 +50,7 @@ class MemoryNeeds:
             return None
         special = self.model.config.special_tokens
         decoding = self.model.bytes_needed(views, self.size, special, optimising=self.optimising)
-        return RUNTIME + max(perceiving + self.model.bytes_needed(0, self.size, 0), decoding)
+        return RUNTIME + max(perceiving + self.model.weight_bytes, decoding)
 
 
 def within_memory(

@@ -80,7 +80,7 @@ class FeedForwardEncoder:
     def bytes_needed(self, views: int, size: int) -> int | None:
         """Weights and `VgmConfig.working_bytes`."""
         options = self._options
-        weights = sum(tensor.numel() * tensor.element_size() for tensor in self._model.state_dict().values())
+        weights = sum(tensor.nbytes for tensor in self._model.state_dict().values())
         return weights + self._model.config.working_bytes(
             views, size, options.precision == "bf16", mixed=options.mixture is not None, depth=options.depth
         )

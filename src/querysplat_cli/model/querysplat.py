@@ -78,13 +78,16 @@ class QuerySplat(nn.Module):
                 "Choose a --max-size that both patches divide, for instance 448.",
             )
 
+    @property
+    def weight_bytes(self) -> int:
+        return sum(tensor.nbytes for tensor in self.state_dict().values())
+
     def bytes_needed(self, views: int, size: int, special_tokens: int, *, optimising: bool = False) -> int:
         """About the most memory that decoding takes, weights, features and memories included.
 
         When memories are optimised, their gradients and two moments, and the tokens between blocks, come on top.
         """
         config = self.config
-        weights = sum(tensor.numel() * tensor.element_size() for tensor in self.state_dict().values())
         share = self.geometry_memory.proj.weight.element_size() / 4
         patches = views * (size // config.patch) ** 2
         tokens = patches + views * special_tokens
@@ -97,7 +100,7 @@ class QuerySplat(nn.Module):
             memory += 4 * 2 * 4 * config.width * (tokens + patches)
             blocks = config.geometry_blocks + config.appearance_blocks
             queries += config.query_count * 4 * config.width * (blocks + 4 * (8 + 2 * config.mlp_ratio))
-        return int(weights + memory + queries)
+        return int(self.weight_bytes + memory + queries)
 
     def remember(
         self,
