@@ -43,8 +43,8 @@ from querysplat_cli.tto.features import TtoResult, TtoSettings, optimise_memorie
 from querysplat_cli.tto.plan import plan_tto
 from querysplat_cli.tto.rendering_loss import RenderingLoss
 
-RELEASE_RATE = 5e-3
-"""The learning rate with which the release optimises the memories of learned queries."""
+RELEASE_STEPS, RELEASE_RATE = 20, 5e-3
+"""How the release optimises the memories of learned queries: all views in every step."""
 
 
 @dataclass(frozen=True)
@@ -232,7 +232,10 @@ def optimise_scene(
         model = load_again(scene.model, before["settings"], weights, find_device(device))
     with stages("tto") as progress:
         resumed = any(run["steps"] for run in before["tto"])
-        plan = plan_tto(steps, views=len(scene.views), gaussians=before["gaussians"], lr=lr, resumed=resumed)
+        if scene.anchors is None:
+            plan = TtoSettings(RELEASE_STEPS if steps is None else steps, RELEASE_RATE if lr is None else lr)
+        else:
+            plan = plan_tto(steps, views=len(scene.views), gaussians=before["gaussians"], lr=lr, resumed=resumed)
         tto, memories, gaussians = _optimise(
             model, scene.memories, scene.anchors, scene.views, scene.cameras, plan, seed, progress
         )

@@ -86,6 +86,8 @@ def test_the_memories_can_be_optimised_later(room: Path, tmp_path: Path, capsys:
     assert after["tto"][1]["loss_after"] < after["tto"][1]["loss_before"]
     again = reported(capsys, ["tto", str(tmp_path / "a"), "--steps", "0", "-q", "--json"])
     assert again["quality"]["input"]["psnr"] == pytest.approx(after["quality"]["input"]["psnr"], abs=0.01)
+    usual = reported(capsys, ["tto", str(tmp_path / "a"), "-q", "--json"])["tto"][-1]
+    assert (usual["steps"], usual["lr"], usual["views_per_step"]) == (20, 0.005, None)
 
 
 def test_held_out_photos_do_not_enter_the_scene(room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
