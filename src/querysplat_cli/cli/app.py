@@ -2,7 +2,7 @@
 
 import typer
 
-from querysplat_cli.cli import demo, reconstruct, render, tto
+from querysplat_cli.cli import demo, inspect, reconstruct, render, tto, weights
 
 app = typer.Typer(
     name="querysplat",
@@ -14,4 +14,6 @@ app = typer.Typer(
 app.command("reconstruct")(reconstruct.reconstruct)
 app.command("tto")(tto.tto)
 app.command("render")(render.render)
+app.command("inspect")(inspect.inspect)
 app.command("demo")(demo.demo)
+app.command("weights")(weights.weights)
