@@ -12,11 +12,11 @@ import querysplat_cli
 ROOT = Path(querysplat_cli.__file__).parent
 MODULES = sorted(ROOT.rglob("*.py"))
 LAYERS = [
-    {"errors", "progress", "device", "precision", "tensor_files", "catalogue"},
+    {"errors", "progress", "device", "precision", "tensor_files", "catalogue", "drawing"},
     {"scene"},
     {"model", "encoders", "splat"},
     {"tto", "training", "evaluation"},
-    {"holdout", "quality", "report", "preview", "store", "memory", "weight_files", "remembering"}
+    {"holdout", "quality", "report", "preview", "curve", "store", "memory", "weight_files", "remembering"}
     | {"pipeline", "rendering", "inspection", "demo"},
     {"cli", "__main__"},
 ]

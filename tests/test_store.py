@@ -68,10 +68,10 @@ def equal(one: object, two: object) -> None:
 
 def test_round_trip(stored: tuple[StoredScene, Gaussians], tmp_path: Path) -> None:
     scene, gaussians = stored
-    assert write_scene(tmp_path / "s.ply", scene, gaussians, {"note": "é"}) == 7
+    assert write_scene(tmp_path / "s.ply", scene, gaussians, {"note": "é", "tto": []}) == 7
     for path in (tmp_path / "s.ply", tmp_path / "s"):
         found, report = read_scene(path)
-        assert report == {"note": "é"}
+        assert report == {"note": "é", "tto": []}
         assert scene.heldout is not None
         assert found.heldout is not None
         equal(scene.views, found.views)
@@ -88,7 +88,7 @@ def test_round_trip(stored: tuple[StoredScene, Gaussians], tmp_path: Path) -> No
 
 @pytest.mark.parametrize("part", ["cameras.json", "report.json", "memories.safetensors", "images/a.png"])
 def test_a_damaged_folder_is_refused(part: str, stored: tuple[StoredScene, Gaussians], tmp_path: Path) -> None:
-    write_scene(tmp_path / "s.ply", *stored, {"note": "long enough to be torn"})
+    write_scene(tmp_path / "s.ply", *stored, {"note": "long enough to be torn", "tto": []})
     file = tmp_path / "s" / part
     file.write_bytes(file.read_bytes()[:20])
     with pytest.raises(QuerySplatError):
@@ -99,7 +99,7 @@ def test_nothing_is_replaced_when_writing_fails(
     stored: tuple[StoredScene, Gaussians], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scene, gaussians = stored
-    write_scene(tmp_path / "s.ply", scene, gaussians, {"turn": 1})
+    write_scene(tmp_path / "s.ply", scene, gaussians, {"turn": 1, "tto": []})
     before = (tmp_path / "s.ply").read_bytes()
 
     def fail(*_: object) -> None:
@@ -107,7 +107,7 @@ def test_nothing_is_replaced_when_writing_fails(
 
     monkeypatch.setattr(sys.modules["querysplat_cli.store"], "write_preview", fail)
     with pytest.raises(KeyboardInterrupt):
-        write_scene(tmp_path / "s.ply", replace(scene, model="other"), gaussians[:3], {"turn": 2})
+        write_scene(tmp_path / "s.ply", replace(scene, model="other"), gaussians[:3], {"turn": 2, "tto": []})
     assert (tmp_path / "s.ply").read_bytes() == before
-    assert json.loads((tmp_path / "s" / "report.json").read_text()) == {"turn": 1}
+    assert json.loads((tmp_path / "s" / "report.json").read_text()) == {"turn": 1, "tto": []}
     assert sorted(path.name for path in tmp_path.iterdir()) == ["s", "s.ply"]

@@ -3,7 +3,6 @@
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -11,7 +10,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from querysplat_cli.errors import MissingPart, QuerySplatError
+from querysplat_cli.drawing import new_figure
+from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.model.attention_maps import attention_of
 from querysplat_cli.pipeline import load_again
 from querysplat_cli.progress import Stages
@@ -54,7 +54,6 @@ def inspect_scene(
     Raises QuerySplatError when the scene has no such query, or was stored without what the drawings need.
     """
     refuse_existing([output], force=force)
-    figures = _matplotlib()
     with stages("read"):
         scene, report = read_scene(path)
         model = load_again(scene.model, report["settings"], weights, torch.device("cpu"))
@@ -80,8 +79,8 @@ def inspect_scene(
         own = gaussians[slice(chosen * per_query, (chosen + 1) * per_query)]
         for branch, weight in maps.items():
             cv2.imwrite(str(draft / f"attention_{branch}.png"), _overlays(scene.views, cameras, weight, own)[..., ::-1])
-        _histograms(figures, draft / "histograms.png", gaussians)
-        _points(figures, draft / "points.png", scene, scene.map, gaussians)
+        _histograms(draft / "histograms.png", gaussians)
+        _points(draft / "points.png", scene, scene.map, gaussians)
     return Inspected(
         output=str(output),
         query=chosen,
@@ -145,8 +144,9 @@ def _projected(own: Gaussians, cameras: Cameras, view: int) -> list[tuple[float,
     return [(float(x), float(y)) for x, y in pixels[inside]]
 
 
-def _histograms(figures: Any, path: Path, gaussians: Gaussians) -> None:
-    figure, (left, right) = figures.subplots(1, 2, figsize=(9, 3.2), layout="constrained")
+def _histograms(path: Path, gaussians: Gaussians) -> None:
+    figure = new_figure(9.0, 3.2)
+    left, right = figure.subplots(1, 2)
     left.hist(gaussians.opacities.numpy(), bins=50, range=(0, 1), color="tab:blue")
     left.set(xlabel="opacity", ylabel="Gaussians", yscale="log")
     scales = gaussians.scales.clamp_min(1e-8).log10().numpy()
@@ -155,10 +155,9 @@ def _histograms(figures: Any, path: Path, gaussians: Gaussians) -> None:
     right.set(xlabel="log₁₀ scale, scene units")
     right.legend()
     figure.savefig(path, dpi=120)
-    figures.close(figure)
 
 
-def _points(figures: Any, path: Path, scene: StoredScene, found: MemoryMap, gaussians: Gaussians) -> None:
+def _points(path: Path, scene: StoredScene, found: MemoryMap, gaussians: Gaussians) -> None:
     """Points of the VGM's depth, where it was found, beside the Gaussians' centres, seen from the same place."""
     shown = gaussians[gaussians.opacities >= min(SEEN, float(gaussians.opacities.max()))]
     colours = (shown.sh[:, 0] * SH_0 + 0.5).clamp(0, 1)
@@ -168,7 +167,7 @@ def _points(figures: Any, path: Path, scene: StoredScene, found: MemoryMap, gaus
         y, x = (torch.arange(side) + 0.5 for side in found.depth.shape[1:])
         points = cameras.unproject(found.depth.float(), x, y)[views.masks]
         panels.insert(0, ("depth", points, views.images.permute(0, 2, 3, 1)[views.masks]))
-    figure = figures.figure(figsize=(6 * len(panels), 6), layout="constrained")
+    figure = new_figure(6.0 * len(panels), 6.0)
     # Outliers would make everything else small.
     low, high = (np.quantile(panels[0][1].numpy(), level, 0).tolist() for level in (0.02, 0.98))
     for i, (name, points, colour) in enumerate(panels):
@@ -180,15 +179,3 @@ def _points(figures: Any, path: Path, scene: StoredScene, found: MemoryMap, gaus
         axes.set(xlim=(low[0], high[0]), ylim=(low[2], high[2]), zlim=(-high[1], -low[1]))
         axes.view_init(elev=25, azim=-70)
     figure.savefig(path, dpi=120)
-    figures.close(figure)
-
-
-def _matplotlib() -> Any:
-    try:
-        import matplotlib
-    except ImportError as error:
-        raise MissingPart("drawing needs matplotlib", "Run `pip install 'querysplat[inspect]'`.") from error
-    matplotlib.use("agg")
-    from matplotlib import pyplot
-
-    return pyplot

@@ -10,6 +10,7 @@ import torch
 from querysplat_cli.device import find_device, moved
 from querysplat_cli.encoders.base import Encoder, EncoderOptions, Geometry, Located
 from querysplat_cli.encoders.registry import find_encoder
+from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.holdout import CameraPass, CameraSource, locate_passes
 from querysplat_cli.memory import MemoryNeeds, free_bytes, within_memory
 from querysplat_cli.model.anchors import Anchors
@@ -27,24 +28,23 @@ from querysplat_cli.report import (
     peak_memory_gib,
     quality_entry,
     seconds_entry,
-    tto_entry,
+    tto_entries,
     views_entry,
 )
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.files import check_writable, refuse_existing
 from querysplat_cli.scene.fit import Fit
 from querysplat_cli.scene.formats.known import read_known_cameras
+from querysplat_cli.scene.formats.ply import read_ply
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.photos import find_photos, load_photos
 from querysplat_cli.scene.views import Photo, Views
 from querysplat_cli.splat.compile_ahead import compile_ahead
 from querysplat_cli.store import StoredScene, ply_path, read_scene, scene_folder, write_scene
-from querysplat_cli.tto.features import TtoResult, TtoSettings, optimise_memories
-from querysplat_cli.tto.plan import plan_tto
+from querysplat_cli.tto.adapt import Adapted, adapt
+from querysplat_cli.tto.optimise import TtoStep
+from querysplat_cli.tto.plan import RELEASE_STEPS, Space, TtoRun, plan_release, plan_tto
 from querysplat_cli.tto.rendering_loss import RenderingLoss
-
-RELEASE_STEPS, RELEASE_RATE = 20, 5e-3
-"""How the release optimises the memories of learned queries: all views in every step."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +57,7 @@ class ReconstructSettings:
     holdout_cameras: CameraSource = "isolated"
     tto: int | None = None
     tto_target: Target = "kv"
+    tto_space: Space = "features"
     queries: int | None = None
     max_size: int | None = None
     max_views: int | None = None
@@ -79,10 +80,7 @@ class BuiltScene:
     located: Located
     geometry: Geometry
     remembered: Remembered
-    memories: Memories
-    gaussians: Gaussians
-    tto: TtoResult
-    tto_settings: TtoSettings
+    adapted: Adapted
 
 
 def reconstruct(settings: ReconstructSettings, stages: Stages) -> Report:
@@ -127,9 +125,9 @@ def _reconstruct(settings: ReconstructSettings, device: torch.device, stages: St
     )
     scene = build_scene(passes.chosen.inputs, encoder, model, settings, stages, last=passes.other is None)
     with stages("score"):
-        quality = score(scene.gaussians, scene.located.views, scene.located.cameras)
+        quality = score(scene.adapted.gaussians, scene.located.views, scene.located.cameras)
         scores = {passes.chosen.source: _score_heldout(scene, passes.chosen)}
-    if passes.other and passes.other.heldout:
+    if passes.other and passes.other.heldout and not scene.adapted.interrupted:
         with stages(f"{passes.other.source} score"):
             second = build_scene(passes.other.inputs, encoder, model, settings, Stages())
             scores[passes.other.source] = _score_heldout(second, passes.other)
@@ -138,7 +136,7 @@ def _reconstruct(settings: ReconstructSettings, device: torch.device, stages: St
             ply=str(settings.ply),
             scene=str(scene_folder(settings.ply)),
             views=views_entry(scene.located.views.names, (*unread, *too_many, *passes.left_out)),
-            gaussians=len(scene.gaussians),
+            gaussians=len(scene.adapted.gaussians),
             seconds=seconds_entry(stages.seconds),
             quality={
                 "input": quality_entry(quality),
@@ -146,7 +144,7 @@ def _reconstruct(settings: ReconstructSettings, device: torch.device, stages: St
             },
             left_out=_left_out(settings, scene),
             doubts=[*passes.doubts, *scene.geometry.doubts],
-            tto=[tto_entry(scene.tto, scene.tto_settings)],
+            tto=tto_entries(scene.adapted.runs),
             settings={
                 key: value if isinstance(value, int | None) else str(value) for key, value in asdict(settings).items()
             },
@@ -158,12 +156,12 @@ def _reconstruct(settings: ReconstructSettings, device: torch.device, stages: St
             scene.located.views,
             scene.located.cameras,
             passes.chosen.heldout,
-            scene.memories,
+            scene.adapted.memories,
             scene.remembered.anchors,
             settings.preset,
             scene.remembered.map,
         )
-        write_scene(settings.ply, stored, scene.gaussians, asdict(report))
+        write_scene(settings.ply, stored, scene.adapted.gaussians, asdict(report))
     return report
 
 
@@ -203,14 +201,14 @@ def build_scene(
         geometry = replace(geometry, features=())
     with stages("tto") as progress:
         if remembered.anchors is None:
-            plan = TtoSettings(settings.tto or 0, RELEASE_RATE)
+            plan = plan_release(settings.tto or 0, space=settings.tto_space)
         else:
-            plan = plan_tto(settings.tto, views=len(views), gaussians=remembered.anchors.opacities.numel())
-        start = remembered.variables.map(torch.Tensor.float) if plan.steps else remembered.variables
-        tto, memories, gaussians = _optimise(
-            model, start, remembered.anchors, views, cameras, plan, settings.seed, progress
-        )
-    return BuiltScene(located, geometry, remembered, memories, gaussians, tto, plan)
+            count = remembered.anchors.opacities.numel()
+            plan = plan_tto(settings.tto, views=len(views), gaussians=count, space=settings.tto_space)
+        steps = sum(run.settings.steps for run in plan)
+        start = remembered.variables.map(torch.Tensor.float) if steps else remembered.variables
+        adapted = _optimise(model, start, remembered.anchors, None, views, cameras, plan, settings.seed, progress)
+    return BuiltScene(located, geometry, remembered, adapted)
 
 
 def optimise_scene(
@@ -221,40 +219,53 @@ def optimise_scene(
     device: str,
     seed: int,
     stages: Stages,
+    space: Space | None = None,
     weights: Path | None = None,
 ) -> Report:
-    """Take up the scene in `path` (its folder or its .ply), optimise its memories further, and write it back.
+    """Take up the scene in `path` (its folder or its .ply), optimise it further, and write it back.
 
-    `weights` is where the model's files are now, if not where they were.
+    `space` None goes on where the last run worked. `weights` is where the model's files are now, if not where
+    they were. Raises QuerySplatError when memories are asked for whose Gaussians have gone their own way.
     """
     with stages("read"):
         scene, before = read_scene(path)
         model = load_again(scene.model, before["settings"], weights, find_device(device))
+        spaces = [run["space"] for run in before["tto"] if run["steps"]]
+        chosen = space or (spaces[-1] if spaces else "features")
+        apart = "gaussians" in spaces
+        if apart and chosen != "gaussians":
+            raise QuerySplatError(
+                f"the Gaussians of {path} were optimised themselves, and its memories would undo that",
+                "Use --space gaussians, or make the scene again.",
+            )
+        gaussians = read_ply(ply_path(path)) if apart else None
     with stages("tto") as progress:
-        resumed = any(run["steps"] for run in before["tto"])
         if scene.anchors is None:
-            plan = TtoSettings(RELEASE_STEPS if steps is None else steps, RELEASE_RATE if lr is None else lr)
+            plan = plan_release(RELEASE_STEPS if steps is None else steps, space=chosen, lr=lr)
         else:
-            plan = plan_tto(steps, views=len(scene.views), gaussians=before["gaussians"], lr=lr, resumed=resumed)
-        tto, memories, gaussians = _optimise(
-            model, scene.memories, scene.anchors, scene.views, scene.cameras, plan, seed, progress
+            count = before["gaussians"]
+            plan = plan_tto(
+                steps, views=len(scene.views), gaussians=count, space=chosen, lr=lr, resumed=chosen in spaces
+            )
+        adapted = _optimise(
+            model, scene.memories, scene.anchors, gaussians, scene.views, scene.cameras, plan, seed, progress
         )
     with stages("score"):
         quality = {
-            "input": quality_entry(score(gaussians, scene.views, scene.cameras)),
-            "heldout": quality_entry(score(gaussians, *scene.heldout)) if scene.heldout else None,
+            "input": quality_entry(score(adapted.gaussians, scene.views, scene.cameras)),
+            "heldout": quality_entry(score(adapted.gaussians, *scene.heldout)) if scene.heldout else None,
         }
     with stages("write"):
         report = replace(
             Report(**before),
-            gaussians=len(gaussians),
+            gaussians=len(adapted.gaussians),
             seconds=seconds_entry(stages.seconds),
             quality=quality,
-            tto=[*before["tto"], tto_entry(tto, plan)],
+            tto=[*before["tto"], *tto_entries(adapted.runs)],
             peak_memory_gib=peak_memory_gib(),
             machine=machine(),
         )
-        write_scene(ply_path(path), replace(scene, memories=memories), gaussians, asdict(report))
+        write_scene(ply_path(path), replace(scene, memories=adapted.memories), adapted.gaussians, asdict(report))
     return report
 
 
@@ -270,41 +281,41 @@ def load_again(name: str, settings: dict[str, Any], weights: Path | None, device
 
 def _optimise(
     model: QuerySplat,
-    memories: Memories | Features,
+    variables: Memories | Features,
     anchors: Anchors | None,
+    gaussians: Gaussians | None,
     views: Views,
     cameras: Cameras,
-    plan: TtoSettings,
+    plan: Sequence[TtoRun],
     seed: int,
     progress: Progress,
-) -> tuple[TtoResult, Memories, Gaussians]:
+) -> Adapted:
     """The result on the CPU, however it was made: on the device of `model`."""
-    device, cpu = next(model.parameters()).device, torch.device("cpu")
-    memories, anchors = moved((memories, anchors), device)
-    target = RenderingLoss(*moved((views, cameras), device))
-    if not plan.steps and isinstance(memories, Memories):
-        # Decoding once is enough, and for thousands of learned queries takes minutes on a CPU.
-        with torch.no_grad():
-            gaussians = model.decode(memories, anchors)
-            loss = target.value(gaussians, list(range(len(views))))
-        return moved((TtoResult(memories, loss, loss, ()), memories, gaussians), cpu)
-    result = optimise_memories(
+    device = next(model.parameters()).device
+    variables, anchors, gaussians = moved((variables, anchors, gaussians), device)
+    total = sum(run.settings.steps for run in plan)
+    taken = 0
+
+    def show(step: TtoStep) -> None:
+        nonlocal taken
+        taken += 1
+        progress(f"loss {step.loss:.4f}, {step.psnr:.2f} dB, {step.gaussians:,} Gaussians", taken / total)
+
+    adapted = adapt(
         model,
-        memories,
+        variables,
         anchors,
-        target,
+        gaussians,
+        RenderingLoss(*moved((views, cameras), device)),
         plan,
         generator=torch.Generator().manual_seed(seed),
-        progress=lambda step: progress(f"loss {step.loss:.4f}", (step.step + 1) / plan.steps),
+        progress=show,
     )
-    with torch.no_grad():
-        best = result.memories
-        adapted = best if isinstance(best, Memories) else model.project(best)
-        return moved((result, adapted, model.decode(adapted, anchors)), cpu)
+    return moved(adapted, torch.device("cpu"))
 
 
 def _score_heldout(scene: BuiltScene, cameras: CameraPass) -> Quality | None:
-    return score(scene.gaussians, *cameras.heldout) if cameras.heldout else None
+    return score(scene.adapted.gaussians, *cameras.heldout) if cameras.heldout else None
 
 
 def _left_out(settings: ReconstructSettings, scene: BuiltScene) -> list[dict[str, str]]:

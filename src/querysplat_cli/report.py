@@ -13,7 +13,8 @@ from typing import Any
 from querysplat_cli.holdout import CameraSource, PoseDifference
 from querysplat_cli.quality import Quality
 from querysplat_cli.scene.views import LeftOut
-from querysplat_cli.tto.features import TtoResult, TtoSettings
+from querysplat_cli.tto.optimise import TtoResult
+from querysplat_cli.tto.plan import TtoRun
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,11 @@ class Report:
     peak_memory_gib: float
     machine: str
     memory_estimate_gib: float | None = None
+
+    @property
+    def interrupted(self) -> bool:
+        """Ctrl-C ended the optimisation early."""
+        return bool(self.tto and self.tto[-1]["interrupted"])
 
     def json(self) -> str:
         return json.dumps(asdict(self), indent=2)
@@ -74,13 +80,26 @@ def heldout_entry(
     return {**quality_entry(kept), "cameras": chosen, **brief, "pose_difference": apart}
 
 
-def tto_entry(result: TtoResult, settings: TtoSettings) -> dict[str, Any]:
-    """How the loss fell: before, after, and [step, seconds, loss on that step's views]."""
-    curve = [[step.step, round(step.seconds, 3), round(step.loss, 5)] for step in result.history]
+def tto_entries(runs: Sequence[tuple[TtoRun, TtoResult]]) -> list[dict[str, Any]]:
+    """How the loss fell in each run: before, after, and the curve [step, seconds, loss, PSNR, Gaussians].
+
+    Loss and PSNR (dB) of the curve are those of that step's views.
+    """
+    return [_tto_entry(run, result) for run, result in runs]
+
+
+def _tto_entry(run: TtoRun, result: TtoResult) -> dict[str, Any]:
+    curve = [
+        [step.step, round(step.seconds, 3), round(step.loss, 5), round(step.psnr, 2), step.gaussians]
+        for step in result.history
+    ]
     return {
-        **asdict(settings),
+        "space": run.space,
+        **asdict(run.settings),
         "loss_before": round(result.loss_before, 5),
         "loss_after": round(result.loss_after, 5),
+        "undone": result.undone,
+        "interrupted": result.interrupted,
         "curve": curve,
     }
 

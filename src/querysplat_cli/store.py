@@ -7,6 +7,7 @@ scene/
   memories.safetensors     memories, anchors, masks and depth, and the model that they belong to
   report.json
   preview.png
+  curve.png                error against time, if it was optimised
 """
 
 import json
@@ -22,6 +23,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
+from querysplat_cli.curve import write_curve
 from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.model.anchors import Anchors
 from querysplat_cli.model.memories import Memories
@@ -105,6 +107,8 @@ def write_scene(ply: Path, scene: StoredScene, gaussians: Gaussians, report: dic
         (draft / "memories.safetensors").write_bytes(save(tensors, metadata={"model": scene.model}))
         (draft / "report.json").write_text(json.dumps(report, indent=2) + "\n")
         write_preview(draft / "preview.png", gaussians, scene.groups)
+        if any(run["curve"] for run in report["tto"]):
+            write_curve(draft / "curve.png", report["tto"])
     return written
 
 

@@ -2,9 +2,11 @@
 
 import json
 import resource
+import shutil
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +62,7 @@ def test_what_is_written(scene: tuple[Path, dict[str, Any]]) -> None:
     assert report == json.loads((ply.with_suffix("") / "report.json").read_text())
     assert {path.name for path in ply.with_suffix("").iterdir()} == {
         "cameras.json",
+        "curve.png",
         "images",
         "memories.safetensors",
         "preview.png",
@@ -116,6 +119,41 @@ def test_tto_takes_the_scene_up(scene: tuple[Path, dict[str, Any]], capsys: pyte
     assert run(["tto", str(ply), "--steps", "0", "--json", "-q"]) == 0  # by the .ply, and doing nothing
     again = json.loads(capsys.readouterr().out)
     assert again["quality"]["input"]["psnr"] == after["quality"]["input"]["psnr"]
+
+
+def test_gaussians_that_were_optimised_themselves_are_not_decoded_again(
+    scene: tuple[Path, dict[str, Any]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source, before = scene
+    ply = Path(shutil.copy(source, tmp_path / "scene.ply"))
+    shutil.copytree(source.with_suffix(""), ply.with_suffix(""))
+    assert run(["tto", str(ply), "--steps", "8", "--space", "both", "--json", "-q"]) == 0
+    both = json.loads(capsys.readouterr().out)
+    assert [(part["space"], part["steps"]) for part in both["tto"][-2:]] == [("features", 4), ("gaussians", 4)]
+    assert both["quality"]["input"]["psnr"] > before["quality"]["input"]["psnr"]
+    assert run(["tto", str(ply), "--steps", "0", "--json", "-q"]) == 0
+    again = json.loads(capsys.readouterr().out)
+    assert again["tto"][-1]["space"] == "gaussians"
+    assert again["quality"]["input"]["psnr"] == pytest.approx(both["quality"]["input"]["psnr"], abs=0.01)
+    assert run(["tto", str(ply), "--space", "features"]) == ExitCode.BAD_INPUT
+
+
+def test_ctrl_c_keeps_what_optimisation_reached(scene: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
+    source, before = scene
+    ply = Path(shutil.copy(source, tmp_path / "scene.ply"))
+    shutil.copytree(source.with_suffix(""), ply.with_suffix(""))
+    command = [sys.executable, "-m", "querysplat_cli", "tto", str(ply), "--steps", "100000"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        assert any(line.strip() == "tto" for line in process.stderr)
+        time.sleep(8)
+        process.send_signal(signal.SIGINT)
+        said = process.stderr.read()
+    assert process.returncode == ExitCode.INTERRUPTED, said
+    after = json.loads((ply.with_suffix("") / "report.json").read_text())
+    assert after["tto"][-1]["interrupted"]
+    assert 0 < len(after["tto"][-1]["curve"]) < 100_000
+    assert after["quality"]["input"]["psnr"] > before["quality"]["input"]["psnr"]
 
 
 def test_the_same_seed_gives_the_same_file(room: Path, tmp_path: Path) -> None:
@@ -244,7 +282,7 @@ def test_a_full_disk_leaves_nothing(room: Path, tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("stage", ["photos", "cameras", "depth", "tto", "score", "write"])
+@pytest.mark.parametrize("stage", ["photos", "cameras", "depth", "score", "write"])
 def test_ctrl_c_leaves_what_was_there(stage: str, room: Path, tmp_path: Path) -> None:
     (tmp_path / "a.ply").write_text("mine")
     arguments = ["reconstruct", str(room), "-o", str(tmp_path / "a.ply"), "--force", *SMALL[:-1]]

@@ -6,10 +6,12 @@ from contextlib import contextmanager
 from dataclasses import asdict
 from typing import Any
 
+import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from querysplat_cli.errors import ExitCode
 from querysplat_cli.progress import Stages
 from querysplat_cli.rendering import Rendered
 from querysplat_cli.report import Report
@@ -44,6 +46,12 @@ def print_report(report: Report, *, quiet: bool, as_json: bool) -> None:
         print(report.json())
     if not quiet:
         console.print(_table(asdict(report)))
+
+
+def exit_if_interrupted(report: Report) -> None:
+    """What Ctrl-C left is written; the exit code still says that there could have been more."""
+    if report.interrupted:
+        raise typer.Exit(ExitCode.INTERRUPTED)
 
 
 def _table(report: dict[str, Any]) -> Table:
@@ -88,7 +96,11 @@ def _quality_text(quality: dict[str, Any]) -> str:
 
 
 def _tto_text(run: dict[str, Any]) -> str:
-    text = f"{run['steps']} steps, loss {run['loss_before']:.4f} → {run['loss_after']:.4f}"
+    text = f"{run['steps']} steps on {run['space']}, loss {run['loss_before']:.4f} → {run['loss_after']:.4f}"
+    if run["undone"]:
+        text += f", {run['undone']} undone"
+    if run["interrupted"]:
+        text += f", stopped by Ctrl-C after {len(run['curve'])}"
     kept = run["steps"] and run["loss_after"] == run["loss_before"]
     return f"{text}, no better: the state before was kept" if kept else text
 

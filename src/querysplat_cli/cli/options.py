@@ -1,6 +1,7 @@
 """Options that several verbs share."""
 
 from collections.abc import Callable
+from enum import StrEnum
 from typing import Annotated
 
 import typer
@@ -10,6 +11,12 @@ Json = Annotated[bool, typer.Option("--json", help="Print the result as one JSON
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")]
 Seed = Annotated[int, typer.Option(help="The same seed on the same machine gives the same file.")]
 Device = Annotated[str, typer.Option(help="auto, cpu, or cuda.")]
+
+
+class TtoSpace(StrEnum):
+    features = "features"
+    gaussians = "gaussians"
+    both = "both"
 
 
 def number_or_auto(smallest: int) -> Callable[[str], int | None]:

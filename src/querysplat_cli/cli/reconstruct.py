@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from querysplat_cli.cli.options import Device, Force, Json, Quiet, Seed, number_or_auto
+from querysplat_cli.cli.options import Device, Force, Json, Quiet, Seed, TtoSpace, number_or_auto
 
 
 class TtoTarget(StrEnum):
@@ -48,6 +48,9 @@ def reconstruct(
     tto_target: Annotated[
         TtoTarget, typer.Option(help="What it optimises: keys and values, or the features that they are made of.")
     ] = TtoTarget.kv,
+    tto_space: Annotated[
+        TtoSpace, typer.Option(help="Optimise the memories, the Gaussians themselves, or both in turn.")
+    ] = TtoSpace.features,
     queries: Annotated[
         str, typer.Option(metavar="N|auto", help="At most this many queries; of learned ones the first N.")
     ] = "auto",
@@ -81,7 +84,7 @@ def reconstruct(
     """Turn photos, with no camera poses, into a 3D Gaussian splatting scene."""
     steps, limit = number_or_auto(0)(tto), number_or_auto(1)(queries)
     size, most = number_or_auto(96)(max_size), number_or_auto(1)(max_views)
-    from querysplat_cli.cli.console import print_report, showing_stages
+    from querysplat_cli.cli.console import exit_if_interrupted, print_report, showing_stages
     from querysplat_cli.pipeline import ReconstructSettings
     from querysplat_cli.pipeline import reconstruct as run
 
@@ -92,6 +95,7 @@ def reconstruct(
         holdout_cameras=holdout_cameras.value,
         tto=steps,
         tto_target=tto_target.value,
+        tto_space=tto_space.value,
         queries=limit,
         max_size=size,
         max_views=most,
@@ -109,3 +113,4 @@ def reconstruct(
     with showing_stages(quiet=quiet) as stages:
         report = run(settings, stages)
     print_report(report, quiet=quiet, as_json=json)
+    exit_if_interrupted(report)

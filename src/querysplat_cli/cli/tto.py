@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from querysplat_cli.cli.options import Device, Json, Quiet, Seed, number_or_auto
+from querysplat_cli.cli.options import Device, Json, Quiet, Seed, TtoSpace, number_or_auto
 
 
 def tto(
@@ -15,17 +15,34 @@ def tto(
         float | None,
         typer.Option(min=1e-8, help="Learning rate; 0.02, or 0.005 for a scene that was optimised before."),
     ] = None,
+    space: Annotated[
+        TtoSpace | None,
+        typer.Option(help="Optimise the memories, the Gaussians themselves, or both in turn; as last time by default."),
+    ] = None,
     weights: Annotated[Path | None, typer.Option(help="The folder of downloaded weights, if not where it was.")] = None,
     device: Device = "auto",
     seed: Seed = 42,
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
-    """Optimise the memories of a scene on its photos, and update the .ply, the folder and the report."""
+    """Optimise a scene further on its photos, and update the .ply, the folder and the report.
+
+    Ctrl-C ends the optimisation and keeps what it reached.
+    """
     count = number_or_auto(0)(steps)
-    from querysplat_cli.cli.console import print_report, showing_stages
+    from querysplat_cli.cli.console import exit_if_interrupted, print_report, showing_stages
     from querysplat_cli.pipeline import optimise_scene
 
     with showing_stages(quiet=quiet) as stages:
-        report = optimise_scene(scene, steps=count, lr=lr, device=device, seed=seed, stages=stages, weights=weights)
+        report = optimise_scene(
+            scene,
+            steps=count,
+            lr=lr,
+            device=device,
+            seed=seed,
+            stages=stages,
+            space=None if space is None else space.value,
+            weights=weights,
+        )
     print_report(report, quiet=quiet, as_json=json)
+    exit_if_interrupted(report)

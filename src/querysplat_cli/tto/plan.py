@@ -1,11 +1,19 @@
-"""How many steps, and with how many views each."""
+"""What to optimise, for how many steps, and with how many views each."""
 
-from querysplat_cli.tto.features import TtoSettings
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from querysplat_cli.tto.optimise import TtoSettings
+
+Space = Literal["features", "gaussians", "both"]
+"""The memories that the Gaussians are decoded from, the Gaussians themselves, or first the one and then the other."""
 
 LEARNING_RATE = 0.02
 RESUMED_LEARNING_RATE, RESUMED_WARM_UP = 0.005, 10
 """For memories that were optimised before: Adam's first steps move every number by as much, whatever its gradient,
 which helps a fresh scene (held out, dtu106 gains 0.3 dB and fortress loses 0.1) but leads an optimised one uphill."""
+RELEASE_STEPS, RELEASE_LEARNING_RATE = 20, 5e-3
+"""The authors' release, for learned queries."""
 VIEWS_PER_STEP = 3
 STEPS = (40, 150)
 """Fewest and most steps of an automatic plan; what more of them bring on held-out photos is little."""
@@ -16,15 +24,42 @@ STEP_COST, GAUSSIAN_COST = 0.047, 1.65e-6
 the same seed gives the same scene however busy the machine is."""
 
 
+@dataclass(frozen=True)
+class TtoRun:
+    """One run of the optimiser in one space."""
+
+    space: Literal["features", "gaussians"]
+    settings: TtoSettings
+
+
 def plan_tto(
-    steps: int | None, *, views: int, gaussians: int, lr: float | None = None, resumed: bool = False
-) -> TtoSettings:
-    """Settings for `steps` steps, or for as many as usually pay (None)."""
-    usual = RESUMED_LEARNING_RATE if resumed else LEARNING_RATE
+    steps: int | None,
+    *,
+    views: int,
+    gaussians: int,
+    space: Space = "features",
+    lr: float | None = None,
+    resumed: bool = False,
+) -> tuple[TtoRun, ...]:
+    """Runs of `steps` steps together, or of as many as usually pay (None)."""
     affordable = int(WORK / (STEP_COST + GAUSSIAN_COST * gaussians))
-    return TtoSettings(
+    usual = RESUMED_LEARNING_RATE if resumed else LEARNING_RATE
+    settings = TtoSettings(
         steps=min(max(affordable, STEPS[0]), STEPS[1]) if steps is None else steps,
         lr=usual if lr is None else lr,
         views_per_step=VIEWS_PER_STEP if views > VIEWS_PER_STEP else None,
         warm_up=RESUMED_WARM_UP if resumed else 0,
     )
+    return _runs(space, settings)
+
+
+def plan_release(steps: int, *, space: Space = "features", lr: float | None = None) -> tuple[TtoRun, ...]:
+    """As the authors' release does: every view in every step."""
+    return _runs(space, TtoSettings(steps, RELEASE_LEARNING_RATE if lr is None else lr))
+
+
+def _runs(space: Space, settings: TtoSettings) -> tuple[TtoRun, ...]:
+    if space != "both":
+        return (TtoRun(space, settings),)
+    first = replace(settings, steps=settings.steps - settings.steps // 2)
+    return TtoRun("features", first), TtoRun("gaussians", replace(settings, steps=settings.steps // 2))

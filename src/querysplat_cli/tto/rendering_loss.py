@@ -1,6 +1,6 @@
 """The rendering loss of many views, and its gradient, in the memory of a few."""
 
-from collections.abc import Iterator
+import math
 from dataclasses import dataclass, field
 
 import torch
@@ -14,36 +14,57 @@ from querysplat_cli.splat.similarity import photometric_loss
 
 
 @dataclass(frozen=True)
+class LossAndGradient:
+    """The loss of each view, the mean PSNR in dB, and the gradient of the mean loss."""
+
+    losses: list[float]
+    psnr: float
+    gradient: Gaussians
+
+    @property
+    def loss(self) -> float:
+        return sum(self.losses) / len(self.losses)
+
+
+@dataclass(frozen=True)
 class RenderingLoss:
     """L1 + 0.2·D-SSIM between renders and photos (paper, section 3.3; the LPIPS term needs its weights).
 
-    Views are rendered `chunk` at a time. The loss of a set of views is the mean of the views' losses, so
-    that how they are cut into chunks changes neither it nor its gradient beyond rounding.
+    The loss of a set of views is the mean of the views' losses. They are rendered one after another, and what
+    one sends to the Gaussians is added up, so that memory does not grow with their number.
     """
 
     views: Views
     cameras: Cameras
     background: Tensor | None = None
     settings: RenderSettings = field(default_factory=RenderSettings)
-    chunk: int = 4
+
+    def values(self, gaussians: Gaussians, chosen: list[int]) -> list[float]:
+        """The loss of each of the views `chosen`."""
+        with torch.no_grad():
+            return [float(self._view(gaussians, view)[0]) for view in chosen]
 
     def value(self, gaussians: Gaussians, chosen: list[int]) -> float:
         """The loss over the views `chosen`."""
-        with torch.no_grad():
-            return sum(float(part) for part in self._parts(gaussians, chosen))
+        return sum(self.values(gaussians, chosen)) / len(chosen)
 
-    def value_and_gradient(self, gaussians: Gaussians, chosen: list[int]) -> tuple[float, Gaussians]:
+    def value_and_gradient(self, gaussians: Gaussians, chosen: list[int]) -> "LossAndGradient":
         """The loss over the views `chosen`, and its gradient with respect to every Gaussian parameter."""
         leaves = gaussians.map(lambda field: field.detach().requires_grad_())
-        total = 0.0
-        for part in self._parts(leaves, chosen):
-            part.backward()
-            total += float(part.detach())
-        return total, leaves.map(lambda field: torch.zeros_like(field) if field.grad is None else field.grad)
+        losses, errors = [], []
+        for view in chosen:
+            loss, error = self._view(leaves, view)
+            (loss / len(chosen)).backward()
+            losses.append(float(loss.detach()))
+            errors.append(error)
+        gradient = leaves.map(lambda field: torch.zeros_like(field) if field.grad is None else field.grad)
+        psnr = sum(-10 * math.log10(max(error, 1e-10)) for error in errors) / len(errors)
+        return LossAndGradient(losses, psnr, gradient)
 
-    def _parts(self, gaussians: Gaussians, chosen: list[int]) -> Iterator[Tensor]:
-        for start in range(0, len(chosen), self.chunk):
-            some = chosen[start : start + self.chunk]
-            picture = render(gaussians, self.cameras[some], background=self.background, settings=self.settings)
-            loss = photometric_loss(picture.colour, self.views.images[some], self.views.masks[some])
-            yield loss * (len(some) / len(chosen))
+    def _view(self, gaussians: Gaussians, view: int) -> tuple[Tensor, float]:
+        """Loss and mean squared error of one view."""
+        picture = render(gaussians, self.cameras[[view]], background=self.background, settings=self.settings).colour
+        photo, mask = self.views.images[[view]], self.views.masks[[view]]
+        with torch.no_grad():
+            error = (picture.clamp(0, 1) - photo).square().mean(1)[mask].mean()
+        return photometric_loss(picture, photo, mask), float(error)

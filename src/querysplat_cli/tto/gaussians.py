@@ -1,0 +1,95 @@
+"""Test-time optimisation in Gaussian space: the Gaussians themselves adapt, from whatever made them.
+
+Every variable is a number without units, so that one rate suits scenes of any size and Gaussians of any
+shape: centres move in units of the Gaussian's own axes, which keeps a needle or an edge-on disc from setting
+the step of the others; scales are logarithms, opacities logits.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.nn import functional as F
+
+from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.tto.optimise import TtoResult, TtoSettings, TtoStep, optimise
+from querysplat_cli.tto.rendering_loss import RenderingLoss
+
+RATES = {"moves": 1.0, "turns": 0.5, "log_scales": 1.0, "logits": 2.0, "colours": 0.5, "bands": 0.1}
+"""Steps of the variables relative to the learning rate. Colours are SH numbers, of which 1 is 0.28 of a channel;
+what depends on direction learns slowly, since it can explain one view and spoil all others."""
+LARGEST = 8.0
+"""A log-scale, a logit or a move, in units of the start, stays within this of where it began."""
+
+
+@dataclass(frozen=True)
+class Changes:
+    """Changes to N Gaussians; zeros leave them as they are."""
+
+    moves: Float[Tensor, "n 3"]
+    turns: Float[Tensor, "n 4"]
+    log_scales: Float[Tensor, "n 3"]
+    logits: Float[Tensor, "n"]
+    colours: Float[Tensor, "n 1 3"]
+    bands: Float[Tensor, "n rest 3"]
+
+    def map(self, change: Callable[[Tensor], Tensor]) -> "Changes":
+        """The result of applying `change` to every tensor."""
+        return Changes(**{field.name: change(getattr(self, field.name)) for field in fields(self)})
+
+    @classmethod
+    def none(cls, gaussians: Gaussians) -> "Changes":
+        """No change."""
+        sh = torch.zeros_like(gaussians.sh)
+        return cls(
+            torch.zeros_like(gaussians.means),
+            torch.zeros_like(gaussians.quats),
+            torch.zeros_like(gaussians.scales),
+            torch.zeros_like(gaussians.opacities),
+            sh[:, :1],
+            sh[:, 1:],
+        )
+
+
+def optimise_gaussians(
+    gaussians: Gaussians,
+    target: RenderingLoss,
+    settings: TtoSettings,
+    *,
+    generator: torch.Generator,
+    progress: Callable[[TtoStep], None] = lambda step: None,
+) -> TtoResult[Changes]:
+    """`optimise` for changes to `gaussians`."""
+    return optimise(
+        Changes.none(gaussians),
+        lambda changes: changed(gaussians, changes),
+        target,
+        settings,
+        rates=RATES,
+        generator=generator,
+        progress=progress,
+    )
+
+
+def changed(gaussians: Gaussians, changes: Changes) -> Gaussians:
+    """`gaussians` after `changes`: moves along their own axes in units of the standard deviations there."""
+    quats = F.normalize(gaussians.quats, dim=1)
+    moves = LARGEST * torch.tanh(changes.moves / LARGEST)
+    sizes = gaussians.scales.clamp_min(0.1 * gaussians.scales.amax(1, keepdim=True))
+    logits = torch.logit(gaussians.opacities, eps=1e-6)
+    return Gaussians(
+        means=gaussians.means + _rotated(quats, moves * sizes),
+        quats=F.normalize(quats + changes.turns, dim=1),
+        scales=gaussians.scales * torch.exp(changes.log_scales.clamp(-LARGEST, LARGEST)),
+        opacities=torch.sigmoid(logits + changes.logits),
+        sh=gaussians.sh + torch.cat([changes.colours, changes.bands], 1),
+    )
+
+
+def _rotated(quats: Float[Tensor, "n 4"], vectors: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+    """`vectors` turned by unit quaternions w, x, y, z."""
+    axis = quats[:, 1:]
+    cross = torch.linalg.cross(axis, vectors)
+    return vectors + 2 * (quats[:, :1] * cross + torch.linalg.cross(axis, cross))

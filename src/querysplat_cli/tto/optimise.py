@@ -1,0 +1,194 @@
+"""The loop of test-time optimisation: whatever the variables are, never worse than before.
+
+However many views there are, variables become Gaussians once a step: the gradients that the views send to
+the Gaussians are summed, chunk by chunk, and go back together.
+"""
+
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, fields, replace
+from itertools import islice
+from typing import Any, ClassVar, Generic, Protocol, TypeVar, runtime_checkable
+
+import torch
+from torch import Tensor
+
+from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.tto.rendering_loss import RenderingLoss
+
+RISE = 2.0
+"""A step is undone when the loss of its views exceeds the least seen of them by this factor. Views that pull in
+different ways, and Adam's first steps, raise it by up to half on their own and come down again."""
+PATIENCE = 30
+"""Steps undone in a row before a run is given up; the rate has then fallen by 2³⁰."""
+
+
+V = TypeVar("V", bound="Variables")
+
+
+@runtime_checkable
+class Variables(Protocol):
+    """A dataclass of tensors."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+    def map(self: V, change: Callable[[Tensor], Tensor]) -> V: ...
+
+
+@dataclass(frozen=True)
+class TtoSettings:
+    """How to optimise. `views_per_step` None takes every view in every step, as the paper's release does;
+    a number draws that many, each view once before any comes again. The rate rises over `warm_up` steps and
+    falls to a tenth along a cosine."""
+
+    steps: int
+    lr: float
+    views_per_step: int | None = None
+    warm_up: int = 0
+
+
+@dataclass(frozen=True)
+class TtoStep:
+    """The state before a step: loss and PSNR (dB) on the views of that step, and the seconds since the start."""
+
+    step: int
+    loss: float
+    psnr: float
+    seconds: float
+    gaussians: int
+
+
+@dataclass(frozen=True)
+class TtoResult(Generic[V]):
+    """The better of the first and the last state, by the loss over all views; steps undone on the way.
+
+    `gaussians` is what the variables decode to. `interrupted` says that Ctrl-C ended the run early.
+    """
+
+    variables: V
+    gaussians: Gaussians
+    loss_before: float
+    loss_after: float
+    history: tuple[TtoStep, ...]
+    undone: int = 0
+    interrupted: bool = False
+
+
+def optimise(
+    variables: V,
+    decode: Callable[[V], Gaussians],
+    target: RenderingLoss,
+    settings: TtoSettings,
+    *,
+    rates: Mapping[str, float],
+    generator: torch.Generator,
+    progress: Callable[[TtoStep], None] = lambda step: None,
+) -> TtoResult[V]:
+    """Adam (β 0.9, 0.999) on every tensor of `variables`, at `settings.lr` times its rate in `rates`.
+
+    A step after which the loss rises beyond its noise, or anything stops being finite, is undone and the
+    rate halved. Ctrl-C ends the run and keeps what was reached.
+    """
+    everything = list(range(len(target.views)))
+    with torch.no_grad():
+        first = decode(variables)
+    losses = target.values(first, everything)
+    before = TtoResult(variables, first, sum(losses) / len(losses), sum(losses) / len(losses), ())
+    if not settings.steps:
+        return before
+    run = _Run(variables, settings.lr, rates)
+    history: list[TtoStep] = []
+    start, undone, in_a_row, interrupted = time.perf_counter(), 0, 0, False
+    draws = _draws(len(everything), settings.views_per_step, generator)
+    try:
+        for step, chosen in enumerate(islice(draws, settings.steps)):
+            gaussians = decode(run.variables)
+            here = target.value_and_gradient(gaussians, chosen) if _finite(tensors(gaussians)) else None
+            if here:
+                torch.autograd.backward(tensors(gaussians), tensors(here.gradient))
+            if here is None or not run.finite_gradient() or _risen(here.losses, losses, chosen):
+                undone, in_a_row = undone + 1, in_a_row + 1
+                run.undo()
+                if in_a_row == PATIENCE:
+                    break
+                continue
+            in_a_row = 0
+            for view, loss in zip(chosen, here.losses, strict=True):
+                losses[view] = min(losses[view], loss)
+            seconds = time.perf_counter() - start
+            history.append(TtoStep(step, here.loss, here.psnr, seconds, len(gaussians)))
+            progress(history[-1])
+            run.step(_fall(step, settings))
+    except KeyboardInterrupt:
+        interrupted = True
+    found = replace(before, history=tuple(history), undone=undone, interrupted=interrupted)
+    last = run.variables.map(Tensor.detach)
+    with torch.no_grad():
+        gaussians = decode(last)
+    loss = target.value(gaussians, everything) if _finite(tensors(gaussians)) else math.inf
+    if loss < before.loss_before:
+        return replace(found, variables=last, gaussians=gaussians, loss_after=loss)
+    return found
+
+
+class _Run(Generic[V]):
+    """Variables under Adam, and the way back over the last step."""
+
+    def __init__(self, variables: V, lr: float, rates: Mapping[str, float]) -> None:
+        self._lr, self._rates = lr, rates
+        self._start(variables)
+
+    def _start(self, variables: V) -> None:
+        self.variables = variables.map(lambda tensor: tensor.detach().clone().requires_grad_())
+        self._before = variables
+        named = {field.name: getattr(self.variables, field.name) for field in fields(self.variables)}
+        groups = [{"params": [tensor], "rate": self._rates[name]} for name, tensor in named.items()]
+        self._adam = torch.optim.Adam(groups, lr=self._lr, fused=True)
+
+    def finite_gradient(self) -> bool:
+        return _finite([tensor.grad for tensor in tensors(self.variables) if tensor.grad is not None])
+
+    def step(self, share: float) -> None:
+        """One step at `share` of the rate."""
+        self._before = self.variables.map(lambda tensor: tensor.detach().clone())
+        for group in self._adam.param_groups:
+            group["lr"] = self._lr * group["rate"] * share
+        self._adam.step()
+        self._adam.zero_grad(set_to_none=True)
+
+    def undo(self) -> None:
+        """Back before the last step, at half the rate and without momentum."""
+        self._lr /= 2
+        self._start(self._before)
+
+
+def _risen(now: list[float], least: list[float], chosen: list[int]) -> bool:
+    mean = sum(least[view] for view in chosen) / len(chosen)
+    return not sum(now) / len(now) <= RISE * mean + 1e-4
+
+
+def _fall(step: int, settings: TtoSettings) -> float:
+    cosine = 0.55 + 0.45 * math.cos(math.pi * step / settings.steps)
+    return cosine * min(1.0, (step + 1) / max(1, settings.warm_up))
+
+
+def _finite(some: list[Tensor]) -> bool:
+    return all(bool(tensor.detach().isfinite().all()) for tensor in some)
+
+
+def tensors(holder: Variables) -> list[Tensor]:
+    """The tensors of a dataclass, in the order of its fields."""
+    return [getattr(holder, field.name) for field in fields(holder)]
+
+
+def _draws(views: int, at_once: int | None, generator: torch.Generator) -> Iterator[list[int]]:
+    """Endless sets of views, each view once before any comes again."""
+    waiting: list[int] = []
+    while True:
+        if at_once is None or at_once >= views:
+            yield list(range(views))
+            continue
+        if len(waiting) < at_once:
+            waiting += torch.randperm(views, generator=generator).tolist()
+        yield [waiting.pop(0) for _ in range(at_once)]

@@ -1,0 +1,123 @@
+"""Test-time optimisation of the Gaussians themselves."""
+
+import math
+
+import pytest
+import torch
+
+from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.views import Views
+from querysplat_cli.splat.render import render
+from querysplat_cli.tto.gaussians import Changes, changed, optimise_gaussians
+from querysplat_cli.tto.optimise import TtoSettings
+from querysplat_cli.tto.rendering_loss import RenderingLoss
+
+SIZE = 40
+
+
+def cloud(count: int = 60, stretch: float = 1.0) -> Gaussians:
+    """Gaussians before the cameras; their first axis is `stretch` times as long as the others."""
+    random = torch.Generator().manual_seed(0)
+    scales = torch.full((count, 3), 0.06) * torch.tensor([1.0, 1.0 / stretch, 1.0 / stretch])
+    return Gaussians(
+        means=torch.rand(count, 3, generator=random) * torch.tensor([1.0, 1.0, 0.3]) + torch.tensor([-0.5, -0.5, 1.5]),
+        quats=torch.nn.functional.normalize(torch.randn(count, 4, generator=random), dim=1),
+        scales=scales,
+        opacities=torch.full((count,), 0.8),
+        sh=0.5 * torch.randn(count, 4, 3, generator=random) * torch.tensor([1.0, 0.1, 0.1, 0.1])[:, None],
+    )
+
+
+def photos_of(gaussians: Gaussians, count: int = 4) -> tuple[Views, Cameras]:
+    w2c = torch.eye(4).repeat(count, 1, 1)
+    w2c[:, 0, 3] = torch.linspace(0.2, -0.2, count)
+    K = torch.tensor([[50.0, 0, SIZE / 2], [0, 50.0, SIZE / 2], [0, 0, 1]]).repeat(count, 1, 1)
+    cameras = Cameras(w2c, K, SIZE, SIZE)
+    images = render(gaussians, cameras).colour.clamp(0, 1)
+    names = tuple(f"{i}.png" for i in range(count))
+    return Views(images, torch.ones(count, SIZE, SIZE, dtype=torch.bool), names, ((SIZE, SIZE),) * count), cameras
+
+
+def disturbed(gaussians: Gaussians) -> Gaussians:
+    random = torch.Generator().manual_seed(1)
+
+    def noise(part: torch.Tensor) -> torch.Tensor:
+        return torch.randn(part.shape, generator=random)
+
+    return changed(gaussians, Changes.none(gaussians).map(lambda part: 0.3 * noise(part)))
+
+
+def test_no_change_changes_nothing() -> None:
+    before = cloud()
+    after = changed(before, Changes.none(before))
+    for name in ("means", "quats", "scales", "opacities", "sh"):
+        torch.testing.assert_close(getattr(after, name), getattr(before, name), rtol=1e-5, atol=1e-6)
+
+
+def test_a_move_is_along_the_gaussians_own_axes_in_their_own_units() -> None:
+    one = Gaussians(
+        means=torch.zeros(1, 3),
+        quats=torch.tensor([[math.cos(math.pi / 4), 0, 0, math.sin(math.pi / 4)]]),
+        scales=torch.tensor([[2.0, 1.0, 1e-6]]),
+        opacities=torch.tensor([0.5]),
+        sh=torch.zeros(1, 1, 3),
+    )
+    none = Changes.none(one)
+    ahead = changed(one, Changes(torch.tensor([[0.1, 0, 0]]), *list(vars(none).values())[1:]))
+    torch.testing.assert_close(ahead.means, torch.tensor([[0, 0.2, 0]]), atol=1e-3, rtol=1e-3)
+    flat = changed(one, Changes(torch.tensor([[0, 0, 0.1]]), *list(vars(none).values())[1:]))
+    torch.testing.assert_close(flat.means, torch.tensor([[0, 0, 0.02]]), atol=1e-3, rtol=1e-3)
+
+
+@pytest.mark.parametrize("stretch", [1.0, 1e2, 1e4], ids="κ={:g}".format)
+def test_disturbed_gaussians_come_back(stretch: float) -> None:
+    wanted = cloud(stretch=stretch)
+    views, cameras = photos_of(wanted)
+    result = optimise_gaussians(
+        disturbed(wanted),
+        RenderingLoss(views, cameras),
+        TtoSettings(60, 0.03),
+        generator=torch.Generator().manual_seed(0),
+    )
+    assert result.loss_after < 0.5 * result.loss_before
+    assert result.undone == 0
+    assert len(result.gaussians) == len(wanted)
+
+
+@pytest.mark.parametrize("rate", [3.0, 1e3, 1e30], ids=["100 times too large", "far too large", "overflowing"])
+def test_steps_of_a_rate_that_is_too_large_are_undone(rate: float) -> None:
+    wanted = cloud()
+    views, cameras = photos_of(wanted)
+    result = optimise_gaussians(
+        disturbed(wanted),
+        RenderingLoss(views, cameras),
+        TtoSettings(40, rate),
+        generator=torch.Generator().manual_seed(0),
+    )
+    assert result.undone > 0
+    assert result.loss_after <= result.loss_before
+    assert all(
+        bool(getattr(result.gaussians, name).isfinite().all())
+        for name in ("means", "quats", "scales", "opacities", "sh")
+    )
+
+
+def test_interrupting_keeps_what_was_reached() -> None:
+    wanted = cloud()
+    views, cameras = photos_of(wanted)
+
+    def interrupt(step: object) -> None:
+        if getattr(step, "step", 0) == 20:
+            raise KeyboardInterrupt
+
+    result = optimise_gaussians(
+        disturbed(wanted),
+        RenderingLoss(views, cameras),
+        TtoSettings(1000, 0.03),
+        generator=torch.Generator().manual_seed(0),
+        progress=interrupt,
+    )
+    assert result.interrupted
+    assert len(result.history) == 21
+    assert result.loss_after < result.loss_before
