@@ -15,8 +15,9 @@ LAYERS = [
     {"errors", "progress", "device"},
     {"scene"},
     {"model", "encoders", "splat"},
-    {"tto", "training", "evaluation"},
+    {"tto", "training"},
     {"holdout", "quality", "report", "preview", "store", "pipeline", "rendering", "demo"},
+    {"evaluation"},
     {"cli", "__main__"},
 ]
 

@@ -2,7 +2,7 @@
 
 import typer
 
-from querysplat_cli.cli import demo, reconstruct, render, tto
+from querysplat_cli.cli import demo, evaluate, reconstruct, render, tto
 
 app = typer.Typer(
     name="querysplat",
@@ -14,4 +14,5 @@ app = typer.Typer(
 app.command("reconstruct")(reconstruct.reconstruct)
 app.command("tto")(tto.tto)
 app.command("render")(render.render)
+app.command("eval")(evaluate.evaluate)
 app.command("demo")(demo.demo)

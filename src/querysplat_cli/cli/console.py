@@ -4,6 +4,7 @@ import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 from rich.console import Console
@@ -97,3 +98,47 @@ def print_rendered(rendered: Rendered, *, quiet: bool, as_json: bool) -> None:
         console.print(
             f"{rendered.frames} frames of {rendered.gaussians:,} Gaussians in {seconds:.1f} s: {rendered.output}"
         )
+
+
+def print_evaluation(summary: dict[str, Any], output: Path, *, quiet: bool, as_json: bool) -> None:
+    """The summary as JSON, and for people the averages and where the rest is."""
+    if as_json:
+        print(json.dumps(summary, indent=2))
+    if quiet or "averages" not in summary:
+        return
+    for views in sorted({row["views"] for row in summary["averages"]}):
+        table = Table(title=f"{views} views", title_justify="left", box=None, padding=(0, 2, 0, 0))
+        for column in ("row", "group", "PSNR", "SSIM", "LPIPS", "scored", "failed", "seconds", "Gaussians"):
+            table.add_column(column)
+        for row in summary["averages"]:
+            if row["views"] == views:
+                table.add_row(*_evaluation_cells(row))
+        for row in summary["quoted"]["rows"]:
+            if row["views"] == views:
+                table.add_row(f"quoted: {row['method']}", row["group"], *_metrics(row), style="dim")
+        console.print(table)
+    for text in summary["lpips"]:
+        console.print(f"LPIPS: {text}")
+    if summary["failures"]:
+        console.print(f"{len(summary['failures'])} failures, listed in {output / 'summary.md'}")
+    console.print(f"{output / 'summary.md'}, .csv and .json; a folder for each case")
+
+
+def _evaluation_cells(row: dict[str, Any]) -> tuple[str, ...]:
+    seconds, gaussians = row["seconds_median"], row["gaussians_median"]
+    return (
+        row["row"],
+        row["group"],
+        *_metrics(row),
+        f"{row['scored']} of {row['asked']}",
+        str(row["failed"]),
+        "–" if seconds is None else f"{seconds:.1f}",
+        "–" if gaussians is None else f"{gaussians:,.0f}",
+    )
+
+
+def _metrics(row: dict[str, Any]) -> tuple[str, ...]:
+    return tuple(
+        "–" if row[metric] is None else format(row[metric], form)
+        for metric, form in (("psnr", ".2f"), ("ssim", ".3f"), ("lpips", ".3f"))
+    )

@@ -115,7 +115,7 @@ def _named_cameras(path: Path, content: Mapping[str, Any], frames: Sequence[Mapp
     names = tuple(_file_path(path, frame).removeprefix("./").removeprefix("images/") for frame in frames)
     lenses = [_photo_camera(path, name, {**content, **frame}) for name, frame in zip(names, frames, strict=True)]
     for name, lens in zip(names, lenses, strict=True):
-        if not _is_rigid(lens.w2c):
+        if not is_rigid(lens.w2c):
             raise QuerySplatError(f"{path}: the matrix of {name} is no rigid motion", "Remove that frame.")
     sizes = tuple((lens.height, lens.width) for lens in lenses)
     K = torch.zeros(len(lenses), 3, 3, dtype=torch.float64)
@@ -127,7 +127,8 @@ def _named_cameras(path: Path, content: Mapping[str, Any], frames: Sequence[Mapp
     return NamedCameras(names, Cameras(w2c.float(), K.float(), int(height), int(width)), sizes)
 
 
-def _is_rigid(w2c: np.ndarray) -> bool:
+def is_rigid(w2c: np.ndarray) -> bool:
+    """Whether the matrix [4, 4] is finite and its rotation is one, within rounding."""
     rotation = w2c[:3, :3]
     if not np.isfinite(w2c).all():
         return False
