@@ -16,7 +16,7 @@ LAYERS = [
     {"scene"},
     {"model", "encoders", "splat"},
     {"tto", "training"},
-    {"holdout", "quality", "report", "preview", "store", "pipeline", "rendering", "demo"},
+    {"holdout", "quality", "report", "preview", "store", "pipeline", "rendering", "demo", "convert"},
     {"evaluation"},
     {"cli", "__main__"},
 ]

@@ -2,7 +2,7 @@
 
 import typer
 
-from querysplat_cli.cli import demo, evaluate, reconstruct, render, tto
+from querysplat_cli.cli import convert, demo, evaluate, poses, reconstruct, render, tto
 
 app = typer.Typer(
     name="querysplat",
@@ -15,4 +15,6 @@ app.command("reconstruct")(reconstruct.reconstruct)
 app.command("tto")(tto.tto)
 app.command("render")(render.render)
 app.command("eval")(evaluate.evaluate)
+app.command("poses")(poses.poses)
+app.command("convert")(convert.convert)
 app.command("demo")(demo.demo)

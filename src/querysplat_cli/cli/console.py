@@ -142,3 +142,42 @@ def _metrics(row: dict[str, Any]) -> tuple[str, ...]:
         "–" if row[metric] is None else format(row[metric], form)
         for metric, form in (("psnr", ".2f"), ("ssim", ".3f"), ("lpips", ".3f"))
     )
+
+
+def print_poses(summary: dict[str, Any], first: str, second: str, *, quiet: bool, as_json: bool) -> None:
+    """The errors of the first set of cameras against the second."""
+    if as_json:
+        print(json.dumps(summary, indent=2))
+    if quiet:
+        return
+    table = Table(title=f"{first} against {second}", title_justify="left", show_header=False, box=None)
+    table.add_row("photos in both", f"{summary['photos']}")
+    for side, names in ((first, summary["only_a"]), (second, summary["only_b"])):
+        if names:
+            table.add_row(f"only in {side}", f"{len(names)}: {', '.join(names[:3])}{', …' if names[3:] else ''}")
+    rotation, centre, focal = (summary[key] for key in ("rotation_degrees", "centre", "focal_error"))
+    table.add_row("rotation", f"median {rotation['median']:.3f}°, worst {rotation['max']:.3f}°")
+    table.add_row("centre", f"median {centre['median']:.4g}, worst {centre['max']:.4g} units of {second}")
+    table.add_row("ATE", f"{summary['ate']:.4g}, {100 * summary['ate_of_extent']:.2f} % of the extent")
+    for name in ("rra", "rta", "auc"):
+        cells = (f"{summary[f'{name}_{t}']:.1f} %" for t in (5, 15, 30))
+        table.add_row(f"{name.upper()} at 5, 15, 30°", ", ".join(cells))
+    table.add_row("focal length", f"median {100 * focal['median']:+.2f} %, worst {100 * focal['max_abs']:.2f} %")
+    console.print(table)
+
+
+def print_conversion(result: dict[str, Any], *, quiet: bool, as_json: bool) -> None:
+    """What was written."""
+    if as_json:
+        print(json.dumps(result, indent=2))
+    if quiet:
+        return
+    if "cameras" in result:
+        console.print(f"{result['cameras']} cameras: {result['target']}")
+        return
+    sizes = result["bytes"]
+    left_out = f", {result['left_out']:,} left out" if result["left_out"] else ""
+    console.print(
+        f"{result['gaussians']:,} Gaussians{left_out}, {sizes['target'] / 2**20:.2f} MiB "
+        f"(source {sizes['source'] / 2**20:.2f} MiB): {result['target']}"
+    )

@@ -114,6 +114,7 @@ def draw(points: Sequence[Point], files: Sequence[Path]) -> None:
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
+        from matplotlib.lines import Line2D
     except ImportError:
         raise MissingPart("curves need matplotlib", "pip install 'querysplat[plot]'") from None
     metrics = [metric for metric in METRICS if any(point.figures[metric].middle is not None for point in points)]
@@ -126,8 +127,10 @@ def draw(points: Sequence[Point], files: Sequence[Path]) -> None:
             place.set_xlabel(COSTS[cost])
             place.set_ylabel(NAMES[metric])
             place.grid(alpha=0.3)
-    if axes[0][0].lines or axes[0][0].containers:
+    if points:
         axes[0][0].legend(fontsize=7)
+        rows = [f"{number}  {row}" for row, number in _numbers(points).items()]
+        figure.legend([Line2D([], [])] * len(rows), rows, handlelength=0, fontsize=7, loc="outside right upper")
     for file in files:
         with atomic_path(file) as draft:
             figure.savefig(draft, dpi=130, format=file.suffix[1:])
@@ -140,11 +143,17 @@ def _curve(axes: Any, points: Sequence[Point], metric: str, cost: str) -> None:
             x, y = point.figures[cost], point.figures[metric]
             whiskers = [[[s.middle - s.low], [s.high - s.middle]] for s in (x, y)]  # type: ignore[operator]
             axes.errorbar(x.middle, y.middle, *reversed(whiskers), "o", color=colour, ms=4, lw=0.8, alpha=0.8)
-            axes.annotate(point.row, (x.middle, y.middle), xytext=(3, 3), textcoords="offset points", fontsize=5)
+            number = str(_numbers(points)[point.row])
+            axes.annotate(number, (x.middle, y.middle), xytext=(3, 3), textcoords="offset points", fontsize=6)
         best = [point for point in chosen if f"{metric} for {cost}" in point.best]
         best.sort(key=lambda point: point.figures[cost].middle or 0.0)
         line = [[point.figures[key].middle for point in best] for key in (cost, metric)]
         axes.plot(*line, color=colour, lw=1.2, label=f"{views} views")
+
+
+def _numbers(points: Sequence[Point]) -> dict[str, int]:
+    """What rows are called in the figure."""
+    return {row: number for number, row in enumerate(sorted({point.row for point in points}), start=1)}
 
 
 def _unbeaten(point: Point, rivals: Sequence[Point], metric: str, cost: str) -> bool:

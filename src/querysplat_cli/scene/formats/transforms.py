@@ -64,6 +64,23 @@ def write_cameras(path: Path, cameras: Cameras, views: Views, *, heldout: tuple[
         draft.write_text(json.dumps(content, indent=1) + "\n")
 
 
+def write_transforms(path: Path, cameras: Mapping[str, PhotoCamera]) -> None:
+    """Write cameras with their lenses; `read_transforms` gives the same back within rounding.
+
+    The pictures are `images/` and their name.
+    """
+    frames = []
+    for name, camera in cameras.items():
+        (fx, fy), (cx, cy), (k1, k2, p1, p2) = camera.focal, camera.principal, camera.distortion
+        lens = {"w": camera.width, "h": camera.height, "fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy}
+        lens |= {"k1": k1, "k2": k2, "p1": p1, "p2": p2}
+        frames.append(
+            {"file_path": f"images/{name}", **lens, "transform_matrix": opengl_from_opencv(camera.w2c).tolist()}
+        )
+    with atomic_path(path) as draft:
+        draft.write_text(json.dumps({"camera_model": "OPENCV", "frames": frames}, indent=1) + "\n")
+
+
 def read_cameras(path: Path) -> tuple[NamedCameras, NamedCameras | None]:
     """Cameras in float32, and the held-out ones if there are any, of a cameras.json or a transforms.json.
 
