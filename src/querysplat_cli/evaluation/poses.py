@@ -46,9 +46,9 @@ class PoseErrors:
     def summary(self) -> dict[str, Any]:
         """Medians, means and rates, for a report. Rates are per cent of pairs."""
         worse = np.maximum(self.pair_rotation, self.pair_translation)
-        rates = {f"rra_{t}": _recall(self.pair_rotation, t) for t in THRESHOLDS}
-        rates |= {f"rta_{t}": _recall(self.pair_translation, t) for t in THRESHOLDS}
-        rates |= {f"auc_{t}": area_under_recall(worse, t) for t in THRESHOLDS}
+        rates = {f"rra_{t}": _recall(self.pair_rotation, float(t)) for t in THRESHOLDS}
+        rates |= {f"rta_{t}": _recall(self.pair_translation, float(t)) for t in THRESHOLDS}
+        rates |= {f"auc_{t}": area_under_recall(worse, float(t)) for t in THRESHOLDS}
         return {
             "photos": len(self.names),
             "only_a": list(self.only_a),

@@ -192,7 +192,7 @@ def _table(rows: Sequence[dict[str, Any]]) -> list[str]:
 
 def known(values: Iterable[float | None]) -> list[float]:
     """The values that are there."""
-    return [value for value in values if value is not None]
+    return [float(value) for value in values if value is not None]
 
 
 def _number(value: float | None, form: str) -> str:

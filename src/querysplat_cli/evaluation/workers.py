@@ -25,8 +25,9 @@ class Workers(Generic[Job]):
 
     def __init__(self, count: int, handler: Callable[[Any], Callable[[Job], None]], setup: Any) -> None:
         self._count, self._handler, self._setup = count, handler, setup
-        self._running: set[Any] = set()
+        self._running: list[Any] = []
         self._stopped = False
+        self._starting = threading.Lock()
 
     def run(self, jobs: Sequence[Job], done: Callable[[Job, str | None], None]) -> None:
         """Work through `jobs`; `done(job, why)` is called for each, `why` saying how its process came to an end.
@@ -60,6 +61,8 @@ class Workers(Generic[Job]):
             except queue.Empty:
                 break
             worker = worker or self._start()
+            if worker is None:
+                break
             process, pipe = worker
             try:
                 pipe.send(job)
@@ -73,17 +76,21 @@ class Workers(Generic[Job]):
             worker[1].close()
             worker[0].join()
 
-    def _start(self) -> tuple[Any, Connection]:
+    def _start(self) -> tuple[Any, Connection] | None:
         context = get_context("spawn")
-        ours, theirs = context.Pipe()
-        process = context.Process(target=_serve, args=(theirs, self._handler, self._setup), daemon=True)
-        process.start()
-        theirs.close()
-        self._running.add(process)
+        with self._starting:  # so that none starts while all are being stopped
+            if self._stopped:
+                return None
+            ours, theirs = context.Pipe()
+            process = context.Process(target=_serve, args=(theirs, self._handler, self._setup), daemon=True)
+            process.start()
+            theirs.close()
+            self._running.append(process)
         return process, ours
 
     def _stop(self) -> None:
-        self._stopped = True
+        with self._starting:
+            self._stopped = True
         for process in self._running:
             if process.is_alive():
                 process.terminate()
@@ -91,6 +98,7 @@ class Workers(Generic[Job]):
             process.join(GRACE)
             if process.is_alive():
                 process.kill()
+                process.join()
 
 
 def _serve(pipe: Connection, handler: Callable[[Any], Callable[[Any], None]], setup: Any) -> None:
