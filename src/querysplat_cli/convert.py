@@ -10,7 +10,7 @@ import torch
 from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.scene.files import atomic_folder, refuse_existing
 from querysplat_cli.scene.formats.colmap import copy_colmap, find_model, write_colmap
-from querysplat_cli.scene.formats.compressed import read_sog, read_spz, write_sog, write_spz
+from querysplat_cli.scene.formats.compressed import read_sog, read_spz, write_spz
 from querysplat_cli.scene.formats.known import read_known_cameras
 from querysplat_cli.scene.formats.ply import read_ply, write_ply
 from querysplat_cli.scene.formats.transforms import write_transforms
@@ -19,7 +19,7 @@ from querysplat_cli.scene.sim3 import Sim3
 from querysplat_cli.splat.moving import moved
 
 READERS: dict[str, Callable[[Path], Gaussians]] = {".ply": read_ply, ".spz": read_spz, ".sog": read_sog}
-WRITERS: dict[str, Callable[[Path, Gaussians], int]] = {".ply": write_ply, ".spz": write_spz, ".sog": write_sog}
+WRITERS: dict[str, Callable[[Path, Gaussians], int]] = {".ply": write_ply, ".spz": write_spz}
 FLIPPED = Sim3(1.0, torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64)), torch.zeros(3).double())
 """Between the y-down axes of .ply files and the y-up axes that SPZ specifies; its own inverse."""
 UP = {
@@ -57,8 +57,13 @@ def convert(request: Conversion) -> dict[str, Any]:
 
 def _convert_gaussians(request: Conversion) -> dict[str, Any]:
     kinds = request.source.suffix.lower(), request.target.suffix.lower()
+    if kinds[1] == ".sog":
+        raise QuerySplatError(
+            "no kept Python library writes .sog (sogpy 1.0.2 mixes up the colours of its SH)",
+            "Write a .ply, and convert that with PlayCanvas's splat-transform.",
+        )
     if kinds[1] not in WRITERS:
-        raise QuerySplatError(f"{request.target}: not a kind of file for Gaussians", f"Use {', '.join(WRITERS)}.")
+        raise QuerySplatError(f"{request.target}: not a kind of file for Gaussians", f"Use {' or '.join(WRITERS)}.")
     if not request.source.is_file():
         raise QuerySplatError(f"{request.source}: no such file", "Give a .ply, .spz or .sog.")
     gaussians = READERS[kinds[0]](request.source)

@@ -23,7 +23,7 @@ def convert(
     source: Annotated[
         Path, typer.Argument(help="A .ply, .spz or .sog; or cameras: transforms.json, COLMAP model, scene folder.")
     ],
-    target: Annotated[Path, typer.Argument(help="A .ply, .spz or .sog; or a .json, or a folder for a COLMAP model.")],
+    target: Annotated[Path, typer.Argument(help="A .ply or .spz; or a .json, or a folder for a COLMAP model.")],
     text: Annotated[bool, typer.Option(help="Write the COLMAP model as text.")] = False,
     up: Annotated[Axis | None, typer.Option(help="The axis that points up in the source; becomes -y.")] = None,
     scale: Annotated[float, typer.Option(help="Multiply all lengths.")] = 1.0,
@@ -34,7 +34,7 @@ def convert(
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
-    """Convert Gaussians (.ply, .spz, .sog; turned, scaled, cropped) or cameras (transforms.json, COLMAP)."""
+    """Convert Gaussians (.ply, .spz, from .sog; turned, scaled, cropped) or cameras (transforms.json, COLMAP)."""
     box = _box(crop)
     if not scale > 0:
         raise QuerySplatError(f"--scale {scale}: lengths must stay positive", "Give a number above 0.")

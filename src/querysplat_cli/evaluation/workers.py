@@ -32,8 +32,10 @@ class Workers(Generic[Job]):
     def run(self, jobs: Sequence[Job], done: Callable[[Job, str | None], None]) -> None:
         """Work through `jobs`; `done(job, why)` is called for each, `why` saying how its process came to an end.
 
-        `done` is never called twice at a time. On an exception, Ctrl-C included, all processes are stopped.
+        `done` is never called twice at a time. On an exception, all processes are stopped; Ctrl-C and a scheduler's
+        SIGTERM are one. Call it from the main thread.
         """
+        before = _on_termination(_interrupt)
         waiting: queue.SimpleQueue[Job] = queue.SimpleQueue()
         for job in jobs:
             waiting.put(job)
@@ -52,6 +54,7 @@ class Workers(Generic[Job]):
                     thread.join()
             finally:
                 self._stop()
+                signal.signal(signal.SIGTERM, before or signal.SIG_DFL)
 
     def _drive(self, waiting: "queue.SimpleQueue[Job]", finished: "queue.SimpleQueue[tuple[Job, str | None]]") -> None:
         worker = None
@@ -104,8 +107,8 @@ class Workers(Generic[Job]):
 def _serve(pipe: Connection, handler: Callable[[Any], Callable[[Any], None]], setup: Any) -> None:
     # Ctrl-C reaches every process of a terminal; the first one decides, and files are put away on its word.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     handle = handler(setup)
+    _on_termination(lambda *_: sys.exit(128 + signal.SIGTERM))
     while True:
         try:
             job = pipe.recv()
@@ -113,6 +116,20 @@ def _serve(pipe: Connection, handler: Callable[[Any], Callable[[Any], None]], se
             return
         handle(job)
         pipe.send(None)
+
+
+def _on_termination(action: Callable[..., None]) -> Any:
+    """Take SIGTERM, also from pycolmap, which takes it when it is imported, and dies of it with a dump of the stack.
+
+    Returns what was there before.
+    """
+    import pycolmap  # noqa: F401
+
+    return signal.signal(signal.SIGTERM, action)
+
+
+def _interrupt(*_: object) -> None:
+    raise KeyboardInterrupt
 
 
 def _last_words(code: int | None) -> str:

@@ -1,15 +1,12 @@
-"""Smaller files of Gaussians through kept libraries: .spz (Niantic) by gsply, .sog (PlayCanvas) by gsply and sogpy.
+"""Smaller files of Gaussians through gsply: .spz (Niantic), read and written, and .sog (PlayCanvas), read.
 
-Both are lossy: 8 bits of opacity and logarithmic scale, 8 of colour. Axes are those of the file; SPZ's are
-x right, y up, z backward by its specification, those of .ply and .sog as the scene has them.
+Both are lossy: 8 bits of opacity, logarithmic scale and colour; .spz clamps SH beyond the first to [−1, 1). Axes are
+those of the file: SPZ's are x right, y up, z backward by its specification, a .sog's those of the .ply it was made of.
 """
 
-import contextlib
-import io
 import math
 from importlib import import_module
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -17,7 +14,7 @@ import torch
 
 from querysplat_cli.errors import MissingPart, QuerySplatError
 from querysplat_cli.scene.files import atomic_path
-from querysplat_cli.scene.formats.ply import HIGHEST_OPACITY, export_rows, write_ply
+from querysplat_cli.scene.formats.ply import HIGHEST_OPACITY, export_rows
 from querysplat_cli.scene.gaussians import Gaussians
 
 SPZ_BITS = 24
@@ -30,16 +27,16 @@ def read_spz(path: Path) -> Gaussians:
 
     Raises MissingPart without gsply, QuerySplatError when the file is damaged.
     """
-    gsply = _library("gsply")
+    gsply = _gsply()
     try:
         return _gaussians(gsply.read_spz(path))
-    except (OSError, ValueError, EOFError, IndexError, MemoryError) as error:
+    except Exception as error:  # whatever the damage makes the decoder trip over
         raise QuerySplatError(f"{path}: damaged, or no .spz: {error}", "Export it again.") from error
 
 
 def write_spz(path: Path, gaussians: Gaussians) -> int:
     """Write version 3, which all readers know; returns how many Gaussians are in the file (finite ones)."""
-    gsply = _library("gsply")
+    gsply = _gsply()
     rows = _finite_rows(gaussians)
     reach = float(np.abs(rows[:, :3]).max(initial=1e-30))
     bits = SPZ_BITS - 1 - max(0, math.ceil(math.log2(reach + 1e-30)))
@@ -50,7 +47,7 @@ def write_spz(path: Path, gaussians: Gaussians) -> int:
         quats=rows[:, -4:],
         opacities=rows[:, -8],
         sh0=rows[:, 3:6],
-        shN=rows[:, 6:-8].reshape(-1, 3, bands).swapaxes(1, 2),
+        shN=rows[:, 6:-8].reshape(len(rows), 3, bands).swapaxes(1, 2),
         format="ply",
     )
     with atomic_path(path) as draft:
@@ -60,31 +57,20 @@ def write_spz(path: Path, gaussians: Gaussians) -> int:
 
 def read_sog(path: Path) -> Gaussians:
     """The Gaussians of a .sog file. Raises MissingPart without gsply's part for it, QuerySplatError when damaged."""
-    gsply = _library("gsply")
+    gsply = _gsply()
     try:
         return _gaussians(gsply.sogread(path))
     except ImportError as error:
         raise _missing("gsply[sogs]") from error
-    except (OSError, ValueError, KeyError, IndexError, RuntimeError) as error:
+    except Exception as error:  # whatever the damage makes the decoder trip over
         raise QuerySplatError(f"{path}: damaged, or no .sog: {error}", "Export it again.") from error
 
 
-def write_sog(path: Path, gaussians: Gaussians) -> int:
-    """Write a bundled .sog; returns how many Gaussians are in the file. Clustering takes seconds to minutes."""
-    sogpy = _library("SogPython")
-    with TemporaryDirectory() as scratch, atomic_path(path) as draft:
-        plain = Path(scratch) / "scene.ply"
-        written = write_ply(plain, gaussians)
-        with contextlib.redirect_stdout(io.StringIO()):
-            sogpy.convert_ply_to_sog(str(plain), str(draft))
-    return written
-
-
-def _library(name: str) -> Any:
+def _gsply() -> Any:
     try:
-        return import_module(name)
+        return import_module("gsply")
     except ImportError:
-        raise _missing("gsply" if name == "gsply" else "sogpy") from None
+        raise _missing("gsply") from None
 
 
 def _missing(part: str) -> MissingPart:
