@@ -8,12 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from querysplat_cli.errors import ImpossibleScene, QuerySplatError
+from querysplat_cli.evaluation.generate import INTERVALS, SCALES, TARGETS, generate
 from querysplat_cli.evaluation.splits import (
-    INTERVALS,
-    SCALES,
-    TARGETS,
+    Case,
+    FrameRef,
     Split,
-    generate,
     read_splits,
     resolve,
     spacing,
@@ -107,6 +106,15 @@ def test_frames_are_found_by_name_in_renamed_folders() -> None:
     assert [frame.name for frame in resolve(split.cases[0], shifted)["input"]] == names
     with pytest.raises(QuerySplatError, match="is not there"):
         resolve(split.cases[0], scene("a", 2))
+
+
+def test_names_that_repeat_in_folders_are_told_apart() -> None:
+    frames = tuple(
+        Frame(i, name, "images", Path(name)) for i, name in enumerate(["left/1.png", "right/1.png", "2.png"])
+    )
+    rig = CapturedScene("rig", frames, {}, ())
+    refs = tuple(FrameRef(f"data/rig/images_8/{name}", 0) for name in ("right/1.png", "left/1.png", "left/2.png"))
+    assert [frame.index for frame in resolve(Case("rig", "rig", {"input": refs}), rig)["input"]] == [1, 0, 2]
 
 
 @pytest.mark.parametrize("path", ["/etc/passwd", "DL3DV/../../secret.png", "C:\\x.png", "a\\..\\b.png"])

@@ -76,12 +76,12 @@ def evaluate(
     chosen, limit = _chosen("--scales", scales, ("small", "medium", "large")), number_or_auto(1)(queries)
     sources, part = _chosen("--cameras", cameras, ("free", "posed")), _shard(shard)
     from querysplat_cli.cli.console import console, print_evaluation, showing_stages
+    from querysplat_cli.evaluation.generate import INTERVALS
     from querysplat_cli.evaluation.grid import read_axis
+    from querysplat_cli.evaluation.plan import EvalRequest, default_size
     from querysplat_cli.evaluation.protocol import Protocol
     from querysplat_cli.evaluation.results import merge as merge_results
-    from querysplat_cli.evaluation.run import EvalRequest, default_size
     from querysplat_cli.evaluation.run import evaluate as run
-    from querysplat_cli.evaluation.splits import INTERVALS
     from querysplat_cli.evaluation.summary import summarise
     from querysplat_cli.evaluation.sweep import write_curves
     from querysplat_cli.pipeline import ReconstructSettings

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import torch
 
 from querysplat_cli.device import find_device
-from querysplat_cli.encoders.base import Encoder, Geometry, Located
+from querysplat_cli.encoders.base import Located
 from querysplat_cli.encoders.classical.sparse_model import rescaled
 from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.errors import QuerySplatError
@@ -19,10 +19,11 @@ from querysplat_cli.evaluation.costs import Cost, measured
 from querysplat_cli.evaluation.lpips import Lpips
 from querysplat_cli.evaluation.metrics import Scores, compare
 from querysplat_cli.evaluation.protocol import Protocol
+from querysplat_cli.evaluation.remembering import RememberingEncoder
 from querysplat_cli.model.checkpoints import load
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.pipeline import ReconstructSettings, build_scene
-from querysplat_cli.progress import Progress, Stages
+from querysplat_cli.progress import Stages
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera
 from querysplat_cli.scene.formats.dataset import Frame, fetch
 from querysplat_cli.scene.gaussians import Gaussians
@@ -163,7 +164,7 @@ class CaseRunner:
         return self.protocol.truth(self.photos[frame.name][0])
 
     def _build(
-        self, row: Row, encoder: "RememberingEncoder", located: Located, settings: ReconstructSettings
+        self, row: Row, encoder: RememberingEncoder, located: Located, settings: ReconstructSettings
     ) -> tuple[Gaussians, dict[str, Cost], tuple[str, ...]]:
         if row.method == "depth":
             geometry = encoder.perceive(located, seed=settings.seed, progress=_silent)
@@ -177,7 +178,7 @@ class CaseRunner:
         return scene.gaussians, costs | {"depth": encoder.cost_of(scene.geometry)}, scene.geometry.doubts
 
     def _free_targets(
-        self, encoder: "RememberingEncoder", located: Located, settings: ReconstructSettings
+        self, encoder: RememberingEncoder, located: Located, settings: ReconstructSettings
     ) -> tuple[dict[str, PhotoCamera], dict[str, str]]:
         """Cameras of all views in the scene's frame, and why some have none.
 
@@ -201,7 +202,7 @@ class CaseRunner:
         return lenses, why
 
     def _locate(
-        self, encoder: "RememberingEncoder", settings: ReconstructSettings, names: set[str], *, posed: bool
+        self, encoder: RememberingEncoder, settings: ReconstructSettings, names: set[str], *, posed: bool
     ) -> Located:
         known = {name: camera for name, camera in self.known.items() if name in names} if posed else None
         photos = [shown for name, (_, shown) in self.photos.items() if name in names]
@@ -209,53 +210,6 @@ class CaseRunner:
 
     def _names(self, group: str) -> set[str]:
         return {frame.name for frame in self.groups[group]}
-
-
-class RememberingEncoder:
-    """An encoder that answers what it was asked before at once, and knows what each answer cost."""
-
-    def __init__(self, encoder: Encoder) -> None:
-        self.name = encoder.name
-        self._encoder = encoder
-        self._answers: dict[Any, Any] = {}
-        self._costs: dict[int, Cost] = {}
-
-    def locate(
-        self,
-        photos: Sequence[Photo],
-        *,
-        max_size: int,
-        seed: int,
-        progress: Progress,
-        known: Mapping[str, PhotoCamera] | None = None,
-    ) -> Located:
-        key = ("locate", tuple(photo.name for photo in photos), max_size, seed, known is not None)
-        return self._once(
-            key,
-            lambda: self._encoder.locate(photos, max_size=max_size, seed=seed, progress=progress, known=known),
-        )
-
-    def perceive(self, located: Located, *, seed: int, progress: Progress) -> Geometry:
-        return self._once(
-            ("perceive", id(located), seed), lambda: self._encoder.perceive(located, seed=seed, progress=progress)
-        )
-
-    def cost_of(self, answer: Located | Geometry) -> Cost:
-        """What it cost to find an answer of this encoder."""
-        return self._costs[id(answer)]
-
-    def _once(self, key: Any, ask: Callable[[], Any]) -> Any:
-        if key not in self._answers:
-            try:
-                answer, cost = measured(ask)
-            except QuerySplatError as error:
-                self._answers[key] = error
-            else:
-                self._answers[key], self._costs[id(answer)] = answer, cost
-        answer = self._answers[key]
-        if isinstance(answer, QuerySplatError):
-            raise answer
-        return answer
 
 
 @lru_cache(maxsize=2)

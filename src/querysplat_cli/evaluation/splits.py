@@ -1,4 +1,4 @@
-"""Which photos of which scenes are inputs and which are targets: the authors' splits, index files, and our own.
+"""Which photos of which scenes are inputs and which are targets: the authors' splits, and index files.
 
 The release's file is {dataset_path, total_samples, num_input_views, scale, samples: [{scene_id, input_views,
 interp_views, extrap_views}]}, each view {path, frame_index}. An index file, as TokenGS and DepthSplat
@@ -7,24 +7,17 @@ the inputs and frames beyond them, which are told apart here.
 """
 
 import json
-import random
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from querysplat_cli.errors import ImpossibleScene, QuerySplatError
+from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.scene.files import atomic_path
 from querysplat_cli.scene.formats.dataset import CapturedScene, Frame
 
 GROUPS = ("input", "interp", "extrap")
-SCALES = ("small", "medium", "large")
-INTERVALS = {2: (6, 12, 24), 4: (4, 8, 14), 12: (2, 3, 4)}
-"""Frames from one input to the next in the splits that we generate, by the number of inputs, for each scale. The
-authors' windows are not published; these fit scenes of 50 frames and more."""
-TARGETS = 4
-"""Interpolation targets of a case, and extrapolation targets of a case."""
 
 
 @dataclass(frozen=True)
@@ -112,33 +105,6 @@ def write_index(path: Path, split: Split) -> None:
         draft.write_text(json.dumps(content) + "\n")
 
 
-def generate(scenes: Sequence[CapturedScene], dataset: str, views: int, scale: str, *, cases: int, seed: int) -> Split:
-    """A split of `cases` cases, dealt to the scenes in turn; the same seed gives the same split.
-
-    Inputs follow each other at `INTERVALS[views]` frames of what is on disk. Interpolation targets lie
-    between the first and the last input, extrapolation targets at most an interval (and at least
-    `TARGETS` frames) before or after them. Raises ImpossibleScene when no scene has enough frames.
-    """
-    interval = INTERVALS[views][SCALES.index(scale)]
-    chance = random.Random(f"{seed} {views} {scale}")
-    starts = {scene.name: _starts(len(scene.frames), views, interval) for scene in scenes}
-    able = [scene for scene in scenes if starts[scene.name]]
-    if not able:
-        need = (views - 1) * interval + 1 + TARGETS
-        raise ImpossibleScene(
-            f"{views} views, {scale}: no scene has the {need} frames that an interval of {interval} needs",
-            "Choose other --views or --scales, or give scenes with more frames.",
-        )
-    for scene in able:
-        chance.shuffle(starts[scene.name])
-    drawn = []
-    for number in range(cases):
-        scene, turn = able[number % len(able)], number // len(able)
-        start = starts[scene.name][turn % len(starts[scene.name])]
-        drawn.append(_case(number, scene, dataset, start, views, interval, chance))
-    return Split(f"{views}views_{scale}", dataset, views, scale, tuple(drawn))
-
-
 def spacing(split: Split) -> str:
     """In words, how many frames lie between neighbouring inputs of a split's cases."""
     steps = [
@@ -161,13 +127,11 @@ def resolve(case: Case, scene: CapturedScene) -> dict[str, list[Frame]]:
     A dataset's folders are renamed and reordered by its users, so the rest of the path does not count.
     Raises QuerySplatError when a frame is not on disk.
     """
-    by_name = {Path(frame.name).name: frame for frame in scene.frames}
+    by_name = {frame.name: frame for frame in scene.frames}
     by_index = {frame.index: frame for frame in scene.frames}
     found: dict[str, list[Frame]] = {}
     for group, refs in case.groups.items():
-        frames = [
-            by_name.get(PurePosixPath(ref.path).name) if ref.path else by_index.get(ref.frame_index) for ref in refs
-        ]
+        frames = [_named(ref.path, by_name) if ref.path else by_index.get(ref.frame_index) for ref in refs]
         missing = [ref for ref, frame in zip(refs, frames, strict=True) if frame is None]
         if missing:
             raise QuerySplatError(
@@ -179,37 +143,11 @@ def resolve(case: Case, scene: CapturedScene) -> dict[str, list[Frame]]:
     return found
 
 
-def _starts(count: int, views: int, interval: int) -> list[int]:
-    """First inputs that leave enough frames outside."""
-    span, reach = (views - 1) * interval, max(interval, TARGETS)
-    return [start for start in range(max(0, count - span)) if len(_outside(start, span, reach, count)) >= TARGETS]
-
-
-def _outside(start: int, span: int, reach: int, count: int) -> list[int]:
-    before = range(max(0, start - reach), start)
-    after = range(start + span + 1, min(count, start + span + 1 + reach))
-    return [*before, *after]
-
-
-def _case(
-    number: int, scene: CapturedScene, dataset: str, start: int, views: int, interval: int, chance: random.Random
-) -> Case:
-    span = (views - 1) * interval
-    inputs = range(start, start + span + 1, interval)
-    between = [i for i in range(start + 1, start + span) if i not in inputs]
-    outside = _outside(start, span, max(interval, TARGETS), len(scene.frames))
-    positions = {
-        "input": list(inputs),
-        "interp": sorted(chance.sample(between, TARGETS)),
-        "extrap": sorted(chance.sample(outside, TARGETS)),
-    }
-    groups = {group: tuple(_ref(scene, dataset, i) for i in chosen) for group, chosen in positions.items()}
-    return Case(f"{scene.name}_{number:03d}", scene.name, groups)
-
-
-def _ref(scene: CapturedScene, dataset: str, position: int) -> FrameRef:
-    frame = scene.frames[position]
-    return FrameRef("/".join(part for part in (dataset, scene.name, frame.folder, frame.name) if part), frame.index)
+def _named(path: str, frames: Mapping[str, Frame]) -> Frame | None:
+    """The frame whose name the path ends in; names have folders only where they are needed."""
+    parts = PurePosixPath(path).parts
+    tails = ("/".join(parts[-count:]) for count in range(1, len(parts) + 1))
+    return next((frames[tail] for tail in tails if tail in frames), None)
 
 
 def _read_release(name: str, content: Mapping[str, Any]) -> Split:
