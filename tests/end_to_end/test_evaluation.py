@@ -151,6 +151,7 @@ def test_a_stopped_run_leaves_whole_cases(room: Path, tmp_path: Path) -> None:
         (["ROOM", "--views", "12", "--scales", "large"], "no scene has the 49 frames"),
         (["ROOM", "--splits", "nowhere.json"], "nowhere.json"),
         (["ROOM", "--predictions", "nowhere"], "nowhere"),
+        (["ROOM", "--predictions", "/tmp", "--name", "../up"], "--name ../up"),
     ],
 )
 def test_bad_requests(

@@ -93,6 +93,8 @@ def plan_rows(
         if not request.predictions.is_dir():
             raise QuerySplatError(f"{request.predictions}: no such folder", "Give the folder of a method's outputs.")
         name = request.name or request.predictions.resolve().name
+        if Path(name).name != name or name == "splits" or name.startswith("."):
+            raise QuerySplatError(f"--name {name}: not the name of a folder", "Use letters, digits, - and _.")
         return [(Row(name, "querysplat", "free"), {"predictions": str(request.predictions)})]
     find_device(request.settings.device)
     posed = any(scene.cameras for scene in scenes)

@@ -7,6 +7,7 @@ from pathlib import Path
 from traceback import format_exc
 from typing import Any
 
+from querysplat_cli.device import find_device
 from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.evaluation.case import CaseRunner
 from querysplat_cli.evaluation.lpips import LpipsFiles, find_lpips, load_lpips
@@ -21,6 +22,7 @@ from querysplat_cli.pipeline import ReconstructSettings
 from querysplat_cli.progress import Stages
 from querysplat_cli.scene.files import check_writable
 from querysplat_cli.scene.formats.dataset import find_scenes
+from querysplat_cli.splat.compile_ahead import compile_ahead
 
 
 @dataclass(frozen=True)
@@ -92,6 +94,8 @@ def evaluate(request: EvalRequest, stages: Stages, say: Callable[[str], None]) -
 def handler(setup: Setup) -> Callable[[Job], None]:
     """What a worker does with each job."""
     lpips = load_lpips(setup.lpips) if setup.lpips else None
+    if find_device(setup.settings.device).type == "cpu" and not setup.predictions:
+        compile_ahead()
     return partial(_work, setup, lpips)
 
 
