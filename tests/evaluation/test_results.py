@@ -83,6 +83,19 @@ def test_a_splits_figure_is_the_mean_over_views_and_the_average_that_over_splits
     assert "no overlap" in text
 
 
+def test_a_split_in_which_everything_failed_is_not_forgotten(tmp_path: Path) -> None:
+    place = start(tmp_path, "r", split("small", "small"))
+    write_case(place.case("s_000"), "s", result(20), pictures=False)
+    place = start(tmp_path, "r", split("large", "large"))
+    for case in range(2):
+        write_failure(place.case(f"s_{case:03d}"), "s", "no overlap")
+    (average,) = [row for row in summarise(tmp_path)["averages"] if row["group"] == "interp"]
+    assert (average["psnr"], average["splits"], average["cases"], average["failed"]) == (20, 1, 1, 2)
+    text = (tmp_path / "summary.md").read_text()
+    assert "| 2 of 3 | 2 of 3 |" in text
+    assert "| r | – / – / – | – / – / – | – / – / – | 0 of 0 | 2 of 2 |" in text
+
+
 def test_quoted_rows_have_a_source_and_say_so(tmp_path: Path) -> None:
     place = start(tmp_path, "free_tto=0", split("small", "small"))
     write_case(place.case("s_000"), "s", result(20), pictures=False)

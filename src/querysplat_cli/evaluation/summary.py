@@ -90,7 +90,7 @@ def summarise_place(place: Place) -> dict[str, Any]:
             "asked": asked[group],
         }
         for group in GROUPS
-        if asked[group]
+        if asked[group] or failures
     ]
     return {"config": config, "groups": groups, "failures": failures}
 
@@ -105,7 +105,7 @@ def averages(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
             "row": name,
             "views": views,
             "group": group,
-            "splits": len(parts),
+            "splits": sum(part["scored"] > 0 for part in parts),
             **{metric: mean(part[metric] for part in parts) for metric in METRICS},
             **{key: sum(part[key] for part in parts) for key in ("scored", "asked", "cases", "failed")},
             "seconds_median": mean(part["seconds_median"] for part in parts),
@@ -126,10 +126,10 @@ def markdown(summary: dict[str, Any]) -> str:
     """The averages, the splits, what is quoted, and what failed."""
     parts = [f"Protocol: {', '.join(summary['protocol'])}. Machine: {'; '.join(summary['machine'])}.", ""]
     parts += [f"LPIPS: {text}." for text in summary["lpips"]]
-    parts += ["", "Each cell is PSNR in dB / SSIM / LPIPS, the mean over views; *scored* counts views."]
+    parts += ["", "Each cell is PSNR in dB / SSIM / LPIPS, the mean over the views that were scored."]
     for views in sorted({row["views"] for row in summary["averages"]}):
         rows = [row for row in summary["averages"] if row["views"] == views]
-        parts += ["", f"## {views} views, average of {max(row['splits'] for row in rows)} splits", "", *_table(rows)]
+        parts += ["", f"## {views} views, average of the splits", "", *_table(rows)]
         quoted = [row for row in summary["quoted"]["rows"] if row["views"] == views]
         if quoted:
             parts += ["", f"*Quoted, not measured here ({summary['quoted']['note']}):*", ""]
@@ -173,7 +173,15 @@ def _table(rows: Sequence[dict[str, Any]]) -> list[str]:
     for row in rows:
         by_row.setdefault(row["row"], {})[row["group"]] = row
     groups = [group for group in GROUPS if any(group in cells for cells in by_row.values())]
-    titles = ["row", *(TITLES[group] for group in groups), "scored", "failed cases", "seconds", "Gaussians", "GiB"]
+    titles = [
+        "row",
+        *(TITLES[group] for group in groups),
+        "views scored",
+        "cases failed",
+        "seconds",
+        "Gaussians",
+        "GiB",
+    ]
     lines = [f"| {' | '.join(titles)} |", f"|{' --- |' * len(titles)}"]
     for name, cells in by_row.items():
         some = next(iter(cells.values()))
@@ -181,7 +189,7 @@ def _table(rows: Sequence[dict[str, Any]]) -> list[str]:
         numbers = [
             *(cell(cells[group]) if group in cells else "–" for group in groups),
             f"{scored} of {asked}",
-            str(some["failed"]),
+            f"{some['failed']} of {some['failed'] + some['cases']}",
             _number(some["seconds_median"], ".1f"),
             _number(some["gaussians_median"], ",.0f"),
             _number(some["peak_memory_gib"], ".2f"),
