@@ -12,11 +12,12 @@ import querysplat_cli
 ROOT = Path(querysplat_cli.__file__).parent
 MODULES = sorted(ROOT.rglob("*.py"))
 LAYERS = [
-    {"errors", "progress", "device"},
+    {"errors", "progress", "device", "precision", "tensor_files", "catalogue"},
     {"scene"},
     {"model", "encoders", "splat"},
     {"tto", "training"},
-    {"holdout", "quality", "report", "preview", "store", "pipeline", "rendering", "demo", "convert"},
+    {"holdout", "quality", "report", "preview", "store", "memory", "weight_files", "remembering"}
+    | {"pipeline", "rendering", "inspection", "demo", "convert"},
     {"evaluation"},
     {"cli", "__main__"},
 ]

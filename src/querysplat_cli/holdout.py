@@ -28,11 +28,12 @@ class CameraPass:
 class PoseDifference:
     """How far the input cameras of the two passes lie apart after alignment.
 
-    Mean rotation in degrees, and mean displacement in pixels of the scene points that each camera sees.
+    Mean rotation in degrees, and mean displacement in pixels of the scene points that each camera sees (None
+    where there are no points).
     """
 
     degrees: float
-    pixels: float
+    pixels: float | None
 
 
 @dataclass(frozen=True)
@@ -67,13 +68,21 @@ def locate_passes(
     locate: Callable[[Sequence[Photo]], Located],
     *,
     poses_known: bool,
+    own_frame: bool = False,
 ) -> Passes:
     """Cameras for the inputs and the held-out photos, in the one or two passes that the protocol asks for.
 
     `locate(photos)` is one pass. The *isolated* protocol (paper, Comparisons) locates the inputs by
     themselves, locates everything a second time, and joins the two by the similarity of the shared input
-    cameras; the *joint* one takes all cameras from the pass over everything. Known poses need one pass.
+    cameras; the *joint* one takes all cameras from the pass over everything. Known poses need one pass. With
+    `own_frame`, a scene fits the cameras of its own pass alone: there is no joint protocol then, and
+    QuerySplatError is raised where it is asked for.
     """
+    if own_frame and source == "joint" and every is not None:
+        raise QuerySplatError(
+            "--holdout-cameras joint: this encoder's features belong to the cameras of their own pass",
+            "Use --holdout-cameras isolated.",
+        )
     inputs, heldout = split_photos(photos, every)
     names = [photo.name for photo in inputs]
     if not heldout:
@@ -86,8 +95,11 @@ def locate_passes(
     own = locate(inputs)
     isolated, difference, doubts = _isolated_pass(own, everything, names)
     chosen, other = (isolated, joint) if source == "isolated" else (joint, isolated)
+    second = None if own_frame else other
     left_out = tuple(dict.fromkeys((*own.left_out, *everything.left_out)))
-    return Passes(chosen, other, difference, left_out, tuple(dict.fromkeys((*own.doubts, *everything.doubts, *doubts))))
+    return Passes(
+        chosen, second, difference, left_out, tuple(dict.fromkeys((*own.doubts, *everything.doubts, *doubts)))
+    )
 
 
 def take(located: Located, rows: Sequence[int]) -> Located:
@@ -141,9 +153,7 @@ def _pose_difference(own: Located, rows: Sequence[int], others: Cameras) -> Pose
         points = own.points[own.visibility[row]].double()
         if len(points):
             pixels.append((_project(points, mine, lens) - _project(points, w2c, K)).norm(dim=1).median())
-    return PoseDifference(
-        float(torch.stack(degrees).mean()), float(torch.stack(pixels).mean()) if pixels else float("nan")
-    )
+    return PoseDifference(float(torch.stack(degrees).mean()), float(torch.stack(pixels).mean()) if pixels else None)
 
 
 def _project(points: torch.Tensor, w2c: torch.Tensor, K: torch.Tensor) -> torch.Tensor:

@@ -3,19 +3,23 @@
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import torch
 
 from querysplat_cli.device import find_device, moved
-from querysplat_cli.encoders.base import Encoder, Geometry, Located
+from querysplat_cli.encoders.base import Encoder, EncoderOptions, Geometry, Located
 from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.holdout import CameraPass, CameraSource, locate_passes
-from querysplat_cli.model.anchors import AnchorReport, Anchors, build_anchors
+from querysplat_cli.memory import MemoryNeeds, free_bytes, within_memory
+from querysplat_cli.model.anchors import Anchors
 from querysplat_cli.model.checkpoints import load
-from querysplat_cli.model.memories import Memories, attended_rows
+from querysplat_cli.model.memories import Features, Memories
 from querysplat_cli.model.querysplat import QuerySplat
+from querysplat_cli.precision import check_precision, matrix_products
 from querysplat_cli.progress import Progress, Stages
 from querysplat_cli.quality import Quality, score
+from querysplat_cli.remembering import Remembered, Target, remember
 from querysplat_cli.report import (
     Report,
     heldout_entry,
@@ -28,6 +32,7 @@ from querysplat_cli.report import (
 )
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.files import check_writable, refuse_existing
+from querysplat_cli.scene.fit import Fit
 from querysplat_cli.scene.formats.known import read_known_cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.photos import find_photos, load_photos
@@ -38,20 +43,29 @@ from querysplat_cli.tto.features import TtoResult, TtoSettings, optimise_memorie
 from querysplat_cli.tto.plan import plan_tto
 from querysplat_cli.tto.rendering_loss import RenderingLoss
 
+RELEASE_STEPS, RELEASE_RATE = 20, 5e-3
+"""How the release optimises the memories of learned queries: all views in every step."""
+
 
 @dataclass(frozen=True)
 class ReconstructSettings:
-    """What `querysplat reconstruct` can be asked for; see docs/cli.md. `tto` and `queries` None mean auto."""
+    """What `querysplat reconstruct` can be asked for; see docs/cli.md. None means auto, or no limit."""
 
     inputs: tuple[Path, ...]
     ply: Path
     holdout_every: int | None = None
     holdout_cameras: CameraSource = "isolated"
     tto: int | None = None
+    tto_target: Target = "kv"
     queries: int | None = None
-    max_size: int = 448
+    max_size: int | None = None
+    max_views: int | None = None
+    fit: Fit = "crop"
     preset: str = "compact"
-    encoder: str = "classical"
+    encoder: str | None = None
+    weights: Path | None = None
+    precision: str = "fp32"
+    depth: bool = False
     poses: Path | None = None
     device: str = "auto"
     seed: int = 42
@@ -64,8 +78,7 @@ class BuiltScene:
 
     located: Located
     geometry: Geometry
-    anchors: Anchors
-    anchor_report: AnchorReport
+    remembered: Remembered
     memories: Memories
     gaussians: Gaussians
     tto: TtoResult
@@ -81,23 +94,38 @@ def reconstruct(settings: ReconstructSettings, stages: Stages) -> Report:
     refuse_existing([settings.ply, scene_folder(settings.ply)], force=settings.force)
     check_writable(settings.ply.parent)
     device = find_device(settings.device)
+    with matrix_products(check_precision(settings.precision)):
+        return _reconstruct(settings, device, stages)
+
+
+def _reconstruct(settings: ReconstructSettings, device: torch.device, stages: Stages) -> Report:
+    free = free_bytes(device)
     with stages("photos") as progress:
         photos, unread = load_photos(find_photos(settings.inputs), progress=progress)
     if device.type == "cpu":
         compile_ahead()
-    with stages("model"):
-        model = load(settings.preset).to(device)
-        encoder = find_encoder(settings.encoder)
+    with stages("model") as progress:
+        model, encoder = load_parts(settings, device)
         known = read_known_cameras(settings.poses) if settings.poses else None
+        size = settings.max_size or encoder.size
+        needs = MemoryNeeds(encoder, model, size, optimising=bool(settings.tto))
+        photos, too_many, expected = within_memory(photos, needs, free, settings.max_views)
+        if expected:
+            progress(f"{len(photos)} views will take about {expected / 2**30:.1f} GiB", 1.0)
 
     def locate(chosen: Sequence[Photo]) -> Located:
         with stages("cameras") as progress:
-            return encoder.locate(
-                chosen, max_size=settings.max_size, seed=settings.seed, known=known, progress=progress
-            )
+            return encoder.locate(chosen, max_size=size, seed=settings.seed, known=known, progress=progress)
 
-    passes = locate_passes(photos, settings.holdout_every, settings.holdout_cameras, locate, poses_known=bool(known))
-    scene = build_scene(passes.chosen.inputs, encoder, model, settings, stages)
+    passes = locate_passes(
+        photos,
+        settings.holdout_every,
+        settings.holdout_cameras,
+        locate,
+        poses_known=bool(known),
+        own_frame=encoder.own_frame,
+    )
+    scene = build_scene(passes.chosen.inputs, encoder, model, settings, stages, last=passes.other is None)
     with stages("score"):
         quality = score(scene.gaussians, scene.located.views, scene.located.cameras)
         scores = {passes.chosen.source: _score_heldout(scene, passes.chosen)}
@@ -109,7 +137,7 @@ def reconstruct(settings: ReconstructSettings, stages: Stages) -> Report:
         report = Report(
             ply=str(settings.ply),
             scene=str(scene_folder(settings.ply)),
-            views=views_entry(scene.located.views.names, (*unread, *passes.left_out)),
+            views=views_entry(scene.located.views.names, (*unread, *too_many, *passes.left_out)),
             gaussians=len(scene.gaussians),
             seconds=seconds_entry(stages.seconds),
             quality={
@@ -124,51 +152,91 @@ def reconstruct(settings: ReconstructSettings, stages: Stages) -> Report:
             },
             peak_memory_gib=peak_memory_gib(),
             machine=machine(),
+            memory_estimate_gib=expected and round(expected / 2**30, 2),
         )
         stored = StoredScene(
             scene.located.views,
             scene.located.cameras,
             passes.chosen.heldout,
             scene.memories,
-            scene.anchors,
+            scene.remembered.anchors,
             settings.preset,
+            scene.remembered.map,
         )
         write_scene(settings.ply, stored, scene.gaussians, asdict(report))
     return report
 
 
+def load_parts(settings: ReconstructSettings, device: torch.device) -> tuple[QuerySplat, Encoder]:
+    """The model, and the encoder that feeds it: by default the one that it was made for."""
+    precision = check_precision(settings.precision)
+    model = load(settings.preset, settings.weights, precision=precision, device=device)
+    learned = model.config.queries == "learned"
+    if learned and settings.queries:
+        model.keep_queries(settings.queries)
+    options = EncoderOptions(
+        settings.weights, device, precision, settings.fit, model.layer_weights, depth=settings.depth or not learned
+    )
+    return model, find_encoder(settings.encoder or ("vggt_omega" if learned else "classical"), options)
+
+
 def build_scene(
-    located: Located, encoder: Encoder, model: QuerySplat, settings: ReconstructSettings, stages: Stages
+    located: Located,
+    encoder: Encoder,
+    model: QuerySplat,
+    settings: ReconstructSettings,
+    stages: Stages,
+    *,
+    last: bool = False,
 ) -> BuiltScene:
-    """Depth, queries, memories, test-time optimisation: a scene from photos with cameras."""
-    device = next(model.parameters()).device
+    """Depth, queries, memories, test-time optimisation: a scene from photos with cameras.
+
+    After the `last` scene the encoder cannot be used any more: its weights make room for the decoders.
+    """
     views, cameras = located.views, located.cameras
     with stages("depth") as progress:
         geometry = encoder.perceive(located, seed=settings.seed, progress=progress)
+    if last:
+        encoder.release()
     with stages("queries"):
-        anchors, anchor_report = build_anchors(
-            views, cameras, geometry.depth, geometry.confidence, patch=geometry.patch, queries=settings.queries
-        )
-        with torch.no_grad():
-            rows = model.remember(*moved((geometry.features, views.images, cameras), device))
-            memories, anchors = attended_rows(moved(rows, torch.device("cpu")), anchors)
+        remembered = remember(model, located, geometry, queries=settings.queries, target=settings.tto_target)
+        geometry = replace(geometry, features=())
     with stages("tto") as progress:
-        plan = plan_tto(settings.tto, views=len(views), gaussians=anchors.opacities.numel())
-        tto, gaussians = _optimise(model, memories, anchors, views, cameras, plan, settings.seed, progress)
-    return BuiltScene(located, geometry, anchors, anchor_report, tto.memories, gaussians, tto, plan)
+        if remembered.anchors is None:
+            plan = TtoSettings(settings.tto or 0, RELEASE_RATE)
+        else:
+            plan = plan_tto(settings.tto, views=len(views), gaussians=remembered.anchors.opacities.numel())
+        start = remembered.variables.map(torch.Tensor.float) if plan.steps else remembered.variables
+        tto, memories, gaussians = _optimise(
+            model, start, remembered.anchors, views, cameras, plan, settings.seed, progress
+        )
+    return BuiltScene(located, geometry, remembered, memories, gaussians, tto, plan)
 
 
 def optimise_scene(
-    path: Path, *, steps: int | None, lr: float | None, device: str, seed: int, stages: Stages
+    path: Path,
+    *,
+    steps: int | None,
+    lr: float | None,
+    device: str,
+    seed: int,
+    stages: Stages,
+    weights: Path | None = None,
 ) -> Report:
-    """Take up the scene in `path` (its folder or its .ply), optimise its memories further, and write it back."""
+    """Take up the scene in `path` (its folder or its .ply), optimise its memories further, and write it back.
+
+    `weights` is where the model's files are now, if not where they were.
+    """
     with stages("read"):
         scene, before = read_scene(path)
-        model = load(scene.model).to(find_device(device))
+        model = load_again(scene.model, before["settings"], weights, find_device(device))
     with stages("tto") as progress:
         resumed = any(run["steps"] for run in before["tto"])
-        plan = plan_tto(steps, views=len(scene.views), gaussians=before["gaussians"], lr=lr, resumed=resumed)
-        tto, gaussians = _optimise(
+        if scene.anchors is None:
+            plan = TtoSettings(RELEASE_STEPS if steps is None else steps, RELEASE_RATE if lr is None else lr)
+        else:
+            plan = plan_tto(steps, views=len(scene.views), gaussians=before["gaussians"], lr=lr, resumed=resumed)
+        tto, memories, gaussians = _optimise(
             model, scene.memories, scene.anchors, scene.views, scene.cameras, plan, seed, progress
         )
     with stages("score"):
@@ -186,34 +254,53 @@ def optimise_scene(
             peak_memory_gib=peak_memory_gib(),
             machine=machine(),
         )
-        write_scene(ply_path(path), replace(scene, memories=tto.memories), gaussians, asdict(report))
+        write_scene(ply_path(path), replace(scene, memories=memories), gaussians, asdict(report))
     return report
+
+
+def load_again(name: str, settings: dict[str, Any], weights: Path | None, device: torch.device) -> QuerySplat:
+    """The model of a stored scene, from the settings in its report."""
+    stored = settings.get("weights")
+    folder = weights or (Path(stored) if stored else None)
+    model = load(name, folder, precision=check_precision(settings.get("precision", "fp32")), device=device)
+    if model.config.queries == "learned" and settings["queries"]:
+        model.keep_queries(settings["queries"])
+    return model
 
 
 def _optimise(
     model: QuerySplat,
-    memories: Memories,
+    memories: Memories | Features,
     anchors: Anchors | None,
     views: Views,
     cameras: Cameras,
     plan: TtoSettings,
     seed: int,
     progress: Progress,
-) -> tuple[TtoResult, Gaussians]:
+) -> tuple[TtoResult, Memories, Gaussians]:
     """The result on the CPU, however it was made: on the device of `model`."""
     device, cpu = next(model.parameters()).device, torch.device("cpu")
     memories, anchors = moved((memories, anchors), device)
+    target = RenderingLoss(*moved((views, cameras), device))
+    if not plan.steps and isinstance(memories, Memories):
+        # Decoding once is enough, and for thousands of learned queries takes minutes on a CPU.
+        with torch.no_grad():
+            gaussians = model.decode(memories, anchors)
+            loss = target.value(gaussians, list(range(len(views))))
+        return moved((TtoResult(memories, loss, loss, ()), memories, gaussians), cpu)
     result = optimise_memories(
         model,
         memories,
         anchors,
-        RenderingLoss(*moved((views, cameras), device)),
+        target,
         plan,
         generator=torch.Generator().manual_seed(seed),
         progress=lambda step: progress(f"loss {step.loss:.4f}", (step.step + 1) / plan.steps),
     )
     with torch.no_grad():
-        return moved((result, model.decode(result.memories, anchors)), cpu)
+        best = result.memories
+        adapted = best if isinstance(best, Memories) else model.project(best)
+        return moved((result, adapted, model.decode(adapted, anchors)), cpu)
 
 
 def _score_heldout(scene: BuiltScene, cameras: CameraPass) -> Quality | None:
@@ -222,16 +309,19 @@ def _score_heldout(scene: BuiltScene, cameras: CameraPass) -> Quality | None:
 
 def _left_out(settings: ReconstructSettings, scene: BuiltScene) -> list[dict[str, str]]:
     """Work that was not done because it would change nothing, or could not be done."""
-    blocks = scene.anchor_report
-    rows = [
-        ("LPIPS loss", "its weights are not part of this package", "the network's run in every step"),
-        (
-            "queries",
-            f"of {blocks.blocks:,} blocks, {blocks.redundant:,} show what another view shows at least as finely "
-            f"and {blocks.hiding:,} would hide surfaces seen by others",
-            f"{9 * (blocks.redundant + blocks.hiding):,} Gaussians",
-        ),
-    ]
+    rows = [("LPIPS loss", "its weights are not part of this package", "the network's run in every step")]
+    blocks = scene.remembered.anchor_report
+    if blocks:
+        rows.append(
+            (
+                "queries",
+                f"of {blocks.blocks:,} blocks, {blocks.redundant:,} show what another view shows at least as finely "
+                f"and {blocks.hiding:,} would hide surfaces seen by others",
+                f"{9 * (blocks.redundant + blocks.hiding):,} Gaussians",
+            )
+        )
+    if scene.geometry.depth is None:
+        rows.append(("depth", "learned queries do not need it", "the depth head"))
     if settings.poses:
         rows.append(("structure from motion", f"poses were given in {settings.poses}", "matching and mapping"))
     return [dict(zip(("what", "why", "saved"), row, strict=True)) for row in rows]

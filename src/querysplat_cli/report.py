@@ -36,6 +36,7 @@ class Report:
     settings: dict[str, Any]
     peak_memory_gib: float
     machine: str
+    memory_estimate_gib: float | None = None
 
     def json(self) -> str:
         return json.dumps(asdict(self), indent=2)
@@ -66,7 +67,10 @@ def heldout_entry(
         name: quality and {"psnr": round(quality.psnr, 3), "ssim": round(quality.ssim, 4)}
         for name, quality in scores.items()
     }
-    apart = difference and {"degrees": round(difference.degrees, 4), "pixels": round(difference.pixels, 3)}
+    apart = difference and {
+        "degrees": round(difference.degrees, 4),
+        "pixels": None if difference.pixels is None else round(difference.pixels, 3),
+    }
     return {**quality_entry(kept), "cameras": chosen, **brief, "pose_difference": apart}
 
 

@@ -4,7 +4,7 @@ scene.ply
 scene/
   cameras.json             nerfstudio form; held-out views under "heldout_frames"
   images/                  the undistorted photos that the cameras belong to
-  memories.safetensors     memories, anchors and masks, and the model that they belong to
+  memories.safetensors     memories, anchors, masks and depth, and the model that they belong to
   report.json
   preview.png
 """
@@ -17,6 +17,7 @@ from typing import Any
 import cv2
 import numpy as np
 import torch
+from jaxtyping import Float, Int
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
@@ -37,6 +38,24 @@ JPEG_SETTINGS = (cv2.IMWRITE_JPEG_QUALITY, 100, cv2.IMWRITE_JPEG_SAMPLING_FACTOR
 
 
 @dataclass(frozen=True)
+class MemoryMap:
+    """Where in the photos the rows of the memories come from, and the VGM's depth (empty if it was not found).
+
+    A row is that of all tokens of all views; `grid` is (special tokens, rows, columns) of a view's tokens.
+    """
+
+    geometry_rows: Int[Tensor, "geometry"]
+    appearance_rows: Int[Tensor, "appearance"]
+    grid: Int[Tensor, "3"]
+    depth: Float[Tensor, "views height width"]
+
+    @property
+    def layout(self) -> tuple[int, int, int]:
+        special, rows, columns = self.grid.tolist()
+        return special, rows, columns
+
+
+@dataclass(frozen=True)
 class StoredScene:
     """A scene that can be taken up again. `model` is the preset or checkpoint that decodes the memories."""
 
@@ -46,6 +65,7 @@ class StoredScene:
     memories: Memories
     anchors: Anchors | None
     model: str
+    map: MemoryMap | None = None
 
     @property
     def groups(self) -> dict[str, tuple[Views, Cameras]]:
@@ -79,6 +99,8 @@ def write_scene(ply: Path, scene: StoredScene, gaussians: Gaussians, report: dic
         tensors = {"masks": masks, **_flatten("memories", scene.memories)}
         if scene.anchors is not None:
             tensors |= _flatten("anchors", scene.anchors)
+        if scene.map is not None:
+            tensors |= _flatten("map", scene.map)
         # By our own hand, since save_file makes files that nobody else may read.
         (draft / "memories.safetensors").write_bytes(save(tensors, metadata={"model": scene.model}))
         (draft / "report.json").write_text(json.dumps(report, indent=2) + "\n")
@@ -111,7 +133,9 @@ def read_scene(path: Path) -> tuple[StoredScene, dict[str, Any]]:
             masks = tensors["masks"][count:]
             held = _read_images(folder / "images", heldout.names, heldout.sizes, masks), heldout.cameras
         anchors = _unflatten(Anchors, "anchors", tensors) if "anchors.means" in tensors else None
-        scene = StoredScene(views, inputs.cameras, held, _unflatten(Memories, "memories", tensors), anchors, model)
+        where = _unflatten(MemoryMap, "map", tensors) if "map.grid" in tensors else None
+        memory = _unflatten(Memories, "memories", tensors)
+        scene = StoredScene(views, inputs.cameras, held, memory, anchors, model, where)
     except (OSError, SafetensorError, KeyError, ValueError) as error:
         raise QuerySplatError(f"{folder} is damaged: {error}", "Run `querysplat reconstruct` again.") from error
     return scene, report

@@ -211,6 +211,20 @@ def test_confirmation_counts_views_and_carving_clears_what_they_see_through():
     assert confidence[0, :, :6].max() == 0
     sure = np.ones_like(inverse)
     sure[0, 8:16, 14:22] = 0
-    carved = carve(inverse, sure, K, w2c, [[1], [0]], [0.01, 0.01])
+    carved = carve(inverse, sure, np.zeros((2, 24, 24, 3), np.float32), K, w2c, [[1], [0]], [0.01, 0.01])
     assert carved[0, 8:16, 14:22].max() <= 0.5 / 0.95 + 1e-6
     np.testing.assert_array_equal(carved[sure == 1], inverse[sure == 1])
+
+
+@pytest.mark.parametrize(("own", "other", "cleared"), [(0.0, 0.5, True), (0.3, 0.3, False)])
+def test_a_guess_gives_way_to_farther_guesses_of_another_colour(own: float, other: float, cleared: bool):
+    K = np.repeat(np.array([[[24, 0, 12], [0, 24, 12], [0, 0, 1.0]]]), 2, 0)
+    w2c = np.repeat(np.eye(4)[None], 2, 0)
+    w2c[1, 0, 3] = -0.5
+    inverse = np.full((2, 24, 24), 0.5, np.float32)
+    inverse[0, 8:16, 14:22] = 1.0
+    pictures = np.full((2, 24, 24, 3), other, np.float32)
+    pictures[0] = own
+    carved = carve(inverse, np.zeros_like(inverse), pictures, K, w2c, [[1], [0]], [0.01, 0.01])
+    inside = carved[0, 10:14, 16:20]
+    assert (inside.max() < 0.6) if cleared else (inside.min() == 1.0)

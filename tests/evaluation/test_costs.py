@@ -11,7 +11,7 @@ import torch
 from querysplat_cli.encoders.base import Geometry, Located
 from querysplat_cli.errors import ImpossibleScene
 from querysplat_cli.evaluation.costs import measured
-from querysplat_cli.evaluation.remembering import RememberingEncoder
+from querysplat_cli.evaluation.memoised import MemoisedEncoder
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.views import Views
 
@@ -29,7 +29,7 @@ def test_a_peak_is_that_of_the_work_alone() -> None:
 class Fake:
     """An encoder that counts what it is asked."""
 
-    name = "fake"
+    name, size, own_frame = "fake", 448, False
 
     def __init__(self) -> None:
         self.asked: list[str] = []
@@ -46,13 +46,19 @@ class Fake:
         self.asked.append("perceive")
         return Geometry(torch.ones(1, 4, 4), torch.ones(1, 4, 4), (), 4)
 
+    def release(self) -> None:
+        raise AssertionError("cases to come need it")
+
+    def bytes_needed(self, views: int, size: int) -> int | None:
+        return None
+
 
 def test_a_question_is_asked_once() -> None:
     def silent(text: str, fraction: float) -> None:
         pass
 
     fake = Fake()
-    encoder = RememberingEncoder(fake)
+    encoder = MemoisedEncoder(fake)
     options: dict[str, Any] = {"max_size": 64, "progress": silent}
     first = encoder.locate([], seed=1, **options)
     assert encoder.locate([], seed=1, **options) is first

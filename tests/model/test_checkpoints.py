@@ -1,7 +1,10 @@
 """Files of weights: official names, strictness, damage, and the bundled checkpoint."""
 
 import json
+import math
 import pickle
+import resource
+import struct
 from pathlib import Path
 
 import pytest
@@ -11,32 +14,12 @@ from safetensors.torch import load_file as read_safetensors
 from safetensors.torch import save_file
 
 from querysplat_cli.errors import MissingPart, QuerySplatError
-from querysplat_cli.model.checkpoints import check_tensors, load, load_file, official_config, our_name, save
+from querysplat_cli.model.checkpoints import load, load_file, official_config, our_name, save
 from querysplat_cli.model.config import ModelConfig, preset, preset_names
 from querysplat_cli.model.initialise import initial_model
 from querysplat_cli.model.querysplat import QuerySplat
-
-WEIGHT_AND_BIAS = {
-    "": """patch_embed.proj patch_embed.norm patch_plucker_embed.proj patch_plucker_embed.norm
-        vggt_encoder.eye_layer_mlp.0 vggt_encoder.eye_layer_mlp.1 vggt_encoder.eye_layer_mlp.3 vggt_encoder.output_norm
-        enc_dec_backbone.encoder_norm enc_dec_backbone.kv_proj enc_dec_backbone.k_proj_norm
-        original_encoder_norm original_kv_proj original_k_proj_norm non_rgb_activation_head.deconv
-        post_rgb_delta_head""",
-    "block": """gs_self_attn.norm gs_self_attn.gs_self_attn.qkv gs_self_attn.gs_self_attn.q_norm
-        gs_self_attn.gs_self_attn.k_norm gs_self_attn.gs_self_attn.proj gs_cross_attn.gs_token_norm gs_cross_attn.q_norm
-        gs_cross_attn.q_proj gs_cross_attn.out_proj mlp.norm mlp.mlp.fc1 mlp.mlp.fc2""",
-}
-GAMMAS = ("gs_self_attn_scale.gamma", "gs_cross_attn_scale.gamma", "mlp_scale.gamma")
-
-
-def official_names() -> list[str]:
-    """The 521 names of ../shared/spec/official-checkpoint.md, section 1."""
-    names = ["vggt_encoder.eye_token", "post_rgb_gs_tokens", "gs_tokens"]
-    names += [f"{name}.{part}" for name in WEIGHT_AND_BIAS[""].split() for part in ("weight", "bias")]
-    block = [f"{name}.{part}" for name in WEIGHT_AND_BIAS["block"].split() for part in ("weight", "bias")]
-    for branch, blocks in (("enc_dec_backbone.decoder_blocks", 12), ("post_rgb_decoder_blocks", 6)):
-        names += [f"{branch}.{i}.{name}" for i in range(blocks) for name in (*block, *GAMMAS)]
-    return names
+from querysplat_cli.tensor_files import check_tensors
+from tiny_weights import MODEL, official_names, write_model
 
 
 def small() -> ModelConfig:
@@ -172,3 +155,69 @@ def test_weights_that_are_not_here() -> None:
         load("official-paper")
     with pytest.raises(QuerySplatError, match="neither a preset nor a file"):
         load("/nowhere/weights.safetensors")
+
+
+def sparse_file(path: Path, config: ModelConfig) -> None:
+    """A full-size official file of zeros that takes no room on the disk."""
+    with torch.device("meta"):
+        state = QuerySplat(config).state_dict()
+    header, end = {}, 0
+    for name in official_names():
+        shape = list(state[our_name(name)].shape)
+        size = 4 * math.prod(shape)
+        header[name] = {"dtype": "F32", "shape": shape, "data_offsets": [end, end + size]}
+        end += size
+    text = json.dumps(header).encode()
+    text += b" " * (-len(text) % 8)
+    with path.open("wb") as file:
+        file.write(struct.pack("<Q", len(text)) + text)
+        file.truncate(8 + len(text) + end)
+
+
+@pytest.mark.parametrize(("degree", "values"), [(1, 1_117_923_780), (0, 1_116_743_556)])
+def test_a_full_size_file_is_mapped_not_read(tmp_path: Path, degree: int, values: int) -> None:
+    """4.2 GiB of weights are there without taking memory, and every one of the 521 names is needed."""
+    sparse_file(tmp_path / "full.safetensors", ModelConfig(sh_degree=degree))
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    model = load_file(tmp_path / "full.safetensors")
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 2**20  # 1 GiB in KiB
+    assert model.config.sh_degree == degree
+    assert len(model.state_dict()) == 521
+    assert sum(tensor.numel() for tensor in model.state_dict().values()) == values
+    assert float(model.geometry_queries[-1, -1]) == 0
+
+
+def test_half_precision_is_for_matrices_alone(tmp_path: Path) -> None:
+    write_model(tmp_path / "tiny.safetensors")
+    model = load_file(tmp_path / "tiny.safetensors", precision="bf16")
+    half = {name for name, tensor in model.state_dict().items() if tensor.dtype == torch.bfloat16}
+    assert "geometry_decoder.blocks.0.mlp.fc1.weight" in half
+    assert not any("norm" in name or "gamma" in name or "head" in name or "queries" in name for name in half)
+
+
+def mapped_bytes() -> int:
+    """Pages of files that this process holds in memory."""
+    status = Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) * 1024 for line in status if line.startswith("RssFile:"))
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").is_file(), reason="there is no /proc")
+def test_the_file_is_let_go_where_its_numbers_were_converted(tmp_path: Path) -> None:
+    """One norm that stays a view of the mapped file would keep all of it in memory, beside the converted copy."""
+    path = tmp_path / "some.safetensors"
+    write_model(path, ModelConfig(**{**MODEL.__dict__, "width": 512, "vgm_width": 512}))
+    size = path.stat().st_size
+    load_file(path, precision="bf16")  # whatever the first use brings into memory
+    before = mapped_bytes()
+    model = load_file(path, precision="bf16")
+    assert mapped_bytes() - before < size / 4
+    assert sum(tensor.nbytes for tensor in model.state_dict().values()) > size / 3
+
+
+def test_a_preset_is_found_in_a_folder(tmp_path: Path) -> None:
+    written = write_model(tmp_path / "querysplat_vggto_1B_512_8192.safetensors")
+    loaded = load("official-8192", tmp_path)
+    for name, tensor in written.state_dict().items():
+        assert torch.equal(loaded.state_dict()[name], tensor), name
+    with pytest.raises(MissingPart, match="paper"):
+        load("official-paper", tmp_path)

@@ -1,15 +1,18 @@
 """The model as a whole: the official sizes, the compact start, and what optimisation of the memories reaches."""
 
+from dataclasses import fields
+
 import pytest
 import torch
 from model_scenes import PATCHES, VIEWS, anchors, compact, memories, photos
 
 from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.model.config import ModelConfig, preset
-from querysplat_cli.model.heads import SH_BAND_0
+from querysplat_cli.model.heads import SH_BAND_0, assemble
 from querysplat_cli.model.initialise import initial_model
-from querysplat_cli.model.memories import attended_rows, plucker_rays
+from querysplat_cli.model.memories import Memories, attended_rows, plucker_rays
 from querysplat_cli.model.querysplat import QuerySplat
+from tiny_weights import MODEL as TINY
 
 
 def test_official_tensor_and_value_counts() -> None:
@@ -109,3 +112,26 @@ def test_plucker_rays_pass_through_their_camera_and_their_pixel() -> None:
     local = cameras.w2c[view, :3, :3] @ point + cameras.w2c[view, :3, 3]
     pixel = cameras.K[view] @ local / local[2]
     torch.testing.assert_close(pixel[:2], torch.tensor([column + 0.5, row + 0.5], dtype=torch.float64))
+
+
+def test_blocks_run_again_backward_give_the_same_gradient() -> None:
+    """Learned queries forget what is between blocks; the gradient is that of the plain chain."""
+    torch.manual_seed(0)
+    model = QuerySplat(TINY).requires_grad_(False)
+    for block in (*model.geometry_decoder.blocks, *model.appearance_decoder.blocks):
+        for scale in (block.cross_scale, block.among_scale, block.mlp_scale):
+            scale.gamma.fill_(0.3)
+    shape = (20, TINY.heads, TINY.width // TINY.heads)
+    stored = Memories(*(torch.randn(shape) for _ in range(4))).map(lambda tensor: tensor.requires_grad_())
+    tensors = [getattr(stored, field.name) for field in fields(stored)]
+    found = torch.autograd.grad(model.decode(stored).means.sum() + model.decode(stored).sh.sum(), tensors)
+    tokens = torch.cat([model.eye_token, model.geometry_queries])
+    for block in model.geometry_decoder.blocks:
+        tokens = block(tokens, stored.geometry_keys, stored.geometry_values)
+    after = tokens[1:] + model.appearance_queries
+    for block in model.appearance_decoder.blocks:
+        after = block(after, stored.appearance_keys, stored.appearance_values)
+    made = assemble(*model._raw(tokens[1:], after), TINY)
+    expected = torch.autograd.grad(made.means.sum() + made.sh.sum(), tensors)
+    for ours, theirs in zip(found, expected, strict=True):
+        torch.testing.assert_close(ours, theirs)

@@ -87,3 +87,52 @@ def test_a_mirrored_world_is_not_reached_by_a_reflection() -> None:
     points = torch.from_numpy(np.random.default_rng(0).normal(size=(8, 3)))
     found = align_sim3(points, points * torch.tensor([1.0, 1.0, -1.0]))
     assert float(torch.linalg.det(found.rotation)) == pytest.approx(1)
+
+
+def disturbed(w2c: torch.Tensor, which: int, *, rotation: bool, centre: bool) -> torch.Tensor:
+    """Camera `which` elsewhere, or looking elsewhere."""
+    wrong = Cameras(w2c[[which]], torch.eye(3, dtype=torch.float64)[None], 10, 10).c2w[0]
+    if rotation:
+        wrong[:3, :3] = wrong[:3, :3] @ torch.from_numpy(Rotation.from_rotvec([0, 2.0, 0.3]).as_matrix())
+    if centre:
+        wrong[:3, 3] += 5 * (1 + wrong[:3, 3].norm()) * torch.tensor([1.0, -2.0, 0.5], dtype=torch.float64)
+    changed = w2c.clone()
+    changed[which] = torch.linalg.inv(wrong)
+    return changed
+
+
+@given(
+    seed=st.integers(0, 10_000),
+    count=st.integers(4, 9),
+    kind=st.sampled_from([(True, True), (True, False), (False, True)]),
+)
+def test_one_wrong_camera_does_not_move_the_others(seed: int, count: int, kind: tuple[bool, bool]) -> None:
+    truth, before = similarity(seed), cameras(seed, count)
+    noisy = before.transformed(truth)
+    twist = Rotation.from_rotvec(1e-3 * np.random.default_rng(seed).normal(size=(count, 3))).as_matrix()
+    w2c = noisy.w2c.clone()
+    w2c[:, :3] = torch.from_numpy(twist) @ w2c[:, :3]
+    wrong = disturbed(w2c, seed % count, rotation=kind[0], centre=kind[1])
+    found = align_cameras(before.w2c, wrong)
+    assert found.scale == pytest.approx(truth.scale, rel=0.05)
+    torch.testing.assert_close(found.rotation, truth.rotation, rtol=0, atol=0.02)
+
+
+def test_nobody_is_left_out_for_a_little_noise() -> None:
+    before = cameras(1, 6)
+    w2c = before.w2c.clone()
+    w2c[:, :3, 3] += 0.01 * torch.from_numpy(np.random.default_rng(0).normal(size=(6, 3)))
+    everybody = align_cameras(before.w2c[[5, 0, 1, 2, 3, 4]], w2c[[5, 0, 1, 2, 3, 4]])
+    alone = [align_cameras(before.w2c[rows], w2c[rows]) for rows in ([0, 1, 2, 3, 4], [1, 2, 3, 4, 5])]
+    assert all(abs(everybody.scale - each.scale) > 1e-9 for each in alone)
+
+
+def test_cameras_that_disagree_altogether_are_refused() -> None:
+    before = cameras(5, 2)
+    after = before.w2c.clone()
+    after[:, :3, 3] = after[[1, 0], :3, 3]
+    after[:, :3, :3] = torch.eye(3, dtype=torch.float64)
+    same = before.w2c.clone()
+    same[:, :3, :3] = torch.eye(3, dtype=torch.float64)
+    with pytest.raises(DegenerateAlignment, match="no positive scale"):
+        align_cameras(same, after)

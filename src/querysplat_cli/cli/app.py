@@ -2,7 +2,7 @@
 
 import typer
 
-from querysplat_cli.cli import convert, demo, evaluate, poses, reconstruct, render, tto
+from querysplat_cli.cli import convert, demo, evaluate, inspect, poses, reconstruct, render, tto, weights
 
 app = typer.Typer(
     name="querysplat",
@@ -17,4 +17,6 @@ app.command("render")(render.render)
 app.command("eval")(evaluate.evaluate)
 app.command("poses")(poses.poses)
 app.command("convert")(convert.convert)
+app.command("inspect")(inspect.inspect)
 app.command("demo")(demo.demo)
+app.command("weights")(weights.weights)

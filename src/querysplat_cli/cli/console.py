@@ -1,7 +1,7 @@
 """What the user sees: progress and tables on standard error, results for programs on standard output."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
@@ -14,6 +14,7 @@ from rich.table import Table
 from querysplat_cli.progress import Stages
 from querysplat_cli.rendering import Rendered
 from querysplat_cli.report import Report
+from querysplat_cli.weight_files import Found
 
 console = Console(stderr=True, highlight=False)
 
@@ -56,7 +57,9 @@ def _table(report: dict[str, Any]) -> Table:
     for photo in report["views"]["left_out"]:
         table.add_row("photo left out", f"{photo['name']}: {photo['why']}")
     table.add_row("Gaussians", f"{report['gaussians']:,}")
-    table.add_row("peak memory", f"{report['peak_memory_gib']:.2f} GiB")
+    estimate = report["memory_estimate_gib"]
+    said = f" ({estimate:.2f} GiB expected)" if estimate else ""
+    table.add_row("peak memory", f"{report['peak_memory_gib']:.2f} GiB{said}")
     for group, quality in report["quality"].items():
         if quality:
             table.add_row(f"{group} views", _quality_text(quality))
@@ -79,7 +82,9 @@ def _quality_text(quality: dict[str, Any]) -> str:
         text += f"; {quality[other]['psnr']:.2f} dB with {other} cameras"
     if quality["pose_difference"]:
         difference = quality["pose_difference"]
-        text += f"; the two differ by {difference['degrees']:.2f}°, {difference['pixels']:.1f} px"
+        text += f"; the two differ by {difference['degrees']:.2f}°"
+        if difference["pixels"] is not None:
+            text += f", {difference['pixels']:.1f} px"
     return text
 
 
@@ -87,6 +92,31 @@ def _tto_text(run: dict[str, Any]) -> str:
     text = f"{run['steps']} steps, loss {run['loss_before']:.4f} → {run['loss_after']:.4f}"
     kept = run["steps"] and run["loss_after"] == run["loss_before"]
     return f"{text}, no better: the state before was kept" if kept else text
+
+
+def print_weights(found: Sequence[Found], *, quiet: bool, as_json: bool) -> None:
+    """A paragraph for each file."""
+    if as_json:
+        print(json.dumps([each.as_dict() for each in found], indent=2))
+    for each in () if quiet else found:
+        wanted = each.wanted
+        gate = ", gated: ask for access there" if wanted.gated else ""
+        rows = [
+            ("needed by", each.needed_by),
+            ("from", f"https://huggingface.co/{wanted.repository}{gate}"),
+            ("licence", wanted.licence),
+            ("holds", f"{wanted.tensors:,} tensors of {wanted.values:,} numbers, {wanted.gib:.2f} GiB in float32"),
+            ("is", str(each.path) if each.path else f"not here: {each.absent}"),
+            ("sha256", each.sha256 or wanted.sha256 or "not published; the tensors are checked one by one"),
+            ("fault", f"[red]{each.fault}[/red]" if each.fault else ""),
+        ]
+        table = Table(title=wanted.file, title_justify="left", show_header=False, box=None, padding=(0, 2, 0, 2))
+        table.add_column()
+        table.add_column(overflow="fold")
+        for name, text in rows:
+            if text:
+                table.add_row(name, text)
+        console.print(table)
 
 
 def print_rendered(rendered: Rendered, *, quiet: bool, as_json: bool) -> None:

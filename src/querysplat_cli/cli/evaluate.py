@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from querysplat_cli.cli.options import Device, Force, Json, Quiet, Seed, number_or_auto
+from querysplat_cli.cli.reconstruct import NetworkPrecision
 from querysplat_cli.errors import QuerySplatError
 
 
@@ -54,7 +55,13 @@ def evaluate(
     ] = None,
     queries: Annotated[str, typer.Option(metavar="N|auto", help="At most this many queries.")] = "auto",
     preset: Annotated[str, typer.Option(help="The model: a preset, or a checkpoint file.")] = "compact",
-    encoder: Annotated[str, typer.Option(help="The vision geometric model.")] = "classical",
+    encoder: Annotated[str | None, typer.Option(help="The vision geometric model; the preset's own.")] = None,
+    weights: Annotated[
+        Path | None, typer.Option(help="The folder of downloaded weights; the Hugging Face cache by default.")
+    ] = None,
+    precision: Annotated[
+        NetworkPrecision, typer.Option(help="Of the networks' matrix products.")
+    ] = NetworkPrecision.fp32,
     pictures: Annotated[
         str, typer.Option(help="The folder of pictures to take where a scene has several.")
     ] = "images_4",
@@ -78,7 +85,7 @@ def evaluate(
     from querysplat_cli.cli.console import console, print_evaluation, showing_stages
     from querysplat_cli.evaluation.generate import INTERVALS
     from querysplat_cli.evaluation.grid import read_axis
-    from querysplat_cli.evaluation.plan import EvalRequest, default_size
+    from querysplat_cli.evaluation.plan import EvalRequest
     from querysplat_cli.evaluation.protocol import Protocol
     from querysplat_cli.evaluation.results import merge as merge_results
     from querysplat_cli.evaluation.run import evaluate as run
@@ -97,9 +104,11 @@ def evaluate(
         inputs=(),
         ply=Path("scene.ply"),
         queries=limit,
-        max_size=max_size or default_size(rules),
+        max_size=max_size,
         preset=preset,
         encoder=encoder,
+        weights=weights,
+        precision=precision.value,
         device=device,
         seed=seed,
     )

@@ -9,6 +9,22 @@ import typer
 from querysplat_cli.cli.options import Device, Force, Json, Quiet, Seed, number_or_auto
 
 
+class TtoTarget(StrEnum):
+    kv = "kv"
+    features = "features"
+
+
+class PhotoFit(StrEnum):
+    crop = "crop"
+    pad = "pad"
+
+
+class NetworkPrecision(StrEnum):
+    fp32 = "fp32"
+    tf32 = "tf32"
+    bf16 = "bf16"
+
+
 class HeldOutCameras(StrEnum):
     isolated = "isolated"
     joint = "joint"
@@ -29,12 +45,30 @@ def reconstruct(
     tto: Annotated[
         str, typer.Option(metavar="STEPS|auto", help="Steps of test-time optimisation; 0 for none.")
     ] = "auto",
+    tto_target: Annotated[
+        TtoTarget, typer.Option(help="What it optimises: keys and values, or the features that they are made of.")
+    ] = TtoTarget.kv,
     queries: Annotated[
-        str, typer.Option(metavar="N|auto", help="At most this many queries, nine Gaussians each.")
+        str, typer.Option(metavar="N|auto", help="At most this many queries; of learned ones the first N.")
     ] = "auto",
-    max_size: Annotated[int, typer.Option(min=96, help="Longer side of the working pictures, in pixels.")] = 448,
+    max_size: Annotated[
+        str, typer.Option(metavar="PX|auto", help="Longer side of the working pictures; auto: the encoder's own.")
+    ] = "auto",
+    max_views: Annotated[
+        str, typer.Option(metavar="N|auto", help="Use N photos, evenly spaced; auto: as many as fit into memory.")
+    ] = "auto",
+    fit: Annotated[PhotoFit, typer.Option(help="Photos for a network: a centred square, or whole.")] = PhotoFit.crop,
     preset: Annotated[str, typer.Option(help="The model: a preset, or a checkpoint file.")] = "compact",
-    encoder: Annotated[str, typer.Option(help="The vision geometric model.")] = "classical",
+    encoder: Annotated[
+        str | None, typer.Option(help="The vision geometric model: classical, vggt or vggt_omega; the preset's own.")
+    ] = None,
+    weights: Annotated[
+        Path | None, typer.Option(help="The folder of downloaded weights; the Hugging Face cache by default.")
+    ] = None,
+    precision: Annotated[
+        NetworkPrecision, typer.Option(help="Of the networks' matrix products.")
+    ] = NetworkPrecision.fp32,
+    depth: Annotated[bool, typer.Option(help="Find depth as well, where the model does not need it.")] = False,
     poses: Annotated[
         Path | None, typer.Option(help="Known cameras, instead of SfM: transforms.json or a COLMAP model folder.")
     ] = None,
@@ -46,6 +80,7 @@ def reconstruct(
 ) -> None:
     """Turn photos, with no camera poses, into a 3D Gaussian splatting scene."""
     steps, limit = number_or_auto(0)(tto), number_or_auto(1)(queries)
+    size, most = number_or_auto(96)(max_size), number_or_auto(1)(max_views)
     from querysplat_cli.cli.console import print_report, showing_stages
     from querysplat_cli.pipeline import ReconstructSettings
     from querysplat_cli.pipeline import reconstruct as run
@@ -56,10 +91,16 @@ def reconstruct(
         holdout_every=holdout_every,
         holdout_cameras=holdout_cameras.value,
         tto=steps,
+        tto_target=tto_target.value,
         queries=limit,
-        max_size=max_size,
+        max_size=size,
+        max_views=most,
+        fit=fit.value,
         preset=preset,
         encoder=encoder,
+        weights=weights,
+        precision=precision.value,
+        depth=depth,
         poses=poses,
         device=device,
         seed=seed,

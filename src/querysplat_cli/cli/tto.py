@@ -15,6 +15,7 @@ def tto(
         float | None,
         typer.Option(min=1e-8, help="Learning rate; 0.02, or 0.005 for a scene that was optimised before."),
     ] = None,
+    weights: Annotated[Path | None, typer.Option(help="The folder of downloaded weights, if not where it was.")] = None,
     device: Device = "auto",
     seed: Seed = 42,
     quiet: Quiet = False,
@@ -26,5 +27,5 @@ def tto(
     from querysplat_cli.pipeline import optimise_scene
 
     with showing_stages(quiet=quiet) as stages:
-        report = optimise_scene(scene, steps=count, lr=lr, device=device, seed=seed, stages=stages)
+        report = optimise_scene(scene, steps=count, lr=lr, device=device, seed=seed, stages=stages, weights=weights)
     print_report(report, quiet=quiet, as_json=json)

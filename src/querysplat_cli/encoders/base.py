@@ -2,14 +2,34 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol, runtime_checkable
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from querysplat_cli.precision import Precision
 from querysplat_cli.progress import Progress
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera
+from querysplat_cli.scene.fit import Fit
 from querysplat_cli.scene.views import LeftOut, Photo, Views
+
+
+@dataclass(frozen=True)
+class EncoderOptions:
+    """How an encoder is to work; those without weights need none of it.
+
+    `weights` is the folder of their files (None: the Hugging Face cache). With a `mixture`, a weight for each
+    layer, features are the layers' sum alone. `depth` False leaves the depth out where that saves work.
+    """
+
+    weights: Path | None = None
+    device: torch.device = torch.device("cpu")  # noqa: RUF009 - immutable
+    precision: Precision = "fp32"
+    fit: Fit = "crop"
+    mixture: tuple[float, ...] | None = None
+    depth: bool = True
 
 
 @dataclass(frozen=True)
@@ -36,12 +56,13 @@ class Geometry:
     """What the VGM knows of each view.
 
     `depth` is camera z in scene units, positive everywhere inside the view's mask; `confidence` in [0, 1]
-    (0: filled in, a guess). `features` holds one tensor for each cached layer, a row for each token of each
-    view; for patch-only encoders the tokens are the patches, row by row, `patch` pixels square.
+    (0: filled in, a guess); both None where they were not asked for. `features` holds one tensor for each
+    cached layer, a row for each token of each view; for patch-only encoders the tokens are the patches, row
+    by row, `patch` pixels square.
     """
 
-    depth: Float[Tensor, "views height width"]
-    confidence: Float[Tensor, "views height width"]
+    depth: Float[Tensor, "views height width"] | None
+    confidence: Float[Tensor, "views height width"] | None
     features: tuple[Float[Tensor, "views tokens channels"], ...]
     patch: int
     doubts: tuple[str, ...] = ()
@@ -49,9 +70,15 @@ class Geometry:
 
 @runtime_checkable
 class Encoder(Protocol):
-    """A frozen VGM. `locate` finds cameras, `perceive` finds depth and features for known cameras."""
+    """A frozen VGM. `locate` finds cameras, `perceive` finds depth and features for known cameras.
+
+    `size` is the longer side, in pixels, that it works best at. With `own_frame`, features are tied to the
+    frame of their own pass, and cameras of another pass fit them only after a similarity.
+    """
 
     name: str
+    size: int
+    own_frame: bool
 
     def locate(
         self,
@@ -71,4 +98,15 @@ class Encoder(Protocol):
 
     def perceive(self, located: Located, *, seed: int, progress: Progress) -> Geometry:
         """Depth, confidence and features of every view."""
+        ...
+
+    def release(self) -> None:
+        """Give back what memory can be: it will not be asked again."""
+        ...
+
+    def bytes_needed(self, views: int, size: int) -> int | None:
+        """About the most memory that so many views of `size` × `size` pixels take, weights included.
+
+        None where it is not known, and too little to matter.
+        """
         ...

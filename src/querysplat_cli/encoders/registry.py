@@ -2,18 +2,22 @@
 
 from importlib import import_module
 
-from querysplat_cli.encoders.base import Encoder
+from querysplat_cli.encoders.base import Encoder, EncoderOptions
 from querysplat_cli.errors import QuerySplatError
 
-ENCODERS = {
-    "classical": ("querysplat_cli.encoders.classical.encoder", "ClassicalEncoder"),
-}
+ENCODERS = ("classical", "vggt", "vggt_omega")
+"""Packages beside this file, each with a function `make` in its module `encoder`."""
 
 
-def find_encoder(name: str) -> Encoder:
-    """The encoder called `name`; raises QuerySplatError, listing the names, when there is none."""
+DEFAULTS = EncoderOptions()
+
+
+def find_encoder(name: str, options: EncoderOptions = DEFAULTS) -> Encoder:
+    """The encoder called `name`; raises QuerySplatError, listing the names, when there is none.
+
+    Raises MissingPart when its weights are not here.
+    """
     if name not in ENCODERS:
-        raise QuerySplatError(f"there is no encoder named '{name}'", f"Choose one of: {', '.join(sorted(ENCODERS))}.")
-    module, maker = ENCODERS[name]
-    encoder: Encoder = getattr(import_module(module), maker)()
+        raise QuerySplatError(f"there is no encoder named '{name}'", f"Choose one of: {', '.join(ENCODERS)}.")
+    encoder: Encoder = import_module(f"querysplat_cli.encoders.{name}.encoder").make(options)
     return encoder

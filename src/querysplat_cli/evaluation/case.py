@@ -10,19 +10,18 @@ from typing import Any, Literal
 import torch
 
 from querysplat_cli.device import find_device
-from querysplat_cli.encoders.base import Located
+from querysplat_cli.encoders.base import Encoder, Located
 from querysplat_cli.encoders.classical.sparse_model import rescaled
-from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.evaluation.baseline import back_project
 from querysplat_cli.evaluation.costs import Cost, measured
 from querysplat_cli.evaluation.lpips import Lpips
+from querysplat_cli.evaluation.memoised import MemoisedEncoder
 from querysplat_cli.evaluation.metrics import Scores, compare
-from querysplat_cli.evaluation.protocol import Protocol
-from querysplat_cli.evaluation.remembering import RememberingEncoder
-from querysplat_cli.model.checkpoints import load
+from querysplat_cli.evaluation.protocol import SHAPE, Protocol
 from querysplat_cli.model.querysplat import QuerySplat
-from querysplat_cli.pipeline import ReconstructSettings, build_scene
+from querysplat_cli.pipeline import ReconstructSettings, build_scene, load_parts
+from querysplat_cli.precision import check_precision, matrix_products
 from querysplat_cli.progress import Stages
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera
 from querysplat_cli.scene.formats.dataset import Frame, fetch
@@ -102,16 +101,22 @@ class CaseRunner:
             for name, (photo, _) in self.photos.items()
             if name in cameras
         }
-        self._encoders: dict[str, RememberingEncoder] = {}
+        self._encoders: dict[ReconstructSettings, MemoisedEncoder] = {}
 
     def run(self, row: Row) -> RowResult:
         """The scores of one row. Raises QuerySplatError when no scene can be made."""
         settings = replace(self._settings, **dict(row.overrides))
-        encoder = self._encoders.setdefault(settings.encoder, RememberingEncoder(find_encoder(settings.encoder)))
+        with matrix_products(check_precision(settings.precision)):
+            return self._run(row, settings)
+
+    def _run(self, row: Row, settings: ReconstructSettings) -> RowResult:
+        key = same_parts(settings)
+        model, own = parts(key)
+        encoder = self._encoders.setdefault(key, MemoisedEncoder(own))
         if row.cameras == "posed" and not self.known:
             raise QuerySplatError("the dataset has no cameras of these photos", "Leave the posed rows out.")
         located = self._locate(encoder, settings, self._names("input"), posed=row.cameras == "posed")
-        gaussians, costs, doubts = self._build(row, encoder, located, settings)
+        gaussians, costs, doubts = self._build(row, model, encoder, located, settings)
         if row.cameras == "posed":
             result = self.judge(gaussians, joined(self.known, _lenses(located)), "the dataset has no camera of it")
         else:
@@ -131,6 +136,13 @@ class CaseRunner:
 
         A view without one is missing, for the reason in `why` or else `otherwise`.
         """
+        for name, lens in lenses.items():
+            height, width = _size(self.photos[name][1])
+            if abs(lens.width * height / (lens.height * width) - 1) > SHAPE:
+                raise QuerySplatError(
+                    f"the encoder saw only {lens.width} × {lens.height} of {name}, shown as {width} × {height}",
+                    "Use --protocol release, which shows squares.",
+                )
         cameras = {name: rescaled(lens, *_size(self.photos[name][1])) for name, lens in lenses.items()}
 
         def picture(group: str, frame: Frame) -> torch.Tensor | None:
@@ -164,21 +176,29 @@ class CaseRunner:
         return self.protocol.truth(self.photos[frame.name][0])
 
     def _build(
-        self, row: Row, encoder: RememberingEncoder, located: Located, settings: ReconstructSettings
+        self,
+        row: Row,
+        model: QuerySplat,
+        encoder: MemoisedEncoder,
+        located: Located,
+        settings: ReconstructSettings,
     ) -> tuple[Gaussians, dict[str, Cost], tuple[str, ...]]:
         if row.method == "depth":
             geometry = encoder.perceive(located, seed=settings.seed, progress=_silent)
-            gaussians, cost = measured(lambda: back_project(located.views, located.cameras, geometry.depth))
+            depth = geometry.depth
+            if depth is None:
+                raise QuerySplatError("the encoder was not asked for depth", "This row needs it.")
+            gaussians, cost = measured(lambda: back_project(located.views, located.cameras, depth))
             return gaussians, {"depth": encoder.cost_of(geometry), "splat": cost}, geometry.doubts
         stages = Stages()
-        model = _model(settings.preset, settings.device)
         scene, cost = measured(lambda: build_scene(located, encoder, model, settings, stages))
         costs = {stage: Cost(spent, cost.peak_gib) for stage, spent in stages.seconds.items()}
         # The stage was nearly free when an earlier row had asked the same.
-        return scene.gaussians, costs | {"depth": encoder.cost_of(scene.geometry)}, scene.geometry.doubts
+        perceived = encoder.perceive(located, seed=settings.seed, progress=_silent)
+        return scene.gaussians, costs | {"depth": encoder.cost_of(perceived)}, perceived.doubts
 
     def _free_targets(
-        self, encoder: RememberingEncoder, located: Located, settings: ReconstructSettings
+        self, encoder: MemoisedEncoder, located: Located, settings: ReconstructSettings
     ) -> tuple[dict[str, PhotoCamera], dict[str, str]]:
         """Cameras of all views in the scene's frame, and why some have none.
 
@@ -202,19 +222,27 @@ class CaseRunner:
         return lenses, why
 
     def _locate(
-        self, encoder: RememberingEncoder, settings: ReconstructSettings, names: set[str], *, posed: bool
+        self, encoder: MemoisedEncoder, settings: ReconstructSettings, names: set[str], *, posed: bool
     ) -> Located:
         known = {name: camera for name, camera in self.known.items() if name in names} if posed else None
         photos = [shown for name, (_, shown) in self.photos.items() if name in names]
-        return encoder.locate(photos, max_size=settings.max_size, seed=settings.seed, progress=_silent, known=known)
+        # No smaller than the protocol shows them, and no smaller than suits the encoder.
+        size = settings.max_size or max(encoder.size, *(max(_size(photo)) for photo in photos))
+        return encoder.locate(photos, max_size=size, seed=settings.seed, progress=_silent, known=known)
 
     def _names(self, group: str) -> set[str]:
         return {frame.name for frame in self.groups[group]}
 
 
-@lru_cache(maxsize=2)
-def _model(preset: str, device: str) -> QuerySplat:
-    return load(preset).to(find_device(device))
+@lru_cache(maxsize=1)
+def parts(settings: ReconstructSettings) -> tuple[QuerySplat, Encoder]:
+    """Model and encoder for settings as `same_parts` gives them; those asked for last are kept."""
+    return load_parts(settings, find_device(settings.device))
+
+
+def same_parts(settings: ReconstructSettings) -> ReconstructSettings:
+    """The same for all settings that need the same model and encoder."""
+    return replace(settings, tto=None, tto_target="kv", max_size=None, max_views=None)
 
 
 def _lenses(located: Located) -> dict[str, PhotoCamera]:

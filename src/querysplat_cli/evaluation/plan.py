@@ -5,17 +5,14 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from querysplat_cli.device import find_device
-from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.errors import ImpossibleScene, QuerySplatError
-from querysplat_cli.evaluation.case import CameraSource, Row
+from querysplat_cli.evaluation.case import CameraSource, Row, parts, same_parts
 from querysplat_cli.evaluation.generate import generate
 from querysplat_cli.evaluation.grid import FIXED, Axis, rows
 from querysplat_cli.evaluation.lpips import LpipsFiles
-from querysplat_cli.evaluation.protocol import RELEASE_SIDE, Protocol
+from querysplat_cli.evaluation.protocol import Protocol
 from querysplat_cli.evaluation.results import Place, checkpoint_sha256, prepare, run_config, write_failure
 from querysplat_cli.evaluation.splits import Case, Split, read_splits, resolve
-from querysplat_cli.model.checkpoints import load
 from querysplat_cli.pipeline import ReconstructSettings
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.formats.dataset import CapturedScene, Frame
@@ -96,7 +93,6 @@ def plan_rows(
         if Path(name).name != name or name == "splits" or name.startswith("."):
             raise QuerySplatError(f"--name {name}: not the name of a folder", "Use letters, digits, - and _.")
         return [(Row(name, "querysplat", "free"), {"predictions": str(request.predictions)})]
-    find_device(request.settings.device)
     posed = any(scene.cameras for scene in scenes)
     if "posed" in request.cameras and not posed:
         say("no scene has known cameras: the posed rows are left out")
@@ -106,14 +102,16 @@ def plan_rows(
         settings = replace(request.settings, **dict(row.overrides))
         known = {key: value for key, value in asdict(settings).items() if key not in FIXED - {"seed"}}
         content = {key: value if isinstance(value, int | float | None) else str(value) for key, value in known.items()}
-        find_encoder(settings.encoder)
+        model, encoder = parts(same_parts(settings))
+        content["encoder"] = encoder.name
         if row.method == "depth":
             content = {key: content[key] for key in ("encoder", "max_size", "seed")}
+            if model.config.queries == "learned":
+                row = replace(row, overrides=(("depth", True),))
         else:
             content["checkpoint_sha256"] = checkpoint_sha256(settings.preset)
         table.append((row, {"method": row.method, "cameras": row.cameras, **content}))
-    for preset in {str(content["preset"]) for _, content in table if "preset" in content}:
-        load(preset)
+    parts.cache_clear()  # the workers load their own
     return table
 
 
@@ -150,8 +148,3 @@ def plan_jobs(
         cameras = {name: camera for name, camera in scene.cameras.items() if name in wanted}
         jobs.append(Job(split.name, case, groups, cameras, open_rows))
     return jobs
-
-
-def default_size(protocol: Protocol) -> int:
-    """The longer side at which a method works unless the user says otherwise: that of the photos it is shown."""
-    return RELEASE_SIDE if protocol.name == "release" else 1 << 16

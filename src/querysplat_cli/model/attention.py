@@ -7,6 +7,7 @@ from torch.nn import functional as F
 
 from querysplat_cli.model.anchors import Neighbours
 from querysplat_cli.model.local_attention import attend_near
+from querysplat_cli.precision import LayerNorm, Linear
 
 
 class LayerScale(nn.Module):
@@ -31,10 +32,10 @@ class CrossAttention(nn.Module):
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()
         self.heads = heads
-        self.norm = nn.LayerNorm(width)
-        self.q_proj = nn.Linear(width, width)
-        self.q_norm = nn.LayerNorm(width // heads)
-        self.out_proj = nn.Linear(width, width)
+        self.norm = LayerNorm(width)
+        self.q_proj = Linear(width, width)
+        self.q_norm = LayerNorm(width // heads)
+        self.out_proj = Linear(width, width)
 
     def forward(
         self,
@@ -44,7 +45,7 @@ class CrossAttention(nn.Module):
         near: Neighbours | None = None,
     ) -> Float[Tensor, "queries width"]:
         query = self.q_norm(self.q_proj(self.norm(tokens)).unflatten(-1, (self.heads, -1)))
-        return self.out_proj(attend(query, keys, values, near))
+        return self.out_proj(attend(query, keys, values, near, self.out_proj.weight.dtype))
 
 
 class SelfAttention(nn.Module):
@@ -53,17 +54,17 @@ class SelfAttention(nn.Module):
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()
         self.heads = heads
-        self.norm = nn.LayerNorm(width)
-        self.qkv = nn.Linear(width, 3 * width)
-        self.q_norm = nn.LayerNorm(width // heads)
-        self.k_norm = nn.LayerNorm(width // heads)
-        self.out_proj = nn.Linear(width, width)
+        self.norm = LayerNorm(width)
+        self.qkv = Linear(width, 3 * width)
+        self.q_norm = LayerNorm(width // heads)
+        self.k_norm = LayerNorm(width // heads)
+        self.out_proj = Linear(width, width)
 
     def forward(
         self, tokens: Float[Tensor, "queries width"], near: Neighbours | None = None
     ) -> Float[Tensor, "queries width"]:
         query, key, value = self.qkv(self.norm(tokens)).unflatten(-1, (3, self.heads, -1)).unbind(1)
-        return self.out_proj(attend(self.q_norm(query), self.k_norm(key), value, near))
+        return self.out_proj(attend(self.q_norm(query), self.k_norm(key), value, near, value.dtype))
 
 
 def attend(
@@ -71,12 +72,14 @@ def attend(
     keys: Float[Tensor, "memory heads channels"],
     values: Float[Tensor, "memory heads channels"],
     near: Neighbours | None = None,
+    dtype: torch.dtype | None = None,
 ) -> Float[Tensor, "queries width"]:
     """softmax(q·kᵀ/√channels + bias)·v by head, heads concatenated.
 
-    With `near`, query i sees only the memory rows near.index[i], whose logits get near.bias[i]; without, all.
+    With `near`, query i sees only the memory rows near.index[i], whose logits get near.bias[i]; without, all,
+    and the products are taken in `dtype` (by default the queries').
     """
     if near is None:
-        q, k, v = (part.transpose(0, 1)[None] for part in (query, keys, values))
+        q, k, v = (part.to(dtype or query.dtype).transpose(0, 1)[None] for part in (query, keys, values))
         return F.scaled_dot_product_attention(q, k, v)[0].transpose(0, 1).flatten(1)
-    return attend_near(query, keys, values, near).flatten(1)
+    return attend_near(query, keys.to(query.dtype), values.to(query.dtype), near).flatten(1)

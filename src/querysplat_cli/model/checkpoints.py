@@ -5,17 +5,20 @@ from collections.abc import Iterable
 from dataclasses import asdict
 from importlib import resources
 from pathlib import Path
-from pickle import UnpicklingError
 
 import torch
-from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
-from querysplat_cli.errors import MissingPart, QuerySplatError
+from querysplat_cli.catalogue import WEIGHTS, find_weights
+from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.model.config import ModelConfig, preset, preset_names
 from querysplat_cli.model.querysplat import QuerySplat
+from querysplat_cli.precision import Precision, weight_dtypes
 from querysplat_cli.scene.files import atomic_path
+from querysplat_cli.tensor_files import check_tensors, fill, read_tensors
+
+CPU = torch.device("cpu")
 
 OFFICIAL_NAMES = (
     ("vggt_encoder.eye_token", "eye_token"),
@@ -52,67 +55,41 @@ OFFICIAL_BLOCK_NAMES = (
 )
 """The same within a decoder block."""
 
-NAMED = 5
-"""How many wrong tensors an error message names."""
 
+def load(
+    name: str, weights: Path | None = None, *, precision: Precision = "fp32", device: torch.device = CPU
+) -> QuerySplat:
+    """A frozen model from a preset or a checkpoint file, ready to decode on `device`.
 
-def load(name: str) -> QuerySplat:
-    """A frozen model from a preset's bundled weights or from a checkpoint file, ready to decode in float32.
-
-    Raises MissingPart when a preset's weights are not here, and QuerySplatError when a file is damaged or
-    holds other tensors than the model needs.
+    The weights of a preset are bundled, or in the folder `weights`, or in the Hugging Face cache. Raises
+    MissingPart when they are not there, and QuerySplatError when a file is damaged or holds other tensors
+    than the model needs.
     """
+    if name in WEIGHTS and name in preset_names():
+        return load_file(find_weights(name, weights), precision=precision, device=device)
     if name in preset_names():
-        bundled = resources.files("querysplat_cli") / "weights" / f"{name}.safetensors"
-        if not bundled.is_file():
-            raise MissingPart(
-                f"the weights of preset '{name}' are not part of this package",
-                "Use --preset compact, which needs no download, or give a checkpoint file.",
-            )
-        with resources.as_file(bundled) as path:
-            return load_file(path)
+        with resources.as_file(resources.files("querysplat_cli") / "weights" / f"{name}.safetensors") as path:
+            return load_file(path, precision=precision, device=device)
     path = Path(name)
     if not path.is_file():
         raise QuerySplatError(f"'{name}' is neither a preset nor a file", f"Presets: {', '.join(preset_names())}.")
-    return load_file(path)
+    return load_file(path, precision=precision, device=device)
 
 
-def load_file(path: Path) -> QuerySplat:
-    """A frozen model from a .safetensors or .pt file, ours or official (told apart by the metadata)."""
+def load_file(path: Path, *, precision: Precision = "fp32", device: torch.device = CPU) -> QuerySplat:
+    """A frozen model from a .safetensors or .pt file under our names or the official ones.
+
+    Its configuration is in the metadata; without, it is the official one with the SH degree of the head.
+    """
     tensors, metadata = read_tensors(path)
-    if "config" in metadata:
-        config = _stored_config(path, metadata["config"])
-    else:
-        tensors = {our_name(key): tensor for key, tensor in tensors.items()}
-        config = official_config(tensors)
+    stored = {our_name(name): name for name in tensors}
+    found = {ours: tensors[theirs] for ours, theirs in stored.items()}
+    config = _stored_config(path, metadata["config"]) if "config" in metadata else official_config(found)
     with torch.device("meta"):
         model = QuerySplat(config)
-    check_tensors(model, tensors, str(path))
-    model.load_state_dict({key: tensor.float() for key, tensor in tensors.items()}, assign=True)
+    check_tensors(model, found, str(path))
+    fill(model, path, stored, weight_dtypes(model, precision), device)
     return model.requires_grad_(False).eval()
-
-
-def read_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
-    """Tensors by name, and the metadata (empty in a .pt file, of which nothing but tensors is ever executed).
-
-    Raises QuerySplatError when the file is damaged or holds something else.
-    """
-    try:
-        if path.suffix in {".pt", ".pth"}:
-            tensors = torch.load(path, map_location="cpu", weights_only=True)
-            metadata: dict[str, str] = {}
-        else:
-            with safe_open(path, framework="pt") as file:
-                tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 - not a mapping
-                metadata = file.metadata() or {}
-    except (SafetensorError, OSError, RuntimeError, EOFError, UnpicklingError) as error:
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise QuerySplatError(
-            f"{path} is not a readable checkpoint: {reason}", "Fetch or make the file again."
-        ) from error
-    if not isinstance(tensors, dict) or not all(isinstance(tensor, Tensor) for tensor in tensors.values()):
-        raise QuerySplatError(f"{path} holds other things than named tensors", "Give a file of weights alone.")
-    return tensors, metadata
 
 
 def save(model: QuerySplat, path: Path) -> None:
@@ -146,32 +123,6 @@ def official_config(tensors: dict[str, Tensor]) -> ModelConfig:
     degrees = {(3 * (degree + 1) ** 2 + 1) * config.gaussians_per_query: degree for degree in range(4)}
     rows = 0 if head is None else len(head)
     return ModelConfig(**{**asdict(config), "sh_degree": degrees.get(rows, config.sh_degree)})
-
-
-def check_tensors(model: torch.nn.Module, tensors: dict[str, Tensor], source: str) -> None:
-    """Raises QuerySplatError that names the first missing, unexpected and misshapen tensors."""
-    wanted = {name: tuple(tensor.shape) for name, tensor in model.state_dict().items()}
-    faults = [
-        ("missing", sorted(wanted.keys() - tensors.keys())),
-        ("unexpected", sorted(tensors.keys() - wanted.keys())),
-        (
-            "of another shape",
-            [
-                f"{name} {tuple(tensors[name].shape)} instead of {shape}"
-                for name, shape in wanted.items()
-                if name in tensors and tuple(tensors[name].shape) != shape
-            ],
-        ),
-    ]
-    told = [f"{len(names)} {what} ({_first(names)})" for what, names in faults if names]
-    if told:
-        raise QuerySplatError(
-            f"{source} does not fit the model: tensors {'; '.join(told)}", "It belongs to another model, or is cut off."
-        )
-
-
-def _first(names: list[str]) -> str:
-    return ", ".join(names[:NAMED]) + (", …" if len(names) > NAMED else "")
 
 
 def _replace_beginning(name: str, table: Iterable[tuple[str, str]]) -> str:

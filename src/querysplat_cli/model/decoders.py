@@ -2,12 +2,15 @@
 
 from collections.abc import Iterator
 
+import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
+from torch.utils.checkpoint import checkpoint
 
 from querysplat_cli.model.anchors import Neighbours
 from querysplat_cli.model.attention import CrossAttention, LayerScale, SelfAttention
+from querysplat_cli.precision import LayerNorm, Linear
 
 
 class Mlp(nn.Module):
@@ -15,9 +18,9 @@ class Mlp(nn.Module):
 
     def __init__(self, width: int, ratio: float) -> None:
         super().__init__()
-        self.norm = nn.LayerNorm(width)
-        self.fc1 = nn.Linear(width, int(width * ratio))
-        self.fc2 = nn.Linear(int(width * ratio), width)
+        self.norm = LayerNorm(width)
+        self.fc1 = Linear(width, int(width * ratio))
+        self.fc2 = Linear(int(width * ratio), width)
 
     def forward(self, tokens: Float[Tensor, "tokens width"]) -> Float[Tensor, "tokens width"]:
         return self.fc2(F.gelu(self.fc1(self.norm(tokens))))
@@ -87,9 +90,16 @@ class Decoder(nn.Module):
         near_memory: Neighbours | None = None,
         near_queries: Neighbours | None = None,
     ) -> Iterator[Float[Tensor, "queries width"]]:
-        """The tokens after each block."""
+        """The tokens after each block.
+
+        For a gradient, blocks that see everything are run again backward instead of being remembered:
+        thousands of queries would take gigabytes for each.
+        """
         for block in self.blocks:
-            tokens = block(tokens, keys, values, near_memory, near_queries)
+            if near_memory is None and torch.is_grad_enabled():
+                tokens = checkpoint(block, tokens, keys, values, use_reentrant=False)
+            else:
+                tokens = block(tokens, keys, values, near_memory, near_queries)
             yield tokens
 
     def forward(

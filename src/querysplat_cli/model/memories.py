@@ -10,15 +10,14 @@ from torch.nn import functional as F
 
 from querysplat_cli.model.anchors import Anchors, Neighbours
 from querysplat_cli.model.config import ModelConfig
+from querysplat_cli.precision import Conv2d, LayerNorm, Linear
 from querysplat_cli.scene.cameras import Cameras
-
-IMAGENET_MEAN = (0.485, 0.456, 0.406)
-IMAGENET_STD = (0.229, 0.224, 0.225)
+from querysplat_cli.scene.fit import normalised
 
 
 @dataclass(frozen=True)
 class Memories:
-    """Keys (already normed) and values of both branches, the only variables of test-time optimisation."""
+    """Keys (already normed) and values of both branches, by default the only variables of test-time optimisation."""
 
     geometry_keys: Float[Tensor, "geometry heads channels"]
     geometry_values: Float[Tensor, "geometry heads channels"]
@@ -28,6 +27,18 @@ class Memories:
     def map(self, change: Callable[[Tensor], Tensor]) -> "Memories":
         """The result of applying `change` to every tensor."""
         return Memories(**{field.name: change(getattr(self, field.name)) for field in fields(self)})
+
+
+@dataclass(frozen=True)
+class Features:
+    """Tokens of both branches before they become keys and values: what the paper's text optimises at test time."""
+
+    geometry: Float[Tensor, "geometry width"]
+    appearance: Float[Tensor, "appearance width"]
+
+    def map(self, change: Callable[[Tensor], Tensor]) -> "Features":
+        """The result of applying `change` to both."""
+        return Features(change(self.geometry), change(self.appearance))
 
 
 def attended_rows(memories: Memories, anchors: Anchors) -> tuple[Memories, Anchors]:
@@ -53,28 +64,34 @@ def _renumbered(near: Neighbours, rows: int) -> tuple[Int[Tensor, "attended"], N
     return attended.nonzero()[:, 0], Neighbours((attended.cumsum(0) - 1)[near.index], near.bias)
 
 
+ROWS = 65536
+"""Tokens in a projection at once: with hundreds of views, a few of its intermediate results would fill a GPU."""
+
+
 class KeyValue(nn.Module):
-    """Tokens to keys and values, once for all blocks (spec, section 3, step 4)."""
+    """Tokens to keys and values, once for all blocks (spec, section 3, step 4), `ROWS` at a time."""
 
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()
         self.heads = heads
-        self.norm = nn.LayerNorm(width)
-        self.proj = nn.Linear(width, 2 * width)
-        self.k_norm = nn.LayerNorm(width // heads)
+        self.norm = LayerNorm(width)
+        self.proj = Linear(width, 2 * width)
+        self.k_norm = LayerNorm(width // heads)
 
     def forward(
         self, tokens: Float[Tensor, "tokens width"]
     ) -> tuple[Float[Tensor, "tokens heads channels"], Float[Tensor, "tokens heads channels"]]:
-        keys, values = self.proj(self.norm(tokens)).unflatten(-1, (2, self.heads, -1)).unbind(1)
-        return self.k_norm(keys), values
+        parts = [self.proj(self.norm(some)).unflatten(-1, (2, self.heads, -1)) for some in tokens.split(ROWS)]
+        keys = torch.cat([self.k_norm(part[:, 0]).to(part.dtype) for part in parts])
+        return keys, torch.cat([part[:, 1] for part in parts])
 
 
 class LayerMixer(nn.Module):
     """Cached VGM layers to one row of tokens for each view (spec, section 3, steps 1 to 3).
 
     The patches of all layers are mixed with weights that a learned eye token gives; camera and register
-    tokens are those of the last layer. Where there is one layer there is nothing to weigh.
+    tokens are those of the last layer. Where there is one layer there is nothing to weigh: an encoder that was
+    told the weights hands over the mixture.
     """
 
     def __init__(self, config: ModelConfig) -> None:
@@ -88,7 +105,7 @@ class LayerMixer(nn.Module):
                 nn.GELU(),
                 nn.Linear(config.width // 2, config.mixed_layers),
             )
-        self.norm = nn.LayerNorm(config.width)
+        self.norm = LayerNorm(config.width)
 
     def weights(self, eye: Float[Tensor, "1 width"]) -> Float[Tensor, "layers"]:
         """Weights of the layers; they depend on the checkpoint alone."""
@@ -97,14 +114,13 @@ class LayerMixer(nn.Module):
     def forward(
         self, layers: Sequence[Float[Tensor, "views tokens channels"]], eye: Float[Tensor, "1 width"] | None
     ) -> Float[Tensor, "views*tokens width"]:
-        start = self.special_tokens
-        patches = layers[-1][:, start:]
-        if eye is not None:
+        start, tokens = self.special_tokens, layers[-1]
+        if eye is not None and len(layers) > 1:
             weights = self.weights(eye)
             patches = weights[0] * layers[0][:, start:]
             for weight, layer in zip(weights[1:], layers[1:], strict=True):
                 patches = patches + weight * layer[:, start:]
-        tokens = torch.cat([layers[-1][:, :start], patches], 1)
+            tokens = torch.cat([tokens[:, :start], patches], 1)
         return self.norm(self.proj(tokens)).flatten(0, 1)
 
 
@@ -114,16 +130,15 @@ class PhotoEmbedding(nn.Module):
     def __init__(self, config: ModelConfig) -> None:
         super().__init__()
         self.patch = config.patch
-        self.colour = nn.Conv2d(3, config.width, config.patch, config.patch)
-        self.colour_norm = nn.LayerNorm(config.width)
-        self.rays = nn.Conv2d(6, config.width, config.patch, config.patch)
-        self.rays_norm = nn.LayerNorm(config.width)
+        self.colour = Conv2d(3, config.width, config.patch, config.patch)
+        self.colour_norm = LayerNorm(config.width)
+        self.rays = Conv2d(6, config.width, config.patch, config.patch)
+        self.rays_norm = LayerNorm(config.width)
 
     def forward(
         self, images: Float[Tensor, "views 3 height width"], cameras: Cameras
     ) -> Float[Tensor, "patches channels"]:
-        mean, std = (images.new_tensor(part)[:, None, None] for part in (IMAGENET_MEAN, IMAGENET_STD))
-        colour = self.colour((images - mean) / std).flatten(2).mT
+        colour = self.colour(normalised(images)).flatten(2).mT
         rays = self.rays(plucker_rays(cameras).to(images)).flatten(2).mT
         return (self.colour_norm(colour) + self.rays_norm(rays)).flatten(0, 1)
 

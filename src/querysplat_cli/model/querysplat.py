@@ -7,6 +7,7 @@ photos, rays ─► appearance K, V ─► appearance decoder ─► opacity, SH
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import torch
 from jaxtyping import Float
@@ -17,7 +18,7 @@ from querysplat_cli.model.anchors import Anchors
 from querysplat_cli.model.config import ModelConfig
 from querysplat_cli.model.decoders import Decoder
 from querysplat_cli.model.heads import GEOMETRY_CHANNELS, assemble, assemble_anchored
-from querysplat_cli.model.memories import KeyValue, LayerMixer, Memories, PhotoEmbedding
+from querysplat_cli.model.memories import Features, KeyValue, LayerMixer, Memories, PhotoEmbedding
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 
@@ -44,6 +45,63 @@ class QuerySplat(nn.Module):
         if config.queries == "anchored":
             self.anchor_embedding = nn.Linear(config.anchor_features, width)
 
+    @property
+    def layer_weights(self) -> tuple[float, ...] | None:
+        """How the VGM's layers are mixed, the same for every photo; None where there is one layer."""
+        if self.eye_token is None:
+            return None
+        with torch.no_grad():
+            return tuple(self.layer_mixer.weights(self.eye_token).tolist())
+
+    def keep_queries(self, count: int) -> None:
+        """Keep the first `count` learned queries; raises QuerySplatError when there are not so many."""
+        if count > self.config.query_count:
+            raise QuerySplatError(
+                f"--queries {count}: the model has {self.config.query_count} learned queries", "Ask for fewer."
+            )
+        self.geometry_queries = nn.Parameter(self.geometry_queries[:count], requires_grad=False)
+        self.appearance_queries = nn.Parameter(self.appearance_queries[:count], requires_grad=False)
+        self.config = replace(self.config, query_count=count)
+
+    def check_features(self, features: Sequence[Tensor], height: int, width: int) -> None:
+        """Raises QuerySplatError unless the model can read these features, and pictures of this size."""
+        config = self.config
+        if features[-1].shape[-1] != config.vgm_width or len(features) not in (1, config.mixed_layers):
+            raise QuerySplatError(
+                f"the encoder gives {len(features)} layers of {features[-1].shape[-1]} channels, the model reads "
+                f"{config.mixed_layers} of {config.vgm_width}",
+                "Use the preset's own encoder.",
+            )
+        if config.queries == "learned" and (height % config.patch or width % config.patch):
+            raise QuerySplatError(
+                f"the model reads patches of {config.patch} pixels, the pictures are {width} × {height}",
+                "Choose a --max-size that both patches divide, for instance 448.",
+            )
+
+    @property
+    def weight_bytes(self) -> int:
+        return sum(tensor.nbytes for tensor in self.state_dict().values())
+
+    def bytes_needed(self, views: int, size: int, special_tokens: int, *, optimising: bool = False) -> int:
+        """About the most memory that decoding takes, weights, features and memories included.
+
+        When memories are optimised, their gradients and two moments, and the tokens between blocks, come on top.
+        """
+        config = self.config
+        share = self.geometry_memory.proj.weight.element_size() / 4
+        patches = views * (size // config.patch) ** 2
+        tokens = patches + views * special_tokens
+        # Features, their norm, and keys and values with a copy of each while they are joined; photos alike.
+        memory = (2 + 4 * share) * 4 * config.width * (tokens + patches)
+        # Residual stream, a branch's input, its widened result twice, and the raw numbers of both heads.
+        raw = config.gaussians_per_query * (GEOMETRY_CHANNELS + config.appearance_channels)
+        queries = config.query_count * 4 * (config.width * (3 + 2 * config.mlp_ratio * share) + 3 * raw)
+        if optimising:
+            memory += 4 * 2 * 4 * config.width * (tokens + patches)
+            blocks = config.geometry_blocks + config.appearance_blocks
+            queries += config.query_count * 4 * config.width * (blocks + 4 * (8 + 2 * config.mlp_ratio))
+        return int(self.weight_bytes + memory + queries)
+
     def remember(
         self,
         features: Sequence[Float[Tensor, "views tokens channels"]],
@@ -51,17 +109,30 @@ class QuerySplat(nn.Module):
         cameras: Cameras,
     ) -> Memories:
         """Keys and values of both branches. `images` in [0, 1], sides multiples of the patch."""
-        geometry = self.geometry_memory(self.layer_mixer(features, self.eye_token))
-        appearance = self.appearance_memory(self.photo_embedding(images, cameras))
-        return Memories(*geometry, *appearance)
+        return self.project(self.embed(features, images, cameras))
 
-    def decode(self, memories: Memories, anchors: Anchors | None = None) -> Gaussians:
-        """Everything after the memories: queries × Gaussians per query, query by query.
+    def embed(
+        self,
+        features: Sequence[Float[Tensor, "views tokens channels"]],
+        images: Float[Tensor, "views 3 height width"],
+        cameras: Cameras,
+    ) -> Features:
+        """Tokens of both branches: the first half of `remember`."""
+        return Features(self.layer_mixer(features, self.eye_token), self.photo_embedding(images, cameras))
+
+    def project(self, features: Features) -> Memories:
+        """Keys and values of tokens: the second half of `remember`."""
+        return Memories(*self.geometry_memory(features.geometry), *self.appearance_memory(features.appearance))
+
+    def decode(self, memories: Memories | Features, anchors: Anchors | None = None) -> Gaussians:
+        """Everything after the memories (or features): queries × Gaussians per query, query by query.
 
         Anchored queries need `anchors`, learned ones take none; raises QuerySplatError otherwise.
         """
         if (anchors is not None) != (self.config.queries == "anchored"):
             raise QuerySplatError("anchored queries need anchors, and learned ones take none", "This is a bug.")
+        if isinstance(memories, Features):
+            memories = self.project(memories)
         if anchors is None:
             tokens = self.geometry_tokens(memories)
             after = self.appearance_tokens(tokens, memories)

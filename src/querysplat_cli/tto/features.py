@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from querysplat_cli.model.anchors import Anchors
-from querysplat_cli.model.memories import Memories
+from querysplat_cli.model.memories import Features, Memories
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.tto.rendering_loss import RenderingLoss
@@ -45,7 +45,7 @@ class TtoStep:
 class TtoResult:
     """The better of the first and the last state, by the loss over all views."""
 
-    memories: Memories
+    memories: Memories | Features
     loss_before: float
     loss_after: float
     history: tuple[TtoStep, ...]
@@ -53,7 +53,7 @@ class TtoResult:
 
 def optimise_memories(
     model: QuerySplat,
-    memories: Memories,
+    memories: Memories | Features,
     anchors: Anchors | None,
     target: RenderingLoss,
     settings: TtoSettings,
@@ -61,7 +61,7 @@ def optimise_memories(
     generator: torch.Generator,
     progress: Callable[[TtoStep], None] = lambda step: None,
 ) -> TtoResult:
-    """Adam (β 0.9, 0.999) on the four memory tensors.
+    """Adam (β 0.9, 0.999) on the four memory tensors, or on the two of features that keys and values are made of.
 
     Its rate falls to a tenth along a cosine. When Gaussians or gradients stop being finite it starts again at
     half the rate, with the steps that are left; a last state that is worse than the first over all views is
@@ -98,7 +98,7 @@ def optimise_memories(
     return TtoResult(adapted, loss_before, loss_after, tuple(history))
 
 
-def _start(memories: Memories, rate: float) -> tuple[Memories, torch.optim.Optimizer, float]:
+def _start(memories: Memories | Features, rate: float) -> tuple[Memories | Features, torch.optim.Optimizer, float]:
     """Fresh variables at `memories`, and an optimiser for them."""
     variables = memories.map(lambda tensor: tensor.detach().clone().requires_grad_())
     return variables, torch.optim.Adam(_tensors(variables), lr=rate, fused=True), rate
@@ -108,7 +108,7 @@ def _finite(tensors: list[Tensor]) -> bool:
     return all(bool(tensor.detach().isfinite().all()) for tensor in tensors)
 
 
-def _tensors(holder: Memories | Gaussians) -> list[Tensor]:
+def _tensors(holder: Memories | Features | Gaussians) -> list[Tensor]:
     return [getattr(holder, field.name) for field in fields(holder)]
 
 

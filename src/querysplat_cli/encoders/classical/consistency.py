@@ -18,6 +18,12 @@ MEASURED = 0.5
 """Confidence from which a depth says that the space before it is empty."""
 IN_FRONT = 0.05
 """A guess may stand before a measured surface by this fraction of its depth."""
+IN_FRONT_OF_GUESS = 0.1
+"""The same before another guess; up to `IN_FRONT` the two support each other."""
+OTHER_COLOUR, SAME_COLOUR = 0.05, 0.1
+"""Colour difference above which a guess cannot be what another view sees, and below which it can."""
+COLOUR_WINDOW = 7
+"""Colours are compared as means over so many pixels a side."""
 PUSH = 0.9
 """A guess's inverse depth is lowered by this factor until it hides nothing."""
 
@@ -45,6 +51,7 @@ def confirm(
 def carve(
     inverse: np.ndarray,
     confidence: np.ndarray,
+    pictures: np.ndarray,
     K: np.ndarray,
     w2c: np.ndarray,
     others: list[list[int]],
@@ -52,14 +59,18 @@ def carve(
 ) -> np.ndarray:
     """Inverse depth [views, height, width] with guesses pushed back along their rays out of free space.
 
+    A guess must not hide what another view measured. It must not hide other guesses of another colour either,
+    unless as many views agree with it in depth and colour. `pictures` are [views, height, width, 3] in [0, 1],
     `others` are the views to ask for each view, `least` is the smallest inverse depth of each view.
     """
     carved = inverse.copy()
+    blurred = np.stack([cv2.blur(picture, (COLOUR_WINDOW, COLOUR_WINDOW)) for picture in pictures])
     for v, asked in enumerate(others):
         guess = confidence[v] < GUESS
         if not asked or not guess.any():
             continue
-        _carve_view(carved[v], guess, inverse, confidence, *_projections(v, asked, K, w2c), least[v])
+        known = inverse, confidence, blurred
+        _carve_view(carved[v], guess, blurred[v], *known, *_projections(v, asked, K, w2c), least[v])
         carved[v][guess] = cv2.medianBlur(carved[v], 5)[guess]
     return carved
 
@@ -112,22 +123,36 @@ def _vote(votes, inverse, own, views, leads, shifts, baselines):
 
 
 @nb.njit(cache=True, error_model="numpy", parallel=True)
-def _carve_view(carved, guess, inverse, confidence, views, leads, shifts, least):
+def _carve_view(carved, guess, colour, inverse, confidence, blurred, views, leads, shifts, least):
     height, width = carved.shape
     for y in nb.prange(height):
         for x in range(width):
             if not guess[y, x]:
                 continue
             here = float(carved[y, x])
-            while here > least and _hides(x + 0.5, y + 0.5, here, inverse, confidence, views, leads, shifts):
+            known = inverse, confidence, blurred
+            while here > least and _hides(x + 0.5, y + 0.5, here, colour[y, x], *known, views, leads, shifts):
                 here *= PUSH
             carved[y, x] = max(here, least)
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _hides(x, y, here, inverse, confidence, views, leads, shifts):
+def _hides(x, y, here, colour, inverse, confidence, blurred, views, leads, shifts):
+    balance = 0
     for n in range(len(views)):
         ratio, column, row = _surface(x, y, here, inverse, views[n], leads[n], shifts[n])
-        if 0 < ratio < 1 - IN_FRONT and confidence[views[n], row, column] >= MEASURED:
+        if ratio <= 0:
+            continue
+        if ratio < 1 - IN_FRONT and confidence[views[n], row, column] >= MEASURED:
             return True
-    return False
+        strange = _difference(colour, blurred[views[n], row, column])
+        if ratio < 1 - IN_FRONT_OF_GUESS and strange > OTHER_COLOUR:
+            balance += 1
+        elif abs(ratio - 1) < IN_FRONT and strange < SAME_COLOUR:
+            balance -= 1
+    return balance > 0
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _difference(one, other):
+    return max(abs(one[0] - other[0]), abs(one[1] - other[1]), abs(one[2] - other[2]))

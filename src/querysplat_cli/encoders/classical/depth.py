@@ -55,11 +55,13 @@ def perceive(located: Located, *, seed: int, progress: Progress) -> Geometry:
         progress(f"refining {views.names[v]}", 0.6 + 0.3 * (v + 1) / len(views))
     K, w2c = (part.double().numpy() for part in (located.cameras.K, located.cameras.w2c))
     confidence = confirm(inverse, match, K, w2c, sources) * masks
+    pictures = views.images.permute(0, 2, 3, 1).contiguous().numpy()
     for v in range(len(views)):
-        inverse[v] = fill(inverse[v], confidence[v], views.images[v].permute(1, 2, 0).numpy(), masks[v])
+        inverse[v] = fill(inverse[v], confidence[v], pictures[v], masks[v])
         inverse[v] = np.clip(inverse[v], ranges[v].far, ranges[v].near)
     progress("clearing free space", 0.95)
-    inverse = carve(inverse, confidence, K, w2c, nearest_views(located), [limits.far for limits in ranges])
+    least = [limits.far for limits in ranges]
+    inverse = carve(inverse, confidence, pictures, K, w2c, nearest_views(located), least)
     return _geometry(located, 1 / inverse, confidence, ())
 
 

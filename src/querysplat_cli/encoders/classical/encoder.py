@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 
-from querysplat_cli.encoders.base import Geometry, Located
+from querysplat_cli.encoders.base import EncoderOptions, Geometry, Located
 from querysplat_cli.encoders.classical.cameras import locate
 from querysplat_cli.progress import Progress
 from querysplat_cli.scene.cameras import PhotoCamera
@@ -13,6 +13,8 @@ class ClassicalEncoder:
     """SIFT and incremental mapping for the cameras, a plane sweep for the depth."""
 
     name = "classical"
+    size = 448
+    own_frame = False
 
     def locate(
         self,
@@ -32,3 +34,15 @@ class ClassicalEncoder:
         from querysplat_cli.encoders.classical.depth import perceive
 
         return perceive(located, seed=seed, progress=progress)
+
+    def release(self) -> None:
+        """There is nothing to give back."""
+
+    def bytes_needed(self, views: int, size: int) -> int | None:
+        """Unknown: under 2 GiB for twenty photos."""
+        return None
+
+
+def make(options: EncoderOptions) -> ClassicalEncoder:
+    """No option changes anything."""
+    return ClassicalEncoder()

@@ -11,11 +11,11 @@ from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.views import Photo
 
 
-class RememberingEncoder:
+class MemoisedEncoder:
     """An encoder that answers what it was asked before at once, and knows what each answer cost."""
 
     def __init__(self, encoder: Encoder) -> None:
-        self.name = encoder.name
+        self.name, self.size, self.own_frame = encoder.name, encoder.size, encoder.own_frame
         self._encoder = encoder
         self._answers: dict[Any, Any] = {}
         self._costs: dict[int, Cost] = {}
@@ -39,6 +39,12 @@ class RememberingEncoder:
         return self._once(
             ("perceive", id(located), seed), lambda: self._encoder.perceive(located, seed=seed, progress=progress)
         )
+
+    def release(self) -> None:
+        """Nothing: the next case asks again."""
+
+    def bytes_needed(self, views: int, size: int) -> int | None:
+        return self._encoder.bytes_needed(views, size)
 
     def cost_of(self, answer: Located | Geometry) -> Cost:
         """What it cost to find an answer of this encoder."""

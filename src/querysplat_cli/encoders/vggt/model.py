@@ -1,0 +1,33 @@
+"""VGGT 1B at 518 pixels (Meta and Oxford; `facebook/VGGT-1B`): the paper's ablation backbone."""
+
+from collections.abc import Sequence
+
+from jaxtyping import Float
+from torch import Tensor
+
+from querysplat_cli.encoders.config import VgmConfig
+from querysplat_cli.encoders.vggt.aggregator import VggtAggregator
+from querysplat_cli.encoders.vggt.heads import CameraHead, DepthHead
+from querysplat_cli.encoders.vgm import Vgm
+
+CONFIG = VgmConfig(registers=4, register_blocks=(), patch=14, pretrained_image=518)
+
+
+class Vggt(Vgm):
+    """Its point and track heads are left out."""
+
+    def __init__(self, config: VgmConfig) -> None:
+        super().__init__()
+        self.config = config
+        inputs = 2 * config.width
+        self.aggregator = VggtAggregator(config)
+        self.camera_head = CameraHead(inputs, config.camera_heads, config.camera_blocks)
+        self.depth_head = DepthHead(inputs, config.patch, config.depth_channels, config.depth_levels)
+
+    def pose(self, last: Float[Tensor, "views specials channels"]) -> Float[Tensor, "views 9"]:
+        return self.camera_head(last[:, 0])[-1]
+
+    def depth(
+        self, layers: Sequence[Float[Tensor, "views patches channels"]], grid: tuple[int, int]
+    ) -> tuple[Float[Tensor, "views height width"], Float[Tensor, "views height width"]]:
+        return self.depth_head(layers, grid)

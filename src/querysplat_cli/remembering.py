@@ -1,0 +1,81 @@
+"""From what the encoder saw to what the decoders read."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from jaxtyping import Int
+from torch import Tensor
+
+from querysplat_cli.device import moved
+from querysplat_cli.encoders.base import Geometry, Located
+from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.model.anchors import AnchorReport, Anchors, build_anchors
+from querysplat_cli.model.memories import Features, Memories, attended_rows
+from querysplat_cli.model.querysplat import QuerySplat
+from querysplat_cli.store import MemoryMap
+
+CPU = torch.device("cpu")
+FARTHEST = 6e4
+"""Depth is kept in half precision, which ends a little beyond."""
+Target = Literal["kv", "features"]
+"""What test-time optimisation changes: keys and values (the release), or the tokens that they are made of."""
+
+
+@dataclass(frozen=True)
+class Remembered:
+    """The variables of test-time optimisation, the anchors of queries that have them, and where rows come from."""
+
+    variables: Memories | Features
+    anchors: Anchors | None
+    anchor_report: AnchorReport | None
+    map: MemoryMap
+
+
+@torch.no_grad()
+def remember(
+    model: QuerySplat, located: Located, geometry: Geometry, *, queries: int | None, target: Target
+) -> Remembered:
+    """Memories or features on the CPU; with anchors, only the rows that some anchor attends to.
+
+    `queries` bounds the anchors. Raises QuerySplatError when the model cannot read such features.
+    """
+    views, cameras = located.views, located.cameras
+    model.check_features(geometry.features, cameras.height, cameras.width)
+    device = next(model.parameters()).device
+    features = model.embed(*moved((geometry.features, views.images, cameras), device))
+    memories = moved(model.project(features), CPU)
+    anchors = report = None
+    rows = torch.arange(len(memories.geometry_keys)), torch.arange(len(memories.appearance_keys))
+    if model.config.queries == "anchored":
+        assert geometry.depth is not None
+        assert geometry.confidence is not None
+        anchors, report = build_anchors(
+            views, cameras, geometry.depth, geometry.confidence, patch=geometry.patch, queries=queries
+        )
+        rows = anchors.geometry.index.unique(), anchors.appearance.index.unique()
+        memories, anchors = attended_rows(memories, anchors)
+    variables: Memories | Features = memories
+    if target == "features":
+        _check_values_depend_on_features(model)
+        variables = Features(features.geometry.cpu()[rows[0]], features.appearance.cpu()[rows[1]])
+    return Remembered(variables, anchors, report, _memory_map(rows, geometry, cameras.height, cameras.width))
+
+
+def _check_values_depend_on_features(model: QuerySplat) -> None:
+    memories = (model.geometry_memory, model.appearance_memory)
+    if not any(bool(memory.proj.weight[model.config.width :].any()) for memory in memories):
+        raise QuerySplatError(
+            "--tto-target features: this checkpoint's values do not depend on features yet", "Use --tto-target kv."
+        )
+
+
+def _memory_map(
+    rows: tuple[Int[Tensor, "geometry"], Int[Tensor, "appearance"]], geometry: Geometry, height: int, width: int
+) -> MemoryMap:
+    grid = height // geometry.patch, width // geometry.patch
+    special = geometry.features[-1].shape[1] - grid[0] * grid[1]
+    depth = torch.zeros(0, 0, 0) if geometry.depth is None else geometry.depth.clamp_max(FARTHEST)
+    return MemoryMap(
+        rows[0].int(), rows[1].int(), torch.tensor([special, *grid]).int(), depth.clamp_max(FARTHEST).half()
+    )

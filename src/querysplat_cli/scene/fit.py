@@ -1,0 +1,103 @@
+"""Photos to the pictures that a network of fixed size looks at (spec, section 2)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor
+from torch.nn import functional as F
+
+from querysplat_cli.scene.views import Photo, Views
+
+Fit = Literal["crop", "pad"]
+"""crop: the largest square in the middle. pad: the whole photo, on a canvas that holds the widest and the highest."""
+IMAGENET_MEAN = (0.485, 0.456, 0.406)
+IMAGENET_STD = (0.229, 0.224, 0.225)
+
+
+def network_views(photos: Sequence[Photo], size: int, patch: int, fit: Fit) -> Views:
+    """The photos as a network sees them: sides of at most `size` pixels, multiples of `patch`.
+
+    A padded photo stands in the middle of its canvas, white around it and masked there, so that its optical
+    axis stays in the middle.
+    """
+    side = size // patch * patch
+    pixels = [torch.from_numpy(np.ascontiguousarray(photo.pixels)).permute(2, 0, 1) for photo in photos]
+    if fit == "crop":
+        images = torch.stack([centred_crop(_size(each), (side, side)).picture(each) for each in pixels])
+        masks = torch.ones(len(photos), side, side, dtype=torch.bool)
+    else:
+        images, masks = _padded(pixels, side, patch)
+    canvas = (images.shape[-2], images.shape[-1])
+    return Views(images, masks, tuple(photo.name for photo in photos), (canvas,) * len(photos))
+
+
+@dataclass(frozen=True)
+class Crop:
+    """A rectangle of a photo of `photo` (height, width) pixels, which becomes a picture of `size`."""
+
+    top: int
+    left: int
+    height: int
+    width: int
+    photo: tuple[int, int]
+    size: tuple[int, int]
+
+    @property
+    def shift(self) -> tuple[float, float]:
+        """What is added to the principal point (x, y) before `scale`, as the release does it."""
+        return (self.width - self.photo[1]) / 2, (self.height - self.photo[0]) / 2
+
+    @property
+    def scale(self) -> tuple[float, float]:
+        """Picture pixels in a photo's pixel, along x and y."""
+        return self.size[1] / self.width, self.size[0] / self.height
+
+    def picture(self, photo: UInt8[Tensor, "3 rows columns"]) -> Float[Tensor, "3 height width"]:
+        """The picture in [0, 1]: cut, and resized bilinearly with antialiasing where the size does not fit."""
+        rows, columns = slice(self.top, self.top + self.height), slice(self.left, self.left + self.width)
+        return resized(photo[:, rows, columns].float() / 255, self.size)
+
+
+def centred_crop(photo: tuple[int, int], size: tuple[int, int]) -> Crop:
+    """The largest rectangle in the middle of a photo that has the aspect of `size`; both are (height, width)."""
+    ratio = min(photo[0] / size[0], photo[1] / size[1])
+    height, width = int(size[0] * ratio), int(size[1] * ratio)
+    return Crop(round((photo[0] - height) / 2), round((photo[1] - width) / 2), height, width, photo, size)
+
+
+def resized(picture: Float[Tensor, "3 rows columns"], size: tuple[int, int]) -> Float[Tensor, "3 height width"]:
+    """Bilinear, antialiased."""
+    if picture.shape[-2:] == size:
+        return picture
+    return F.interpolate(picture[None], size, mode="bilinear", align_corners=False, antialias=True)[0]
+
+
+def normalised(images: Float[Tensor, "*views 3 height width"]) -> Float[Tensor, "*views 3 height width"]:
+    """By ImageNet's mean and deviation."""
+    mean, std = (images.new_tensor(part)[:, None, None] for part in (IMAGENET_MEAN, IMAGENET_STD))
+    return (images - mean) / std
+
+
+def _padded(pixels: Sequence[Tensor], side: int, patch: int) -> tuple[Tensor, Tensor]:
+    """Images and masks."""
+    fitted = []
+    for each in pixels:
+        height, width = _size(each)
+        scale = side / max(height, width)
+        fitted.append(resized(each.float() / 255, (max(1, round(height * scale)), max(1, round(width * scale)))))
+    rows, columns = (-(-max(_size(each)[axis] for each in fitted) // patch) * patch for axis in (0, 1))
+    images, masks = torch.ones(len(pixels), 3, rows, columns), torch.zeros(len(pixels), rows, columns, dtype=torch.bool)
+    for image, mask, each in zip(images, masks, fitted, strict=True):
+        height, width = _size(each)
+        top, left = (rows - height) // 2, (columns - width) // 2
+        image[:, top : top + height, left : left + width] = each
+        mask[top : top + height, left : left + width] = True
+    return images, masks
+
+
+def _size(picture: Tensor) -> tuple[int, int]:
+    return picture.shape[-2], picture.shape[-1]

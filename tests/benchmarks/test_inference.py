@@ -1,0 +1,63 @@
+"""The efficiency and precision programs, but for the hours that they take."""
+
+import torch
+
+import full_size
+import inference
+import precision
+from querysplat_cli.encoders.vggt_omega.model import VggtOmega
+from tiny_weights import OMEGA
+
+
+def test_tables_say_what_was_measured_and_no_more() -> None:
+    rows = [
+        {
+            "views": 4,
+            "precision": "bf16",
+            "part": "both",
+            "encoder": 0.2,
+            "decoder_8192": 0.5,
+            "total": 0.7,
+            "peak_gib": 5,
+        },
+        {"views": 7, "precision": "fp32", "part": "decoder", "error": "killed"},
+    ]
+    head, _, first, second = inference.table(rows).splitlines()
+    assert head.count("|") == first.count("|") == second.count("|")
+    assert "0.2 (paper 0.242)" in first
+    assert "0.7 (paper 0.949)" in first
+    assert "killed" in second
+    assert "paper" not in second
+
+
+def test_random_weights_have_the_types_of_their_precision() -> None:
+    made = full_size.randomised(lambda: VggtOmega(OMEGA), "bf16", torch.device("cpu"))
+    state = made.state_dict()
+    assert state["aggregator.frame_blocks.0.mlp.fc1.weight"].dtype == torch.bfloat16
+    assert state["aggregator.frame_blocks.0.norm1.weight"].dtype == torch.float32
+    assert state["camera_head.trunk.0.mlp.fc1.weight"].dtype == torch.float32
+    assert not any(tensor.is_meta for tensor in state.values())
+    found = made.perceive(full_size.photos(2, 64, torch.device("cpu")), depth=False)
+    assert all(layer.isfinite().all() for layer in found.features)
+
+
+def test_errors_are_those_of_the_numbers() -> None:
+    exact = {
+        "features": torch.ones(2, 3),
+        "w2c": torch.eye(4)[None],
+        "centres": torch.randn(50, 3, generator=torch.Generator().manual_seed(0)),
+        "scales": torch.ones(50, 3),
+        "opacities": torch.full((50,), 0.5),
+        "sh": torch.zeros(50, 4, 3),
+        "picture": torch.full((1, 3, 4, 4), 0.5),
+        "cost": torch.tensor([1.0, 2.0, 3.0]),
+    }
+    same = precision.compared("fp32", exact, exact)
+    assert same["picture_psnr"] is None
+    assert same["features"] == same["centres_median"] == 0
+    rough = precision.compared(
+        "bf16", {**exact, "scales": 1.25 * exact["scales"], "picture": exact["picture"] + 0.1}, exact
+    )
+    assert rough["scales_median"] == 0.25
+    assert abs(rough["picture_psnr"] - 20) < 1e-4
+    assert "20" in precision.table([same, rough]).splitlines()[-1]

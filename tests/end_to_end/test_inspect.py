@@ -1,0 +1,55 @@
+"""`querysplat inspect` on scenes of both presets."""
+
+import json
+from pathlib import Path
+
+import cv2
+import pytest
+import torch
+from test_road import take_photos
+
+from querysplat_cli.cli import run
+from querysplat_cli.errors import ExitCode
+from querysplat_cli.inspection import on_patches
+from tiny_weights import write_weights
+
+pytest.importorskip("matplotlib")
+
+
+def test_rows_go_back_to_their_patches() -> None:
+    """Two views of 1 special token and 2 × 3 patches; four of their fourteen rows are known."""
+    rows = torch.tensor([0, 3, 7, 13])
+    found = on_patches(torch.tensor([0.4, 0.3, 0.2, 0.1]), rows, views=2, layout=(1, 2, 3))
+    expected = torch.zeros(2, 2, 3)
+    expected[0, 0, 2], expected[1, 1, 2] = 0.3, 0.1
+    torch.testing.assert_close(found, expected)
+
+
+@pytest.mark.parametrize(("preset", "canvas"), [("official-8192", 128), ("compact", 132)])
+def test_pictures_of_a_scene(preset: str, canvas: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    take_photos(tmp_path / "photos", 3, 3)
+    weights = ["--weights", str(write_weights(tmp_path / "weights"))]
+    made = ["reconstruct", str(tmp_path / "photos"), "-o", str(tmp_path / "a.ply"), "--preset", preset, *weights]
+    assert run([*made, "--max-size", "128", "--tto", "0", "--depth", "-q"]) == ExitCode.DONE
+    assert run(["inspect", str(tmp_path / "a"), "--query", "2", "-q", "--json"]) == ExitCode.DONE
+    found = json.loads(capsys.readouterr().out)
+    folder = tmp_path / "a-inspected"
+    assert {path.name for path in folder.iterdir()} == {
+        "attention_appearance.png",
+        "attention_geometry.png",
+        "histograms.png",
+        "points.png",
+    }
+    assert found["query"] == 2
+    assert found["depth"] is True
+    for shares in found["attention"].values():
+        assert set(shares) == {"room3_0.png", "room3_1.png", "room3_2.png", "special"}
+        assert sum(shares.values()) == pytest.approx(1, abs=1e-3)
+    assert found["attention"]["appearance"]["special"] == 0
+    assert (found["attention"]["geometry"]["special"] > 0) == (preset == "official-8192")
+    assert 0 < found["opacity"]["0"] <= found["opacity"]["1"] <= 1
+    assert cv2.imread(str(folder / "attention_geometry.png")).shape[1] == 3 * canvas
+    assert run(["inspect", str(tmp_path / "a"), "-q"]) == ExitCode.BAD_INPUT  # there already
+    assert run(["inspect", str(tmp_path / "a"), "--query", "999999", "--force", "-q"]) == ExitCode.BAD_INPUT
+    assert "there are queries 0 to" in capsys.readouterr().err
+    assert (folder / "points.png").is_file()

@@ -1,0 +1,45 @@
+"""What a query looks at, against attention written out."""
+
+import torch
+from model_scenes import anchors, compact, memories
+
+from querysplat_cli.model.attention import CrossAttention
+from querysplat_cli.model.attention_maps import attention_of
+from querysplat_cli.model.initialise import initial_model
+from querysplat_cli.model.memories import Memories
+from tiny_weights import MODEL, write_model
+
+
+def test_learned_queries(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    """The weights are those that the decoder multiplies values with: with a value of 1 at one row, its output."""
+    model = write_model(tmp_path / "a.safetensors", MODEL)
+    generator = torch.Generator().manual_seed(0)
+    shape = (30, MODEL.heads, MODEL.width // MODEL.heads)
+    stored = Memories(*(torch.randn(shape, generator=generator) for _ in range(4)))
+    geometry, appearance = attention_of(model, stored, None, query=7)
+    torch.testing.assert_close(geometry.sum(), torch.tensor(1.0))
+    torch.testing.assert_close(appearance.sum(), torch.tensor(1.0))
+    seen: list[torch.Tensor] = []
+
+    def listen(cross: CrossAttention, inputs: tuple[torch.Tensor, ...], output: torch.Tensor) -> None:
+        tokens, keys = inputs[0], inputs[1]
+        query = cross.q_norm(cross.q_proj(cross.norm(tokens)).unflatten(-1, (cross.heads, -1)))
+        logits = torch.einsum("qhc,mhc->hqm", query, keys) / query.shape[-1] ** 0.5
+        seen.append(logits.softmax(-1).mean(0))
+
+    blocks = [*model.geometry_decoder.blocks, *model.appearance_decoder.blocks]
+    hooks = [block.cross.register_forward_hook(listen) for block in blocks]
+    model.decode(stored)
+    for hook in hooks:
+        hook.remove()
+    torch.testing.assert_close(geometry, torch.stack([weights[8] for weights in seen[:2]]).mean(0))  # after the eye
+    torch.testing.assert_close(appearance, seen[2][7])
+
+
+def test_anchored_queries_look_at_their_neighbours_alone() -> None:
+    model = initial_model(compact(), seed=0)
+    where = anchors(model.config)
+    geometry, appearance = attention_of(model, memories(model.config), where, query=3)
+    assert set(geometry.nonzero()[:, 0].tolist()) == set(where.geometry.index[3].tolist())
+    assert set(appearance.nonzero()[:, 0].tolist()) == set(where.appearance.index[3].tolist())
+    torch.testing.assert_close(geometry.sum(), torch.tensor(1.0))
