@@ -15,9 +15,10 @@ LAYERS = [
     {"errors", "progress", "device", "precision", "tensor_files", "catalogue", "drawing"},
     {"scene"},
     {"model", "encoders", "splat"},
-    {"tto", "training", "evaluation"},
+    {"tto", "training"},
     {"holdout", "quality", "report", "preview", "curve", "store", "memory", "weight_files", "remembering"}
-    | {"pipeline", "rendering", "inspection", "demo"},
+    | {"pipeline", "rendering", "inspection", "demo", "convert"},
+    {"evaluation"},
     {"cli", "__main__"},
 ]
 

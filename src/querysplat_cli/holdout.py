@@ -109,6 +109,7 @@ def take(located: Located, rows: Sequence[int]) -> Located:
         views=located.views[rows],
         cameras=located.cameras[rows],
         visibility=tuple(located.visibility[row] for row in rows),
+        lenses=located.lenses and tuple(located.lenses[row] for row in rows),
     )
 
 

@@ -2,7 +2,7 @@
 
 import typer
 
-from querysplat_cli.cli import demo, inspect, reconstruct, render, tto, weights
+from querysplat_cli.cli import convert, demo, evaluate, inspect, poses, reconstruct, render, tto, weights
 
 app = typer.Typer(
     name="querysplat",
@@ -14,6 +14,9 @@ app = typer.Typer(
 app.command("reconstruct")(reconstruct.reconstruct)
 app.command("tto")(tto.tto)
 app.command("render")(render.render)
+app.command("eval")(evaluate.evaluate)
+app.command("poses")(poses.poses)
+app.command("convert")(convert.convert)
 app.command("inspect")(inspect.inspect)
 app.command("demo")(demo.demo)
 app.command("weights")(weights.weights)

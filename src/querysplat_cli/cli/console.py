@@ -4,6 +4,7 @@ import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
 import typer
@@ -139,3 +140,86 @@ def print_rendered(rendered: Rendered, *, quiet: bool, as_json: bool) -> None:
         console.print(
             f"{rendered.frames} frames of {rendered.gaussians:,} Gaussians in {seconds:.1f} s: {rendered.output}"
         )
+
+
+def print_evaluation(summary: dict[str, Any], output: Path, *, quiet: bool, as_json: bool) -> None:
+    """The summary as JSON, and for people the averages and where the rest is."""
+    if as_json:
+        print(json.dumps(summary, indent=2))
+    if quiet or "averages" not in summary:
+        return
+    for views in sorted({row["views"] for row in summary["averages"]}):
+        table = Table(title=f"{views} views", title_justify="left", box=None, padding=(0, 2, 0, 0))
+        for column in ("row", "group", "PSNR", "SSIM", "LPIPS", "scored", "failed", "seconds", "Gaussians"):
+            table.add_column(column)
+        for row in summary["averages"]:
+            if row["views"] == views:
+                table.add_row(*_evaluation_cells(row))
+        for row in summary["quoted"]["rows"]:
+            if row["views"] == views:
+                table.add_row(f"quoted: {row['method']}", row["group"], *_metrics(row), style="dim")
+        console.print(table)
+    for text in summary["lpips"]:
+        console.print(f"LPIPS: {text}")
+    if summary["failures"]:
+        console.print(f"{len(summary['failures'])} failures, listed in {output / 'summary.md'}")
+    console.print(f"{output / 'summary.md'}, .csv and .json; a folder for each case")
+
+
+def _evaluation_cells(row: dict[str, Any]) -> tuple[str, ...]:
+    seconds, gaussians = row["seconds_median"], row["gaussians_median"]
+    return (
+        row["row"],
+        row["group"],
+        *_metrics(row),
+        f"{row['scored']} of {row['asked']}",
+        str(row["failed"]),
+        "–" if seconds is None else f"{seconds:.1f}",
+        "–" if gaussians is None else f"{gaussians:,.0f}",
+    )
+
+
+def _metrics(row: dict[str, Any]) -> tuple[str, ...]:
+    return tuple(
+        "–" if row[metric] is None else format(row[metric], form)
+        for metric, form in (("psnr", ".2f"), ("ssim", ".3f"), ("lpips", ".3f"))
+    )
+
+
+def print_poses(summary: dict[str, Any], first: str, second: str, *, quiet: bool, as_json: bool) -> None:
+    """The errors of the first set of cameras against the second."""
+    if as_json:
+        print(json.dumps(summary, indent=2))
+    if quiet:
+        return
+    table = Table(title=f"{first} against {second}", title_justify="left", show_header=False, box=None)
+    table.add_row("photos in both", f"{summary['photos']}")
+    for side, names in ((first, summary["only_a"]), (second, summary["only_b"])):
+        if names:
+            table.add_row(f"only in {side}", f"{len(names)}: {', '.join(names[:3])}{', …' if names[3:] else ''}")
+    rotation, centre, focal = (summary[key] for key in ("rotation_degrees", "centre", "focal_error"))
+    table.add_row("rotation", f"median {rotation['median']:.3f}°, worst {rotation['max']:.3f}°")
+    table.add_row("centre", f"median {centre['median']:.4g}, worst {centre['max']:.4g} units of {second}")
+    table.add_row("ATE", f"{summary['ate']:.4g}, {100 * summary['ate_of_extent']:.2f} % of the extent")
+    for name in ("rra", "rta", "auc"):
+        cells = (f"{summary[f'{name}_{t}']:.1f} %" for t in (5, 15, 30))
+        table.add_row(f"{name.upper()} at 5, 15, 30°", ", ".join(cells))
+    table.add_row("focal length", f"median {100 * focal['median']:+.2f} %, worst {100 * focal['max_abs']:.2f} %")
+    console.print(table)
+
+
+def print_conversion(result: dict[str, Any], *, quiet: bool, as_json: bool) -> None:
+    """What was written."""
+    if as_json:
+        print(json.dumps(result, indent=2))
+    if quiet:
+        return
+    if "cameras" in result:
+        console.print(f"{result['cameras']} cameras: {result['target']}")
+        return
+    sizes = result["bytes"]
+    left_out = f", {result['left_out']:,} left out" if result["left_out"] else ""
+    console.print(
+        f"{result['gaussians']:,} Gaussians{left_out}, {sizes['target'] / 2**20:.2f} MiB "
+        f"(source {sizes['source'] / 2**20:.2f} MiB): {result['target']}"
+    )

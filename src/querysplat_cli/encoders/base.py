@@ -38,7 +38,8 @@ class Located:
 
     The first camera is the origin. `points` are sparse scene points [n, 3] (may be empty), `visibility`
     is for each view the row numbers of the points that it saw. `doubts` are sentences that say why the
-    cameras may be wrong; empty when nothing speaks against them.
+    cameras may be wrong; empty when nothing speaks against them. `lenses` are the photos' own cameras, as
+    they were taken, in the same frame; None where the views are the photos as they are.
     """
 
     views: Views
@@ -47,6 +48,7 @@ class Located:
     visibility: tuple[Tensor, ...]
     left_out: tuple[LeftOut, ...] = ()
     doubts: tuple[str, ...] = ()
+    lenses: tuple[PhotoCamera, ...] | None = None
 
 
 @dataclass(frozen=True)

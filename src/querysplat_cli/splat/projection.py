@@ -95,11 +95,12 @@ def rotation_matrices(quats: Float[Tensor, "n 4"]) -> Float[Tensor, "n 3 3"]:
 
 def colours(sh: Float[Tensor, "n bands 3"], directions: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
     """max(0, 0.5 + Σ sh·basis) for unit directions from the camera to the Gaussian, degree 0 to 3."""
-    basis = _basis(directions)[:, : sh.shape[1]]
-    return (0.5 + (basis[..., None] * sh).sum(1)).clamp(0, COLOUR_LIMIT)
+    weights = basis(directions)[:, : sh.shape[1]]
+    return (0.5 + (weights[..., None] * sh).sum(1)).clamp(0, COLOUR_LIMIT)
 
 
-def _basis(directions: Tensor) -> Tensor:
+def basis(directions: Float[Tensor, "n 3"]) -> Float[Tensor, "n 16"]:
+    """Real spherical harmonics of unit directions, degree 0 to 3, in the 3DGS order and sign."""
     x, y, z = directions.unbind(1)
     one = torch.ones_like(x)
     return torch.stack(

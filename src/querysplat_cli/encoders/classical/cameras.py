@@ -68,6 +68,7 @@ def locate(
         tuple(torch.from_numpy(model.seen[i]) for i in used),
         (*copies, *placement.left_out),
         placement.doubts,
+        tuple(model.cameras[i] for i in used),
     )
 
 

@@ -1,6 +1,8 @@
-"""Cameras of a COLMAP model: cameras, images and points3D as .bin or .txt."""
+"""Cameras of a COLMAP model: cameras, images and points3D as .bin or .txt, read and written."""
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -31,13 +33,7 @@ def read_colmap(folder: Path) -> dict[str, PhotoCamera]:
 
     Raises QuerySplatError when the model is damaged, or a lens has more than k1, k2, p1, p2.
     """
-    import pycolmap
-
-    try:
-        model = pycolmap.Reconstruction(folder)
-    except (RuntimeError, ValueError, IndexError) as error:
-        reason = str(error).strip().splitlines()[-1]
-        raise QuerySplatError(f"{folder}: no COLMAP model that can be read: {reason}", "Export it again.") from error
+    model = _opened(folder)
     images = sorted((image for image in model.images.values() if image.has_pose), key=lambda image: image.name)
     if not images:
         raise QuerySplatError(f"{folder}: the COLMAP model places no photo", "Give another model.")
@@ -65,6 +61,44 @@ def read_colmap(folder: Path) -> dict[str, PhotoCamera]:
             width=int(camera.width),
         )
     return cameras
+
+
+def write_colmap(folder: Path, cameras: Mapping[str, PhotoCamera], *, text: bool = False) -> None:
+    """Write a model without points into the empty `folder`; photos whose lenses are equal share one camera."""
+    import pycolmap
+
+    model = pycolmap.Reconstruction()
+    numbers: dict[tuple[object, ...], int] = {}
+    for image_id, (name, camera) in enumerate(cameras.items(), start=1):
+        distorted = any(camera.distortion)
+        lens = (*camera.focal, *camera.principal, *(camera.distortion if distorted else ()))
+        key = (camera.width, camera.height, *lens)
+        if key not in numbers:
+            numbers[key] = len(numbers) + 1
+            kind = "OPENCV" if distorted else "PINHOLE"
+            size = {"width": camera.width, "height": camera.height}
+            model.add_camera_with_trivial_rig(
+                pycolmap.Camera(model=kind, **size, params=list(lens), camera_id=numbers[key])
+            )
+        image = pycolmap.Image(name=name, camera_id=numbers[key], image_id=image_id)
+        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(camera.w2c[:3]))
+    (model.write_text if text else model.write_binary)(folder)
+
+
+def copy_colmap(source: Path, folder: Path, *, text: bool = False) -> None:
+    """Write the model in `source`, points and all, into the empty `folder`, binary or as text."""
+    model = _opened(source)
+    (model.write_text if text else model.write_binary)(folder)
+
+
+def _opened(folder: Path) -> Any:
+    import pycolmap
+
+    try:
+        return pycolmap.Reconstruction(folder)
+    except (RuntimeError, ValueError, IndexError) as error:
+        reason = str(error).strip().splitlines()[-1]
+        raise QuerySplatError(f"{folder}: no COLMAP model that can be read: {reason}", "Export it again.") from error
 
 
 def _model_files(folder: Path) -> list[Path]:

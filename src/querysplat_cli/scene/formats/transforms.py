@@ -64,6 +64,23 @@ def write_cameras(path: Path, cameras: Cameras, views: Views, *, heldout: tuple[
         draft.write_text(json.dumps(content, indent=1) + "\n")
 
 
+def write_transforms(path: Path, cameras: Mapping[str, PhotoCamera]) -> None:
+    """Write cameras with their lenses; `read_transforms` gives the same back within rounding.
+
+    The pictures are `images/` and their name.
+    """
+    frames = []
+    for name, camera in cameras.items():
+        (fx, fy), (cx, cy), (k1, k2, p1, p2) = camera.focal, camera.principal, camera.distortion
+        lens = {"w": camera.width, "h": camera.height, "fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy}
+        lens |= {"k1": k1, "k2": k2, "p1": p1, "p2": p2}
+        frames.append(
+            {"file_path": f"images/{name}", **lens, "transform_matrix": opengl_from_opencv(camera.w2c).tolist()}
+        )
+    with atomic_path(path) as draft:
+        draft.write_text(json.dumps({"camera_model": "OPENCV", "frames": frames}, indent=1) + "\n")
+
+
 def read_cameras(path: Path) -> tuple[NamedCameras, NamedCameras | None]:
     """Cameras in float32, and the held-out ones if there are any, of a cameras.json or a transforms.json.
 
@@ -115,7 +132,7 @@ def _named_cameras(path: Path, content: Mapping[str, Any], frames: Sequence[Mapp
     names = tuple(_file_path(path, frame).removeprefix("./").removeprefix("images/") for frame in frames)
     lenses = [_photo_camera(path, name, {**content, **frame}) for name, frame in zip(names, frames, strict=True)]
     for name, lens in zip(names, lenses, strict=True):
-        if not _is_rigid(lens.w2c):
+        if not is_rigid(lens.w2c):
             raise QuerySplatError(f"{path}: the matrix of {name} is no rigid motion", "Remove that frame.")
     sizes = tuple((lens.height, lens.width) for lens in lenses)
     K = torch.zeros(len(lenses), 3, 3, dtype=torch.float64)
@@ -127,7 +144,8 @@ def _named_cameras(path: Path, content: Mapping[str, Any], frames: Sequence[Mapp
     return NamedCameras(names, Cameras(w2c.float(), K.float(), int(height), int(width)), sizes)
 
 
-def _is_rigid(w2c: np.ndarray) -> bool:
+def is_rigid(w2c: np.ndarray) -> bool:
+    """Whether the matrix [4, 4] is finite and its rotation is one, within rounding."""
     rotation = w2c[:3, :3]
     if not np.isfinite(w2c).all():
         return False

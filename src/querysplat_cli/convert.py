@@ -1,0 +1,114 @@
+"""The story of `convert`: Gaussians from one kind of file to another, and cameras from one kind to another."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.scene.files import atomic_folder, refuse_existing
+from querysplat_cli.scene.formats.colmap import copy_colmap, find_model, write_colmap
+from querysplat_cli.scene.formats.compressed import read_sog, read_spz, write_spz
+from querysplat_cli.scene.formats.known import read_known_cameras
+from querysplat_cli.scene.formats.ply import read_ply, write_ply
+from querysplat_cli.scene.formats.transforms import write_transforms
+from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.sim3 import Sim3
+from querysplat_cli.splat.moving import moved
+
+READERS: dict[str, Callable[[Path], Gaussians]] = {".ply": read_ply, ".spz": read_spz, ".sog": read_sog}
+WRITERS: dict[str, Callable[[Path, Gaussians], int]] = {".ply": write_ply, ".spz": write_spz}
+FLIPPED = Sim3(1.0, torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64)), torch.zeros(3).double())
+"""Between the y-down axes of .ply files and the y-up axes that SPZ specifies; its own inverse."""
+UP = {
+    axis: torch.tensor([float(axis[-1] == letter) for letter in "xyz"]).double() * (-1 if axis[0] == "-" else 1)
+    for axis in ("x", "y", "z", "-x", "-y", "-z")
+}
+
+
+@dataclass(frozen=True)
+class Conversion:
+    """What `querysplat convert` can be asked for; see docs/cli.md.
+
+    `up` is the axis that points up in the source, and becomes −y; `scale` multiplies lengths after that; `crop` is
+    x0, y0, z0, x1, y1, z1 in the result.
+    """
+
+    source: Path
+    target: Path
+    text: bool = False
+    up: str | None = None
+    scale: float = 1.0
+    crop: tuple[float, ...] | None = None
+    force: bool = False
+
+
+def convert(request: Conversion) -> dict[str, Any]:
+    """Write `request.target`, and return what was written. Raises QuerySplatError, and writes nothing, on bad input."""
+    refuse_existing([request.target], force=request.force)
+    if request.source.suffix.lower() in READERS:
+        return _convert_gaussians(request)
+    if request.up or request.crop or request.scale != 1.0:
+        raise QuerySplatError("--up, --scale and --crop are for Gaussians", "Give a .ply, .spz or .sog.")
+    return _convert_cameras(request)
+
+
+def _convert_gaussians(request: Conversion) -> dict[str, Any]:
+    kinds = request.source.suffix.lower(), request.target.suffix.lower()
+    if kinds[1] == ".sog":
+        raise QuerySplatError(
+            "no kept Python library writes .sog (sogpy 1.0.2 mixes up the colours of its SH)",
+            "Write a .ply, and convert that with PlayCanvas's splat-transform.",
+        )
+    if kinds[1] not in WRITERS:
+        raise QuerySplatError(f"{request.target}: not a kind of file for Gaussians", f"Use {' or '.join(WRITERS)}.")
+    if not request.source.is_file():
+        raise QuerySplatError(f"{request.source}: no such file", "Give a .ply, .spz or .sog.")
+    gaussians = READERS[kinds[0]](request.source)
+    read = len(gaussians)
+    if kinds[0] == ".spz":
+        gaussians = moved(gaussians, FLIPPED)
+    if request.up or request.scale != 1.0:
+        gaussians = moved(gaussians, Sim3(request.scale, _upright(request.up), torch.zeros(3).double()))
+    if request.crop:
+        low, high = torch.tensor(request.crop).reshape(2, 3)
+        gaussians = gaussians[((gaussians.means >= low) & (gaussians.means <= high)).all(1)]
+        if not len(gaussians):
+            raise QuerySplatError("--crop leaves no Gaussian", "Give x0,y0,z0,x1,y1,z1 in the converted scene's units.")
+    if kinds[1] == ".spz":
+        gaussians = moved(gaussians, FLIPPED)
+    written = WRITERS[kinds[1]](request.target, gaussians)
+    sizes = {"source": request.source.stat().st_size, "target": request.target.stat().st_size}
+    return {"target": str(request.target), "gaussians": written, "left_out": read - written, "bytes": sizes}
+
+
+def _convert_cameras(request: Conversion) -> dict[str, Any]:
+    cameras = read_known_cameras(request.source)
+    model = find_model(request.source) if request.source.is_dir() else None
+    if request.target.suffix.lower() == ".json":
+        write_transforms(request.target, cameras)
+    elif request.target.suffix:
+        raise QuerySplatError(f"{request.target}: not a kind of file for cameras", "Use a .json, or a folder.")
+    else:
+        with atomic_folder(request.target) as draft:
+            if model:
+                copy_colmap(model, draft, text=request.text)
+            else:
+                write_colmap(draft, cameras, text=request.text)
+    return {"target": str(request.target), "cameras": len(cameras)}
+
+
+def _upright(axis: str | None) -> torch.Tensor:
+    """The smallest rotation that takes `axis` to −y; half a turn about x for the opposite."""
+    if axis is None:
+        return torch.eye(3, dtype=torch.float64)
+    up, target = UP[axis], UP["-y"]
+    cosine = float(up @ target)
+    if cosine < -0.5:
+        return FLIPPED.rotation
+    cross = torch.linalg.cross(up, target)
+    x, y, z = cross.tolist()
+    skew = torch.tensor([[0, -z, y], [z, 0, -x], [-y, x, 0]], dtype=torch.float64)
+    return torch.eye(3, dtype=torch.float64) + skew + skew @ skew / (1 + cosine)

@@ -1,0 +1,179 @@
+"""Two sets of cameras of the same photos, compared after the similarity that joins them."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from querysplat_cli.drawing import new_figure
+from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.scene.cameras import PhotoCamera
+from querysplat_cli.scene.files import atomic_path
+from querysplat_cli.scene.sim3 import Sim3, align_cameras
+
+THRESHOLDS = (5, 15, 30)
+"""Degrees of RRA, RTA and AUC."""
+
+
+@dataclass(frozen=True)
+class PoseErrors:
+    """How far the cameras of A are from those of B, in the frame and the unit of B.
+
+    `rotation` (degrees) and `centre` (units of B) by photo, after the similarity of `align_cameras`; `ate` is the root
+    mean square of the latter, `extent` the largest distance between two of B's centres. `pair_rotation` and
+    `pair_translation` are the errors, in degrees, of each pair's relative rotation and of the direction (with its
+    sign) from the first camera to the second; these need no alignment. `focal` is A's focal length over the picture's
+    width, relative to B's, less one.
+    """
+
+    names: tuple[str, ...]
+    only_a: tuple[str, ...]
+    only_b: tuple[str, ...]
+    scale: float
+    rotation: np.ndarray
+    centre: np.ndarray
+    ate: float
+    extent: float
+    pair_rotation: np.ndarray
+    pair_translation: np.ndarray
+    focal: np.ndarray
+    centres: np.ndarray
+    """Of A, moved, and of B: [2, n, 3]."""
+
+    def summary(self) -> dict[str, Any]:
+        """Medians, means and rates, for a report. Rates are per cent of pairs."""
+        worse = np.maximum(self.pair_rotation, self.pair_translation)
+        rates = {f"rra_{t}": _recall(self.pair_rotation, float(t)) for t in THRESHOLDS}
+        rates |= {f"rta_{t}": _recall(self.pair_translation, float(t)) for t in THRESHOLDS}
+        rates |= {f"auc_{t}": area_under_recall(worse, float(t)) for t in THRESHOLDS}
+        return {
+            "photos": len(self.names),
+            "only_a": list(self.only_a),
+            "only_b": list(self.only_b),
+            "scale": self.scale,
+            "rotation_degrees": {"median": float(np.median(self.rotation)), "max": float(self.rotation.max())},
+            "centre": {"median": float(np.median(self.centre)), "max": float(self.centre.max())},
+            "ate": self.ate,
+            "ate_of_extent": self.ate / self.extent,
+            **{key: 100 * value for key, value in rates.items()},
+            "focal_error": {"median": float(np.median(self.focal)), "max_abs": float(np.abs(self.focal).max())},
+            "views": {
+                name: {"rotation_degrees": float(turn), "centre": float(shift), "focal_error": float(focal)}
+                for name, turn, shift, focal in zip(self.names, self.rotation, self.centre, self.focal, strict=True)
+            },
+        }
+
+
+def compare_cameras(a: Mapping[str, PhotoCamera], b: Mapping[str, PhotoCamera]) -> PoseErrors:
+    """Errors of `a` against `b`; photos are the same when their names are, without folder and suffix.
+
+    Raises QuerySplatError when fewer than two photos are in both, and DegenerateAlignment when these do not fix a
+    similarity.
+    """
+    names_a, names_b = ({Path(name).stem: name for name in side} for side in (a, b))
+    shared = [stem for stem in names_a if stem in names_b]
+    if len(shared) < 2:
+        raise QuerySplatError(
+            f"{len(shared)} photos are in both sets of cameras",
+            f"Names must agree: one has {next(iter(a), 'none')}, the other {next(iter(b), 'none')}.",
+        )
+    mine, theirs = [a[names_a[stem]] for stem in shared], [b[names_b[stem]] for stem in shared]
+    w2c_a, w2c_b = (np.stack([camera.w2c for camera in side]) for side in (mine, theirs))
+    similarity = align_cameras(torch.from_numpy(w2c_a), torch.from_numpy(w2c_b))
+    centres_a, centres_b = _moved(_centres(w2c_a), similarity), _centres(w2c_b)
+    turned = w2c_a[:, :3, :3] @ similarity.rotation.numpy().T
+    distance = np.linalg.norm(centres_a - centres_b, axis=1)
+    apart = np.linalg.norm(centres_b[:, None] - centres_b[None], axis=2)
+    pairs = np.array(list(combinations(range(len(shared)), 2)))
+    return PoseErrors(
+        names=tuple(names_b[stem] for stem in shared),
+        only_a=tuple(name for stem, name in names_a.items() if stem not in names_b),
+        only_b=tuple(name for stem, name in names_b.items() if stem not in names_a),
+        scale=similarity.scale,
+        rotation=angles(turned @ w2c_b[:, :3, :3].swapaxes(1, 2)),
+        centre=distance,
+        ate=float(np.sqrt(np.mean(distance**2))),
+        extent=float(apart.max()),
+        pair_rotation=_pair_rotation(w2c_a, w2c_b, pairs),
+        pair_translation=_between(_pair_direction(w2c_a, pairs), _pair_direction(w2c_b, pairs)),
+        focal=np.array([_focal(one) / _focal(other) - 1 for one, other in zip(mine, theirs, strict=True)]),
+        centres=np.stack([centres_a, centres_b]),
+    )
+
+
+def area_under_recall(errors: np.ndarray, threshold: float) -> float:
+    """The mean, over thresholds from 0 to `threshold`, of the share of errors below them; exact, without bins."""
+    return float(np.clip(1 - errors / threshold, 0, None).mean())
+
+
+def angles(rotations: np.ndarray) -> np.ndarray:
+    """Angles of rotations [n, 3, 3] in degrees; accurate near 0 and near 180."""
+    skew = rotations - rotations.swapaxes(1, 2)
+    sine = np.linalg.norm(np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]]), axis=0) / 2
+    return np.degrees(np.arctan2(sine, (np.trace(rotations, axis1=1, axis2=2) - 1) / 2))
+
+
+def draw_trajectories(errors: PoseErrors, file: Path, titles: Sequence[str]) -> None:
+    """Both trajectories from the side from which they are widest, and each photo's errors; PNG, SVG or PDF.
+
+    Raises QuerySplatError for another suffix.
+    """
+    if file.suffix.lower() not in (".png", ".svg", ".pdf"):
+        raise QuerySplatError(f"{file}: not a kind of picture that can be drawn", "Use .png, .svg or .pdf.")
+    figure = new_figure(9.0, 4.2)
+    plan, side = figure.subplots(1, 2, width_ratios=(1.3, 1))
+    middle = errors.centres[1].mean(0)
+    axes = np.linalg.svd(errors.centres[1] - middle)[2][:2]
+    flat = (errors.centres - middle) @ axes.T
+    for track, title, style in zip(flat, titles, ("o-", "x--"), strict=True):
+        plan.plot(*track.T, style, ms=4, lw=0.8, label=title)
+    plan.plot(*flat.transpose(2, 0, 1), color="grey", lw=0.5)
+    plan.set_aspect("equal", "datalim")
+    plan.legend(fontsize=8)
+    plan.set_title(f"{len(errors.names)} camera centres, in units of {titles[1]}", fontsize=9)
+    photos = np.arange(len(errors.names))
+    side.plot(photos, errors.rotation, label="rotation, degrees")
+    side.plot(photos, 100 * errors.centre / errors.extent, label="centre, % of the extent")
+    side.set_xlabel("photo")
+    side.set_ylim(bottom=0)
+    side.legend(fontsize=8)
+    with atomic_path(file) as draft:
+        figure.savefig(draft, dpi=130, format=file.suffix[1:].lower())
+
+
+def _recall(errors: np.ndarray, threshold: float) -> float:
+    return float((errors < threshold).mean())
+
+
+def _centres(w2c: np.ndarray) -> np.ndarray:
+    return -np.einsum("nji,nj->ni", w2c[:, :3, :3], w2c[:, :3, 3])
+
+
+def _moved(points: np.ndarray, similarity: Sim3) -> np.ndarray:
+    return np.asarray(similarity.apply(torch.from_numpy(points)).numpy())
+
+
+def _pair_rotation(a: np.ndarray, b: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+    relative = [side[pairs[:, 1], :3, :3] @ side[pairs[:, 0], :3, :3].swapaxes(1, 2) for side in (a, b)]
+    return angles(relative[0] @ relative[1].swapaxes(1, 2))
+
+
+def _pair_direction(w2c: np.ndarray, pairs: np.ndarray) -> np.ndarray:
+    """From the first camera of each pair to the second, in the first one's axes [n, 3]; not of unit length."""
+    first, centres = w2c[pairs[:, 0]], _centres(w2c)
+    return np.einsum("nij,nj->ni", first[:, :3, :3], centres[pairs[:, 1]] - centres[pairs[:, 0]])
+
+
+def _between(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Angles between vectors in degrees; 180 where one has no length and so no direction, 0 where both have none."""
+    sine, cosine = np.linalg.norm(np.cross(one, other), axis=1), (one * other).sum(1)
+    lost = (np.linalg.norm(one, axis=1) == 0) != (np.linalg.norm(other, axis=1) == 0)
+    return np.where(lost, 180.0, np.degrees(np.arctan2(sine, cosine)))
+
+
+def _focal(camera: PhotoCamera) -> float:
+    return float(np.sqrt(camera.focal[0] * camera.focal[1])) / camera.width

@@ -1,0 +1,91 @@
+"""Other methods' outputs on the same scale: a .ply with cameras, or pictures.
+
+DIR/<split>/<case>/, or DIR/<case>/, holds either of
+  a .ply, and a cameras.json or transforms.json in its frame, of the shown or of the whole photos, by their names.
+  Targets that are not in that file are placed through the dataset's cameras; without the file all views are;
+  pictures of the views, anywhere below, called as the photo or by its number in the dataset's list. One picture may
+  serve several groups; where names repeat, that in a folder of the group's name counts.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import torch
+
+from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.evaluation.case import CaseRunner, RowResult, joined
+from querysplat_cli.evaluation.protocol import resized
+from querysplat_cli.scene.cameras import PhotoCamera
+from querysplat_cli.scene.formats.dataset import Frame
+from querysplat_cli.scene.formats.known import JSON_NAMES
+from querysplat_cli.scene.formats.ply import read_ply
+from querysplat_cli.scene.formats.transforms import read_transforms
+from querysplat_cli.scene.photos import SUFFIXES, load_photos
+
+SHAPE = 0.02
+"""Relative difference in shape beyond which a picture is not one of the target."""
+
+
+def score_prediction(runner: CaseRunner, root: Path, split: str, case: str) -> RowResult:
+    """Score what another method made of the case; raises QuerySplatError when it made nothing that can be scored."""
+    folder = next((place for place in (root / split / case, root / case) if place.is_dir()), None)
+    if folder is None:
+        raise QuerySplatError(f"{root}: nothing for {split}, {case}", f"Expected {root / split / case}.")
+    scenes = sorted(folder.rglob("*.ply"))
+    if scenes:
+        gaussians = read_ply(scenes[0])
+        return runner.judge(gaussians, _cameras(runner, folder), "no camera of it is given, nor one by the dataset")
+    files = [file for file in sorted(folder.rglob("*")) if file.suffix.lower() in SUFFIXES]
+    if not files:
+        raise QuerySplatError(f"{folder}: neither a .ply nor pictures in it", "See docs/cli.md on --predictions.")
+    pictures = {
+        group: {frame.name: file for frame in frames if (file := _picture_file(files, group, frame))}
+        for group, frames in runner.groups.items()
+    }
+    return runner.judge_pictures(
+        lambda group, frame: _read(pictures[group].get(frame.name), runner.truth(frame)), "no picture of it is there"
+    )
+
+
+def _cameras(runner: CaseRunner, folder: Path) -> dict[str, PhotoCamera]:
+    """Cameras of the shown photos in the .ply's frame."""
+    file = next((folder / name for name in JSON_NAMES if (folder / name).is_file()), None)
+    if file is None:
+        return dict(runner.known)
+    by_stem = {Path(name).stem: camera for name, camera in read_transforms(file).items()}
+    given: dict[str, PhotoCamera] = {}
+    for name, (photo, shown) in runner.photos.items():
+        camera = by_stem.get(Path(name).stem)
+        if camera is None:
+            continue
+        of_shown = abs(camera.width * shown.height / (camera.height * shown.width) - 1) <= SHAPE
+        given[name] = camera if of_shown else runner.protocol.shown_camera(camera, photo)
+    return _completed(given, runner.known)
+
+
+def _completed(given: dict[str, PhotoCamera], known: Mapping[str, PhotoCamera]) -> dict[str, PhotoCamera]:
+    if known.keys() <= given.keys() or len(given.keys() & known.keys()) < 2:
+        return given
+    return {**joined(known, {name: camera for name, camera in given.items() if name in known}), **given}
+
+
+def _picture_file(files: list[Path], group: str, frame: Frame) -> Path | None:
+    named = [file for file in files if file.stem == Path(frame.name).stem]
+    named = named or [file for file in files if file.stem.isdecimal() and int(file.stem) == frame.index]
+    return next((file for file in named if group in file.parts), named[0] if named else None)
+
+
+def _read(file: Path | None, truth: torch.Tensor) -> torch.Tensor | None:
+    if file is None:
+        return None
+    (photo, *_), unread = load_photos([file], 1 << 16)
+    if unread:
+        raise QuerySplatError(f"{file}: {unread[0].why}", "Write it again.")
+    height, width = truth.shape[1:]
+    if abs(photo.width * height / (photo.height * width) - 1) > SHAPE:
+        raise QuerySplatError(
+            f"{file} is {photo.width} × {photo.height}, the target {width} × {height}",
+            "Pictures must show what the protocol scores; they may only be larger or smaller.",
+        )
+    image = torch.from_numpy(photo.pixels).permute(2, 0, 1).float() / 255
+    return resized(image, height, width)

@@ -1,0 +1,129 @@
+"""What a method is shown and what its renders are held against: the two published procedures.
+
+`release` (the authors' evaluation script): inputs are the largest centred square at 512 × 512, renders are made at
+256 × 256, and the truth is that square, reduced to 256 × 256 with an antialiased bilinear filter. `text` (paper,
+Comparisons): inputs have a shorter side of 256, and renders, made at that size, are enlarged to the photo's own.
+Photos are never enlarged before they are shown.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.nn import functional as F
+
+from querysplat_cli.encoders.classical.sparse_model import rescaled
+from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.scene.cameras import Cameras, PhotoCamera
+from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.views import Photo
+from querysplat_cli.splat.render import render
+
+ProtocolName = Literal["release", "text"]
+RELEASE_SIDE, RELEASE_SCORED, TEXT_SIDE = 512, 256, 256
+SHAPE = 0.02
+"""Relative difference in shape beyond which a camera is not that of the photo."""
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """One of the two procedures."""
+
+    name: ProtocolName
+
+    def shown(self, photo: Photo) -> Photo:
+        """The photo as a method gets it."""
+        pixels = photo.pixels
+        if self.name == "release":
+            side = min(photo.height, photo.width)
+            top, left = (photo.height - side) // 2, (photo.width - side) // 2
+            pixels = pixels[top : top + side, left : left + side]
+        limit = RELEASE_SIDE if self.name == "release" else TEXT_SIDE
+        scale = min(1.0, limit / min(pixels.shape[:2]))
+        height, width = (round(size * scale) for size in pixels.shape[:2])
+        if scale < 1:
+            pixels = _bytes(resized(_tensor(pixels), height, width))
+        focal = photo.focal and photo.focal * scale
+        return replace(photo, pixels=np.ascontiguousarray(pixels), focal=focal)
+
+    def shown_camera(self, camera: PhotoCamera, photo: Photo) -> PhotoCamera:
+        """The camera of `shown(photo)`, from that of the photo at any size.
+
+        Raises QuerySplatError when the camera is of a picture of another shape.
+        """
+        if abs(photo.width / photo.height / (camera.width / camera.height) - 1) > SHAPE:
+            raise QuerySplatError(
+                f"{photo.name} is {photo.width} × {photo.height}, its camera {camera.width} × {camera.height}",
+                "Give the cameras of these pictures.",
+            )
+        fitted = rescaled(camera, photo.height, photo.width)
+        if self.name == "release":
+            side = min(photo.height, photo.width)
+            top, left = (photo.height - side) // 2, (photo.width - side) // 2
+            principal = fitted.principal[0] - left, fitted.principal[1] - top
+            fitted = replace(fitted, principal=principal, height=side, width=side)
+        limit = RELEASE_SIDE if self.name == "release" else TEXT_SIDE
+        scale = min(1.0, limit / min(fitted.height, fitted.width))
+        return rescaled(fitted, round(fitted.height * scale), round(fitted.width * scale))
+
+    def truth(self, photo: Photo) -> Float[Tensor, "3 height width"]:
+        """What renders are held against, in [0, 1]."""
+        if self.name == "text":
+            return _tensor(photo.pixels)
+        return resized(_tensor(self.shown(photo).pixels), RELEASE_SCORED, RELEASE_SCORED)
+
+    def picture(self, gaussians: Gaussians, camera: PhotoCamera, photo: Photo) -> Float[Tensor, "3 height width"]:
+        """The render that `truth(photo)` is compared with; `camera` is that of `shown(photo)`, in the scene's frame."""
+        if self.name == "text":
+            return resized(photograph(gaussians, camera), photo.height, photo.width)
+        return photograph(gaussians, rescaled(camera, RELEASE_SCORED, RELEASE_SCORED))
+
+
+def photograph(gaussians: Gaussians, camera: PhotoCamera) -> Float[Tensor, "3 height width"]:
+    """The picture in [0, 1], on black, that `camera` takes with its lens.
+
+    A distorting lens sees a pinhole's render that covers it, resampled (bicubic).
+    """
+    K = np.array([[camera.focal[0], 0, camera.principal[0]], [0, camera.focal[1], camera.principal[1]], [0, 0, 1.0]])
+    if not any(camera.distortion):
+        return _render(gaussians, camera.w2c, K, camera.height, camera.width)
+    # OpenCV counts pixels from their centres, so its principal point lies half a pixel lower.
+    x, y = np.meshgrid(np.arange(camera.width, dtype=np.float64), np.arange(camera.height, dtype=np.float64))
+    half = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
+    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
+    pixels = np.stack([x, y], -1).reshape(-1, 1, 2)
+    straight = cv2.undistortPoints(pixels, K - half, np.array(camera.distortion), None, None, K - half, criteria)
+    straight = straight.reshape(camera.height, camera.width, 2)
+    border = 3  # what the bicubic filter reaches beyond the outermost pixel
+    corner = np.floor(straight.min((0, 1))).astype(int) - border
+    width, height = (np.ceil(straight.max((0, 1))).astype(int) + border + 1 - corner).tolist()
+    shifted = K - np.array([[0, 0, corner[0]], [0, 0, corner[1]], [0, 0, 0]])
+    wide = _render(gaussians, camera.w2c, shifted, height, width).permute(1, 2, 0).numpy()
+    columns, lines = np.moveaxis((straight - corner).astype(np.float32), -1, 0)
+    seen = cv2.remap(wide, columns, lines, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+    return torch.from_numpy(seen).permute(2, 0, 1).clamp(0, 1)
+
+
+def resized(image: Float[Tensor, "3 h w"], height: int, width: int) -> Float[Tensor, "3 height width"]:
+    """Bilinear, antialiased where it gets smaller; corners stay corners."""
+    if image.shape[1:] == (height, width):
+        return image
+    return F.interpolate(image[None], (height, width), mode="bilinear", antialias=True, align_corners=False)[0]
+
+
+def _render(gaussians: Gaussians, w2c: np.ndarray, K: np.ndarray, height: int, width: int) -> Tensor:
+    cameras = Cameras(torch.from_numpy(w2c).float()[None], torch.from_numpy(K).float()[None], height, width)
+    with torch.no_grad():
+        return render(gaussians, cameras).colour[0].clamp(0, 1)
+
+
+def _tensor(pixels: np.ndarray) -> Tensor:
+    return torch.from_numpy(np.ascontiguousarray(pixels)).permute(2, 0, 1).float() / 255
+
+
+def _bytes(image: Tensor) -> np.ndarray:
+    return (image.permute(1, 2, 0) * 255).round().to(torch.uint8).numpy()

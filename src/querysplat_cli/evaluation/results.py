@@ -1,0 +1,220 @@
+"""A run's folder: one folder for each case of each split of each row, as the release lays out its own.
+
+out/
+  splits/                        the splits, in the release's form and as index files
+  summary.json .md .csv
+  <row>/<split>/
+    run_config.json              what was run, on which split, with which checkpoint
+    <case>/metrics.json          scores by view, and the frames
+    <case>/timing.json           seconds by stage, peak memory, Gaussians
+    <case>/cameras.npz           the cameras of the scored pictures
+    <case>/failure.json          instead of these, where no scene could be made
+"""
+
+import hashlib
+import json
+import shutil
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import torch
+
+from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.evaluation.case import RowResult, ViewScore
+from querysplat_cli.evaluation.metrics import METRICS
+from querysplat_cli.evaluation.splits import GROUPS, Split
+from querysplat_cli.report import machine
+from querysplat_cli.scene.files import atomic_folder, atomic_path
+
+NOT_COMPARED = ("machine", "torch", "querysplat")
+"""What may differ between shards of one run."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """The folder of one row's results on one split."""
+
+    out: Path
+    row: str
+    split: str
+
+    @property
+    def folder(self) -> Path:
+        return self.out / self.row / self.split
+
+    def case(self, name: str) -> Path:
+        return self.folder / name
+
+    def is_done(self, name: str) -> bool:
+        return (self.case(name) / "metrics.json").is_file()
+
+
+def prepare(place: Place, config: dict[str, Any], *, force: bool) -> None:
+    """Write `config` where nothing is yet, or go on where the same was run before.
+
+    Raises QuerySplatError when something else was run there; `force` removes that instead.
+    """
+    file = place.folder / "run_config.json"
+    if place.folder.exists() and force:
+        shutil.rmtree(place.folder)
+    if file.is_file():
+        before = read_json(file)
+        changed = [key for key in config if key not in NOT_COMPARED and config[key] != before.get(key)]
+        if changed:
+            raise QuerySplatError(
+                f"{place.folder} was made with other settings ({', '.join(changed)})",
+                "Choose another output, or add --force to begin again.",
+            )
+        return
+    write_json(file, config)
+
+
+def run_config(settings: dict[str, Any], split: Split, protocol: str, lpips: dict[str, str]) -> dict[str, Any]:
+    """What tells one run from another, and what a reader wants to know of it. `settings` has the row's own."""
+    content = json.dumps(
+        [[case.name, *[[vars(ref) for ref in case.groups[g]] for g in GROUPS]] for case in split.cases]
+    )
+    return {
+        "settings": settings,
+        "protocol": protocol,
+        "split": {
+            "name": split.name,
+            "num_input_views": split.views,
+            "scale": split.scale,
+            "total_samples": len(split.cases),
+            "sha256": hashlib.sha256(content.encode()).hexdigest(),
+        },
+        "lpips": lpips,
+        "torch": torch.__version__,
+        "querysplat": version("querysplat"),
+        "machine": machine(),
+    }
+
+
+def checkpoint_sha256(preset: str) -> str | None:
+    """Of the weights' file: the bundled one of a preset, or the file that `preset` names."""
+    bundled = files("querysplat_cli") / "weights" / f"{preset}.safetensors"
+    file = bundled if bundled.is_file() else Path(preset)
+    if not file.is_file():
+        return None
+    digest = hashlib.sha256()
+    with file.open("rb") as stream:
+        for block in iter(lambda: stream.read(1 << 22), b""):
+            digest.update(block)
+    return digest.hexdigest()
+
+
+def write_case(folder: Path, scene: str, result: RowResult, *, pictures: bool) -> None:
+    """Write one case's scores, times and cameras, and its renders if `pictures`."""
+    with atomic_folder(folder) as draft:
+        metrics = {
+            "scene_id": scene,
+            "frames": {
+                group: [{"name": view.frame.name, "frame_index": view.frame.index} for view in views]
+                for group, views in result.views.items()
+            },
+            "per_view": {group: [vars(view.scores) for view in views] for group, views in result.views.items()},
+            "mean": {group: _mean(views) for group, views in result.views.items()},
+            "missing": result.missing,
+            "doubts": list(result.doubts),
+        }
+        write_json(draft / "metrics.json", metrics)
+        write_json(draft / "timing.json", _timing(result))
+        _write_cameras(draft / "cameras.npz", result)
+        if pictures:
+            for group, views in result.views.items():
+                for view in views:
+                    name = Path(view.frame.name).with_suffix(".png")
+                    _write_picture(draft / "rendered" / group / name, view.picture)
+
+
+def write_failure(folder: Path, scene: str, message: str, hint: str = "") -> None:
+    with atomic_folder(folder) as draft:
+        write_json(draft / "failure.json", {"scene_id": scene, "error": message, "hint": hint})
+
+
+def places(out: Path) -> list[Place]:
+    """Every row and split that `out` has results of."""
+    found = sorted(out.glob("*/*/run_config.json"))
+    return [Place(out, file.parent.parent.name, file.parent.name) for file in found]
+
+
+def merge(parts: Sequence[Path], out: Path) -> None:
+    """Put the results of several runs, for instance the shards of one, into `out`.
+
+    A case that several parts have is taken from the first that scored it. Raises QuerySplatError when a part has
+    no results, or two parts have run different things under one name.
+    """
+    for part in parts:
+        found = places(part)
+        if not found:
+            raise QuerySplatError(f"{part}: no results of `querysplat eval` in it", "Give the folders of the shards.")
+        for place in found:
+            mine = Place(out, place.row, place.split)
+            prepare(mine, read_json(place.folder / "run_config.json"), force=False)
+            for case in sorted(entry for entry in place.folder.iterdir() if entry.is_dir()):
+                if not case.name.startswith(".") and not mine.is_done(case.name):
+                    with atomic_folder(mine.case(case.name)) as draft:
+                        shutil.copytree(case, draft, dirs_exist_ok=True)
+
+
+def read_json(path: Path) -> Any:
+    """Raises QuerySplatError when the file cannot be read."""
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise QuerySplatError(f"{path}: damaged: {error}", "Remove its folder and run the command again.") from None
+
+
+def write_json(path: Path, content: Any) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_path(path) as draft:
+        draft.write_text(json.dumps(content, indent=1) + "\n")
+
+
+def _mean(views: Sequence[ViewScore]) -> dict[str, float | None]:
+    return {metric: mean(getattr(view.scores, metric) for view in views) for metric in METRICS}
+
+
+def mean(values: Iterable[float | None]) -> float | None:
+    """None where there is nothing to take the mean of."""
+    numbers = [value for value in values if value is not None]
+    return sum(numbers) / len(numbers) if numbers else None
+
+
+def _timing(result: RowResult) -> dict[str, Any]:
+    seconds = {stage: round(cost.seconds, 3) for stage, cost in result.costs.items()}
+    return {
+        "seconds": seconds | {"total": round(sum(seconds.values()), 3)},
+        "peak_memory_gib": max((round(cost.peak_gib, 3) for cost in result.costs.values()), default=None),
+        "gaussians": result.gaussians,
+        "machine": machine(),
+    }
+
+
+def _write_cameras(path: Path, result: RowResult) -> None:
+    views = [(group, view) for group, views in result.views.items() for view in views if view.camera]
+    lenses = [view.camera for _, view in views if view.camera]
+    np.savez(
+        path,
+        names=np.array([view.frame.name for _, view in views]),
+        groups=np.array([group for group, _ in views]),
+        w2c=np.array([lens.w2c for lens in lenses]).reshape(-1, 4, 4),
+        focal=np.array([lens.focal for lens in lenses]).reshape(-1, 2),
+        principal=np.array([lens.principal for lens in lenses]).reshape(-1, 2),
+        distortion=np.array([lens.distortion for lens in lenses]).reshape(-1, 4),
+        size=np.array([(lens.height, lens.width) for lens in lenses]).reshape(-1, 2),
+    )
+
+
+def _write_picture(path: Path, picture: torch.Tensor) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    pixels = (picture.permute(1, 2, 0) * 255).round().to(torch.uint8).numpy()
+    if not cv2.imwrite(str(path), pixels[..., ::-1]):
+        raise OSError(f"cannot write {path}")

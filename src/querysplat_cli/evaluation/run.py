@@ -1,0 +1,122 @@
+"""The story of `eval`: scenes and splits in, scores of every row on one scale out."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from traceback import format_exc
+from typing import Any
+
+from querysplat_cli.device import find_device
+from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.evaluation.case import CaseRunner
+from querysplat_cli.evaluation.lpips import LpipsFiles, find_lpips, load_lpips
+from querysplat_cli.evaluation.plan import EvalRequest, Job, plan_jobs, plan_rows, plan_splits
+from querysplat_cli.evaluation.predictions import score_prediction
+from querysplat_cli.evaluation.protocol import Protocol
+from querysplat_cli.evaluation.results import Place, write_case, write_failure
+from querysplat_cli.evaluation.splits import Split, spacing, write_index, write_split
+from querysplat_cli.evaluation.summary import summarise
+from querysplat_cli.evaluation.workers import Workers
+from querysplat_cli.pipeline import ReconstructSettings
+from querysplat_cli.progress import Stages
+from querysplat_cli.scene.files import check_writable
+from querysplat_cli.scene.formats.dataset import find_scenes
+from querysplat_cli.splat.compile_ahead import compile_ahead
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What every case of a run has in common."""
+
+    out: Path
+    protocol: Protocol
+    settings: ReconstructSettings
+    lpips: LpipsFiles | None
+    save_pictures: bool
+    predictions: Path | None
+
+
+def evaluate(request: EvalRequest, stages: Stages, say: Callable[[str], None]) -> dict[str, Any]:
+    """Run what is not done yet, and summarise all that `request.out` holds; `say` is told what is worth knowing.
+
+    Raises QuerySplatError on bad input. A case that fails is listed in the summary.
+    """
+    check_writable(request.out)
+    with stages("splits"):
+        scenes = {scene.name: scene for scene in find_scenes(request.scenes, request.pictures)}
+        for scene in scenes.values():
+            for note in scene.notes:
+                say(f"{scene.name}: {note}")
+        splits = plan_splits(request, list(scenes.values()), say)
+        for split in splits:
+            say(f"{split.name}: {len(split.cases)} cases, {spacing(split)}")
+    if request.splits_only:
+        _write_splits(request.out, splits)
+        return {"splits": [split.name for split in splits], "out": str(request.out)}
+    with stages("model"):
+        lpips = find_lpips(request.lpips, request.lpips_net)
+        if isinstance(lpips, LpipsFiles):
+            load_lpips(lpips)
+        else:
+            say(lpips)
+        table = plan_rows(request, scenes.values(), say)
+    jobs = plan_jobs(request, splits, scenes, table, lpips)
+    _write_splits(request.out, splits)
+    setup = Setup(
+        request.out,
+        request.protocol,
+        request.settings,
+        lpips if isinstance(lpips, LpipsFiles) else None,
+        request.save_pictures,
+        request.predictions,
+    )
+    with stages("cases") as progress:
+        finished = 0
+
+        def done(job: Job, died: str | None) -> None:
+            nonlocal finished
+            finished += 1
+            if died:
+                say(f"{job.split}, {job.case.name}: {died}")
+                for row in job.rows:
+                    place = Place(request.out, row.name, job.split)
+                    if not place.is_done(job.case.name):
+                        write_failure(place.case(job.case.name), job.case.scene, died)
+            progress(f"{finished} of {len(jobs)}: {job.split}, {job.case.name}", finished / len(jobs))
+
+        if jobs:
+            Workers(request.workers, handler, setup).run(jobs, done)
+    with stages("summary"):
+        return summarise(request.out)
+
+
+def handler(setup: Setup) -> Callable[[Job], None]:
+    """What a worker does with each job."""
+    lpips = load_lpips(setup.lpips) if setup.lpips else None
+    if find_device(setup.settings.device).type == "cpu" and not setup.predictions:
+        compile_ahead()
+    return partial(_work, setup, lpips)
+
+
+def _work(setup: Setup, lpips: Any, job: Job) -> None:
+    runner: CaseRunner | None = None
+    for row in job.rows:
+        folder = Place(setup.out, row.name, job.split).case(job.case.name)
+        try:
+            runner = runner or CaseRunner(job.groups, job.cameras, setup.protocol, setup.settings, lpips)
+            if setup.predictions:
+                result = score_prediction(runner, setup.predictions, job.split, job.case.name)
+            else:
+                result = runner.run(row)
+            write_case(folder, job.case.scene, result, pictures=setup.save_pictures)
+        except QuerySplatError as error:
+            write_failure(folder, job.case.scene, error.message, error.hint)
+        except Exception as error:
+            write_failure(folder, job.case.scene, f"a bug: {type(error).__name__}: {error}", format_exc())
+
+
+def _write_splits(out: Path, splits: Sequence[Split]) -> None:
+    for split in splits:
+        write_split(out / "splits" / f"{split.name}.json", split)
+        write_index(out / "splits" / f"{split.name}.index.json", split)

@@ -1,0 +1,212 @@
+"""What a run's folder adds up to: one table for each number of views, for people, spreadsheets and programs."""
+
+import csv
+import json
+import statistics
+from collections.abc import Iterable, Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from querysplat_cli.evaluation.metrics import METRICS
+from querysplat_cli.evaluation.results import Place, mean, places, read_json, write_json
+from querysplat_cli.evaluation.splits import GROUPS
+from querysplat_cli.scene.files import atomic_path
+
+COLUMNS = (
+    "row", "split", "views", "scale", "group", *METRICS, "scored", "asked", "cases", "failed",
+    "seconds_median", "seconds_low", "seconds_high", "gaussians_median", "peak_memory_gib",
+)  # fmt: skip
+TITLES = {"input": "input views", "interp": "interpolation", "extrap": "extrapolation"}
+DIGITS = {"psnr": 2, "ssim": 3, "lpips": 3}
+SCALE_ORDER = {"small": 0, "medium": 1, "large": 2}
+
+
+def summarise(out: Path) -> dict[str, Any]:
+    """Read every result below `out`, write summary.json, .csv and .md there, and return the first.
+
+    A split's figure is the mean over all scored views of all its cases; the average over splits of one number of
+    views is the mean of their figures (as in the release).
+    """
+    found = [summarise_place(place) for place in places(out)]
+    rows = [row for entry in found for row in entry["groups"]]
+    summary = {
+        "rows": rows,
+        "averages": averages(rows),
+        "failures": [failure for entry in found for failure in entry["failures"]],
+        "protocol": sorted({entry["config"]["protocol"] for entry in found}),
+        "lpips": sorted({_about_lpips(entry["config"]) for entry in found}),
+        "machine": sorted({entry["config"]["machine"] for entry in found}),
+        "quoted": published(),
+    }
+    write_json(out / "summary.json", summary)
+    write_table(out / "summary.csv", COLUMNS, rows)
+    with atomic_path(out / "summary.md") as draft:
+        draft.write_text(markdown(summary))
+    return summary
+
+
+def summarise_place(place: Place) -> dict[str, Any]:
+    """One row's figures on one split, group by group, and the cases that failed."""
+    config = read_json(place.folder / "run_config.json")
+    split = config["split"]
+    scores: dict[str, dict[str, list[float]]] = {group: {metric: [] for metric in METRICS} for group in GROUPS}
+    asked, timings, failures, cases = dict.fromkeys(GROUPS, 0), [], [], 0
+    for folder in sorted(entry for entry in place.folder.iterdir() if entry.is_dir() and entry.name[0] != "."):
+        if (folder / "failure.json").is_file():
+            failure = read_json(folder / "failure.json")
+            failures.append({"row": place.row, "split": place.split, "case": folder.name, "error": failure["error"]})
+            continue
+        metrics = read_json(folder / "metrics.json")
+        timings.append(read_json(folder / "timing.json"))
+        cases += 1
+        for group, views in metrics["per_view"].items():
+            asked[group] += len(views) + len(metrics["missing"].get(group, {}))
+            for view in views:
+                for metric in METRICS:
+                    if view[metric] is not None:
+                        scores[group][metric].append(view[metric])
+    seconds = [timing["seconds"]["total"] for timing in timings if len(timing["seconds"]) > 1]
+    low, middle, high = spread(seconds)
+    common = {
+        "row": place.row,
+        "split": place.split,
+        "views": split["num_input_views"],
+        "scale": split["scale"],
+        "cases": cases,
+        "failed": len(failures),
+        "seconds_median": middle,
+        "seconds_low": low,
+        "seconds_high": high,
+        "gaussians_median": spread(known(timing["gaussians"] for timing in timings))[1],
+        "peak_memory_gib": max(known(timing["peak_memory_gib"] for timing in timings), default=None),
+    }
+    groups = [
+        {
+            **common,
+            "group": group,
+            **{metric: mean(scores[group][metric]) for metric in METRICS},
+            "scored": len(scores[group]["psnr"]),
+            "asked": asked[group],
+        }
+        for group in GROUPS
+        if asked[group] or failures
+    ]
+    return {"config": config, "groups": groups, "failures": failures}
+
+
+def averages(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """For each row, number of views and group: the mean of the splits' figures."""
+    together: dict[tuple[str, int, str], list[dict[str, Any]]] = {}
+    for row in rows:
+        together.setdefault((row["row"], row["views"], row["group"]), []).append(row)
+    return [
+        {
+            "row": name,
+            "views": views,
+            "group": group,
+            "splits": sum(part["scored"] > 0 for part in parts),
+            **{metric: mean(part[metric] for part in parts) for metric in METRICS},
+            **{key: sum(part[key] for part in parts) for key in ("scored", "asked", "cases", "failed")},
+            "seconds_median": mean(part["seconds_median"] for part in parts),
+            "gaussians_median": mean(part["gaussians_median"] for part in parts),
+            "peak_memory_gib": max(known(part["peak_memory_gib"] for part in parts), default=None),
+        }
+        for (name, views, group), parts in together.items()
+    ]
+
+
+def published() -> dict[str, Any]:
+    """The paper's rows, with their source: quoted, never measured."""
+    content: dict[str, Any] = json.loads((files("querysplat_cli.evaluation") / "published.json").read_text())
+    return content
+
+
+def markdown(summary: dict[str, Any]) -> str:
+    """The averages, the splits, what is quoted, and what failed."""
+    parts = [f"Protocol: {', '.join(summary['protocol'])}. Machine: {'; '.join(summary['machine'])}.", ""]
+    parts += [f"LPIPS: {text}." for text in summary["lpips"]]
+    parts += ["", "Each cell is PSNR in dB / SSIM / LPIPS, the mean over the views that were scored."]
+    for views in sorted({row["views"] for row in summary["averages"]}):
+        rows = [row for row in summary["averages"] if row["views"] == views]
+        parts += ["", f"## {views} views, average of the splits", "", *_table(rows)]
+        quoted = [row for row in summary["quoted"]["rows"] if row["views"] == views]
+        if quoted:
+            parts += ["", f"*Quoted, not measured here ({summary['quoted']['note']}):*", ""]
+            parts += ["| method | views | PSNR / SSIM / LPIPS | where |", "| --- | --- | --- | --- |"]
+            parts += [f"| {row['method']} | {TITLES[row['group']]} | {cell(row)} | {row['where']} |" for row in quoted]
+    by_split = sorted(summary["rows"], key=lambda row: (row["views"], SCALE_ORDER.get(row["scale"], 9), row["split"]))
+    for split in dict.fromkeys(row["split"] for row in by_split):
+        rows = [row for row in by_split if row["split"] == split]
+        parts += ["", f"## {split}", "", *_table(rows)]
+    if summary["failures"]:
+        parts += ["", "## Failed cases", ""]
+        parts += [f"- {each['row']}, {each['split']}, {each['case']}: {each['error']}" for each in summary["failures"]]
+    return "\n".join(parts) + "\n"
+
+
+def cell(row: dict[str, Any]) -> str:
+    """PSNR / SSIM / LPIPS, a dash for what there is not."""
+    return " / ".join("–" if row[metric] is None else f"{row[metric]:.{DIGITS[metric]}f}" for metric in METRICS)
+
+
+def spread(values: Sequence[float]) -> tuple[float | None, float | None, float | None]:
+    """Lower quartile, median, upper quartile."""
+    if not values:
+        return None, None, None
+    if len(values) == 1:
+        return values[0], values[0], values[0]
+    low, middle, high = statistics.quantiles(values, n=4, method="inclusive")
+    return low, middle, high
+
+
+def write_table(path: Path, columns: Sequence[str], rows: Sequence[dict[str, Any]]) -> None:
+    """A CSV with a header."""
+    with atomic_path(path) as draft, draft.open("w", newline="") as file:
+        table = csv.DictWriter(file, columns, extrasaction="ignore")
+        table.writeheader()
+        table.writerows(rows)
+
+
+def _table(rows: Sequence[dict[str, Any]]) -> list[str]:
+    by_row: dict[str, dict[str, dict[str, Any]]] = {}
+    for row in rows:
+        by_row.setdefault(row["row"], {})[row["group"]] = row
+    groups = [group for group in GROUPS if any(group in cells for cells in by_row.values())]
+    titles = [
+        "row",
+        *(TITLES[group] for group in groups),
+        "views scored",
+        "cases failed",
+        "seconds",
+        "Gaussians",
+        "GiB",
+    ]
+    lines = [f"| {' | '.join(titles)} |", f"|{' --- |' * len(titles)}"]
+    for name, cells in by_row.items():
+        some = next(iter(cells.values()))
+        scored, asked = (sum(part[key] for part in cells.values()) for key in ("scored", "asked"))
+        numbers = [
+            *(cell(cells[group]) if group in cells else "–" for group in groups),
+            f"{scored} of {asked}",
+            f"{some['failed']} of {some['failed'] + some['cases']}",
+            _number(some["seconds_median"], ".1f"),
+            _number(some["gaussians_median"], ",.0f"),
+            _number(some["peak_memory_gib"], ".2f"),
+        ]
+        lines.append(f"| {name} | {' | '.join(numbers)} |")
+    return lines
+
+
+def known(values: Iterable[float | None]) -> list[float]:
+    """The values that are there."""
+    return [float(value) for value in values if value is not None]
+
+
+def _number(value: float | None, form: str) -> str:
+    return "–" if value is None else format(value, form)
+
+
+def _about_lpips(config: dict[str, Any]) -> str:
+    about = config["lpips"]
+    return f"with {about['net']}" if "net" in about else str(about["missing"])

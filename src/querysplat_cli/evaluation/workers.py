@@ -1,0 +1,156 @@
+"""Cases in worker processes: they run side by side, and a case that brings its process down takes no other with it."""
+
+import os
+import queue
+import signal
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from typing import Any, Generic, TypeVar
+
+Job = TypeVar("Job")
+THREAD_LIMITS = ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "MKL_NUM_THREADS")
+GRACE = 5.0
+"""Seconds that a stopped worker has to put its files away."""
+
+
+class Workers(Generic[Job]):
+    """`count` processes that call `handler(setup)(job)`; `setup` and jobs are pickled.
+
+    Each process is used for many jobs and started anew after a crash. The machine's cores are shared out
+    among them, unless the user has set a limit of threads.
+    """
+
+    def __init__(self, count: int, handler: Callable[[Any], Callable[[Job], None]], setup: Any) -> None:
+        self._count, self._handler, self._setup = count, handler, setup
+        self._running: list[Any] = []
+        self._stopped = False
+        self._starting = threading.Lock()
+
+    def run(self, jobs: Sequence[Job], done: Callable[[Job, str | None], None]) -> None:
+        """Work through `jobs`; `done(job, why)` is called for each, `why` saying how its process came to an end.
+
+        `done` is never called twice at a time. On an exception, all processes are stopped; Ctrl-C and a scheduler's
+        SIGTERM are one. Call it from the main thread.
+        """
+        before = _on_termination(_interrupt)
+        waiting: queue.SimpleQueue[Job] = queue.SimpleQueue()
+        for job in jobs:
+            waiting.put(job)
+        finished: queue.SimpleQueue[tuple[Job, str | None]] = queue.SimpleQueue()
+        threads = [
+            threading.Thread(target=self._drive, args=(waiting, finished), daemon=True)
+            for _ in range(min(self._count, len(jobs)))
+        ]
+        with _shared_cores(len(threads)):
+            try:
+                for thread in threads:
+                    thread.start()
+                for _ in jobs:
+                    done(*finished.get())
+                for thread in threads:
+                    thread.join()
+            finally:
+                self._stop()
+                signal.signal(signal.SIGTERM, before or signal.SIG_DFL)
+
+    def _drive(self, waiting: "queue.SimpleQueue[Job]", finished: "queue.SimpleQueue[tuple[Job, str | None]]") -> None:
+        worker = None
+        while not self._stopped:
+            try:
+                job = waiting.get_nowait()
+            except queue.Empty:
+                break
+            worker = worker or self._start()
+            if worker is None:
+                break
+            process, pipe = worker
+            try:
+                pipe.send(job)
+                pipe.recv()
+                finished.put((job, None))
+            except (EOFError, OSError):
+                process.join()
+                worker = None
+                finished.put((job, _last_words(process.exitcode)))
+        if worker:
+            worker[1].close()
+            worker[0].join()
+
+    def _start(self) -> tuple[Any, Connection] | None:
+        context = get_context("spawn")
+        with self._starting:  # so that none starts while all are being stopped
+            if self._stopped:
+                return None
+            ours, theirs = context.Pipe()
+            process = context.Process(target=_serve, args=(theirs, self._handler, self._setup), daemon=True)
+            process.start()
+            theirs.close()
+            self._running.append(process)
+        return process, ours
+
+    def _stop(self) -> None:
+        with self._starting:
+            self._stopped = True
+        for process in self._running:
+            if process.is_alive():
+                process.terminate()
+        for process in self._running:
+            process.join(GRACE)
+            if process.is_alive():
+                process.kill()
+                process.join()
+
+
+def _serve(pipe: Connection, handler: Callable[[Any], Callable[[Any], None]], setup: Any) -> None:
+    # Ctrl-C reaches every process of a terminal; the first one decides, and files are put away on its word.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    handle = handler(setup)
+    _on_termination(lambda *_: sys.exit(128 + signal.SIGTERM))
+    while True:
+        try:
+            job = pipe.recv()
+        except EOFError:
+            return
+        handle(job)
+        pipe.send(None)
+
+
+def _on_termination(action: Callable[..., None]) -> Any:
+    """Take SIGTERM, also from pycolmap, which takes it when it is imported, and dies of it with a dump of the stack.
+
+    Returns what was there before.
+    """
+    import pycolmap  # noqa: F401
+
+    return signal.signal(signal.SIGTERM, action)
+
+
+def _interrupt(*_: object) -> None:
+    raise KeyboardInterrupt
+
+
+def _last_words(code: int | None) -> str:
+    if code is not None and code < 0:
+        name = signal.Signals(-code).name
+        killed = "; the machine may be out of memory: use fewer --workers" if name == "SIGKILL" else ""
+        return f"its process was ended by {name}{killed}"
+    return f"its process ended with code {code}"
+
+
+class _shared_cores:
+    """While it lasts, processes that are started take their share of the cores."""
+
+    def __init__(self, workers: int) -> None:
+        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        share = str(max(1, cores // max(1, workers)))
+        self._limits = {name: share for name in THREAD_LIMITS if name not in os.environ} if workers > 1 else {}
+
+    def __enter__(self) -> None:
+        os.environ.update(self._limits)
+
+    def __exit__(self, *exception: object) -> None:
+        for name in self._limits:
+            del os.environ[name]

@@ -1,0 +1,91 @@
+"""Smaller files of Gaussians through gsply: .spz (Niantic), read and written, and .sog (PlayCanvas), read.
+
+Both are lossy: 8 bits of opacity, logarithmic scale and colour; .spz clamps SH beyond the first to [−1, 1). Axes are
+those of the file: SPZ's are x right, y up, z backward by its specification, a .sog's those of the .ply it was made of.
+"""
+
+import math
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from querysplat_cli.errors import MissingPart, QuerySplatError
+from querysplat_cli.scene.files import atomic_path
+from querysplat_cli.scene.formats.ply import HIGHEST_OPACITY, export_rows
+from querysplat_cli.scene.gaussians import Gaussians
+
+SPZ_BITS = 24
+"""Of a coordinate, sign included; how many of them are fractional is chosen by the scene's size."""
+MOST_FRACTIONAL_BITS = 20
+
+
+def read_spz(path: Path) -> Gaussians:
+    """The Gaussians of an .spz file, version 1 to 4.
+
+    Raises MissingPart without gsply, QuerySplatError when the file is damaged.
+    """
+    gsply = _gsply()
+    try:
+        return _gaussians(gsply.read_spz(path))
+    except Exception as error:  # whatever the damage makes the decoder trip over
+        raise QuerySplatError(f"{path}: damaged, or no .spz: {error}", "Export it again.") from error
+
+
+def write_spz(path: Path, gaussians: Gaussians) -> int:
+    """Write version 3, which all readers know; returns how many Gaussians are in the file (finite ones)."""
+    gsply = _gsply()
+    rows = _finite_rows(gaussians)
+    reach = float(np.abs(rows[:, :3]).max(initial=1e-30))
+    bits = SPZ_BITS - 1 - max(0, math.ceil(math.log2(reach + 1e-30)))
+    bands = (rows.shape[1] - 14) // 3
+    data = gsply.GSData.from_arrays(
+        means=rows[:, :3],
+        scales=rows[:, -7:-4],
+        quats=rows[:, -4:],
+        opacities=rows[:, -8],
+        sh0=rows[:, 3:6],
+        shN=rows[:, 6:-8].reshape(len(rows), 3, bands).swapaxes(1, 2),
+        format="ply",
+    )
+    with atomic_path(path) as draft:
+        gsply.write_spz(draft, data, version=3, fractional_bits=min(max(bits, 1), MOST_FRACTIONAL_BITS))
+    return len(rows)
+
+
+def read_sog(path: Path) -> Gaussians:
+    """The Gaussians of a .sog file. Raises MissingPart without gsply's part for it, QuerySplatError when damaged."""
+    gsply = _gsply()
+    try:
+        return _gaussians(gsply.sogread(path))
+    except ImportError as error:
+        raise _missing("gsply[sogs]") from error
+    except Exception as error:  # whatever the damage makes the decoder trip over
+        raise QuerySplatError(f"{path}: damaged, or no .sog: {error}", "Export it again.") from error
+
+
+def _gsply() -> Any:
+    try:
+        return import_module("gsply")
+    except ImportError:
+        raise _missing("gsply") from None
+
+
+def _missing(part: str) -> MissingPart:
+    return MissingPart(f"this format needs {part}", "pip install 'querysplat[formats]'")
+
+
+def _finite_rows(gaussians: Gaussians) -> np.ndarray:
+    rows = export_rows(gaussians).numpy()
+    return np.ascontiguousarray(rows[np.isfinite(rows).all(1)])
+
+
+def _gaussians(data: Any) -> Gaussians:
+    """From gsply's container: logits, logarithms, [n, bands, 3]."""
+    colour, rest = data.sh0[:, None], data.shN
+    bands = colour if rest is None or rest.size == 0 else np.concatenate([colour, rest], 1)
+    parts = [data.means, data.quats, np.exp(data.scales), 1 / (1 + np.exp(-data.opacities.reshape(-1))), bands]
+    means, quats, scales, opacities, sh = (torch.from_numpy(np.array(part, dtype=np.float32)) for part in parts)
+    return Gaussians(means, quats, scales, opacities.clamp(1e-8, HIGHEST_OPACITY), sh)

@@ -1,0 +1,201 @@
+"""Captured scenes as datasets keep them: DL3DV, nerfstudio, COLMAP, plain photos; folders and zips."""
+
+import json
+import shutil
+import zipfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from importlib.resources.abc import Traversable
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.scene.cameras import PhotoCamera
+from querysplat_cli.scene.formats.colmap import MODEL_FOLDERS, read_colmap
+from querysplat_cli.scene.formats.transforms import is_rigid, read_transforms
+from querysplat_cli.scene.photos import SUFFIXES, natural_key
+
+PICTURE_FOLDERS = ("images_4", "images_2", "images", "images_8")
+"""DL3DV's sizes in the order of preference: 960 × 540 is what its users evaluate with."""
+HOMES = ("", "nerfstudio", "colmap", "gaussian_splat")
+"""Where in a scene's folder DL3DV's releases (10K, Benchmark and sample) keep pictures and cameras."""
+DEPTH = 2
+"""A dataset's scenes lie this deep at most: subset / hash."""
+MODEL_FILES = tuple(f"{part}{suffix}" for part in ("cameras", "images", "points3D") for suffix in (".bin", ".txt"))
+
+
+@dataclass(frozen=True)
+class ZipMember:
+    """A file in a zip."""
+
+    archive: Path
+    member: str
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One photo of a scene: its number in the dataset's own list, its short name, its folder's name, and the file."""
+
+    index: int
+    name: str
+    folder: str
+    file: Path | ZipMember
+
+
+@dataclass(frozen=True)
+class CapturedScene:
+    """The photos of one scene in natural order, those that are on disk, and the dataset's cameras by name.
+
+    `cameras` is empty where the dataset has none; cameras that are no rigid motion are not in it. `notes`
+    are sentences about what is missing or unusual.
+    """
+
+    name: str
+    frames: tuple[Frame, ...]
+    cameras: dict[str, PhotoCamera]
+    notes: tuple[str, ...]
+
+
+def find_scenes(places: Sequence[Path], pictures: str = PICTURE_FOLDERS[0]) -> list[CapturedScene]:
+    """Every scene in `places`: scene folders, zips of scenes, or folders of those, by name in natural order.
+
+    `pictures` is the folder of pictures to take (images_4, …); where a scene lacks it another one is
+    taken, with a note. Raises QuerySplatError when a place is missing, damaged or holds no scene, and when two
+    scenes have one name.
+    """
+    scenes: dict[str, CapturedScene] = {}
+    for place in places:
+        if not place.exists():
+            raise QuerySplatError(f"{place}: no such file or folder", "Give a scene, or a folder of scenes.")
+        found = list(_scenes(_opened(place), _stem(place.resolve()), pictures, DEPTH))
+        if not found:
+            raise QuerySplatError(
+                f"{place}: no scene in it", "A scene is a folder of pictures, or has images_4 and a transforms.json."
+            )
+        for scene in found:
+            if scene.name in scenes:
+                raise QuerySplatError(f"two scenes are called {scene.name}", "Give each scene once.")
+            scenes[scene.name] = scene
+    return sorted(scenes.values(), key=lambda scene: natural_key(Path(scene.name)))
+
+
+def fetch(frames: Sequence[Frame], scratch: Path) -> list[Path]:
+    """A file on disk for each frame; those in a zip are copied into the folder `scratch`."""
+    files = []
+    for frame in frames:
+        if isinstance(frame.file, Path):
+            files.append(frame.file)
+            continue
+        copy = scratch / f"{frame.index:06d}" / Path(frame.name).name
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        with (
+            zipfile.ZipFile(frame.file.archive) as archive,
+            archive.open(frame.file.member) as source,
+            copy.open("wb") as target,
+        ):
+            shutil.copyfileobj(source, target)
+        files.append(copy)
+    return files
+
+
+def _opened(place: Path) -> Traversable:
+    if place.is_dir():
+        return place
+    try:
+        return zipfile.Path(place)
+    except (zipfile.BadZipFile, OSError) as error:
+        raise QuerySplatError(f"{place}: no folder, and no zip: {error}", "Give a folder or a .zip.") from None
+
+
+def _stem(place: Traversable) -> str:
+    return place.name.removesuffix(".zip")
+
+
+def _scenes(place: Traversable, name: str, pictures: str, depth: int) -> Iterator[CapturedScene]:
+    scene = _scene(place, name, pictures)
+    if scene:
+        yield scene
+    elif depth:
+        for entry in sorted(place.iterdir(), key=lambda entry: entry.name):
+            if entry.name.startswith("."):
+                continue
+            if entry.is_dir():
+                yield from _scenes(entry, entry.name, pictures, depth - 1)
+            elif isinstance(entry, Path) and entry.suffix.lower() == ".zip":
+                yield from _scenes(_opened(entry), _stem(entry), pictures, depth - 1)
+
+
+def _scene(place: Traversable, name: str, pictures: str) -> CapturedScene | None:
+    for home in (_inside(place, part) for part in HOMES):
+        folders = [folder for folder in (pictures, *PICTURE_FOLDERS) if _inside(home, folder).is_dir()]
+        if (home / "transforms.json").is_file() or folders:
+            return _read(home, name, folders[0] if folders else None, pictures)
+    if any(_is_picture(entry) for entry in place.iterdir()):
+        return _read(place, name, None, pictures)
+    return None
+
+
+def _read(home: Traversable, name: str, folder: str | None, wanted: str) -> CapturedScene:
+    notes = []
+    place = _inside(home, folder or "")
+    cameras, paths = _cameras(home)
+    if cameras and folder not in (None, wanted):
+        notes.append(f"no {wanted}: its pictures are those of {folder}")
+    if cameras:
+        frames = []
+        for index, (short, path) in enumerate(zip(cameras, paths, strict=True)):
+            # The folder in the file is that of the full-size pictures, which often are not there.
+            file = next((file for file in (_inside(place, short), _inside(home, path)) if file.is_file()), None)
+            if file is not None:
+                frames.append(_frame(index, short, folder, file))
+        if len(frames) < len(cameras):
+            notes.append(f"{len(cameras) - len(frames)} of {len(cameras)} listed frames are not on disk")
+    else:
+        files = sorted(filter(_is_picture, place.iterdir()), key=lambda entry: natural_key(Path(entry.name)))
+        frames = [_frame(index, entry.name, folder, entry) for index, entry in enumerate(files)]
+    sound = {short: camera for short, camera in cameras.items() if is_rigid(camera.w2c)}
+    if len(sound) < len(cameras):
+        notes.append(f"{len(cameras) - len(sound)} cameras are no rigid motions, and not used")
+    ordered = sorted(frames, key=lambda frame: natural_key(Path(frame.name)))
+    return CapturedScene(name, tuple(ordered), sound, tuple(notes))
+
+
+def _frame(index: int, name: str, folder: str | None, file: Traversable) -> Frame:
+    if isinstance(file, zipfile.Path):
+        return Frame(index, name, folder or "", ZipMember(Path(str(file.root.filename)), file.at))
+    return Frame(index, name, folder or "", Path(str(file)))
+
+
+def _cameras(home: Traversable) -> tuple[dict[str, PhotoCamera], list[str]]:
+    """The dataset's cameras by short name, in its order, and the paths that it gives for the pictures."""
+    with TemporaryDirectory() as scratch:
+        listing = home / "transforms.json"
+        if listing.is_file():
+            copy = _copied(listing, Path(scratch))
+            return read_transforms(copy), [frame["file_path"] for frame in json.loads(copy.read_bytes())["frames"]]
+        for part in MODEL_FOLDERS:
+            model = _inside(home, part)
+            files = [model / file for file in MODEL_FILES if (model / file).is_file()] if model.is_dir() else []
+            if any(file.name.startswith("images.") for file in files):
+                for file in files:
+                    _copied(file, Path(scratch))
+                cameras = read_colmap(Path(scratch))
+                return cameras, list(cameras)
+    return {}, []
+
+
+def _copied(file: Traversable, folder: Path) -> Path:
+    copy = folder / file.name
+    copy.write_bytes(file.read_bytes())
+    return copy
+
+
+def _inside(place: Traversable, part: str) -> Traversable:
+    # A zip's paths have no empty parts and no "./".
+    for step in (step for step in part.split("/") if step not in ("", ".")):
+        place = place / step
+    return place
+
+
+def _is_picture(entry: Traversable) -> bool:
+    return entry.is_file() and not entry.name.startswith(".") and Path(entry.name).suffix.lower() in SUFFIXES

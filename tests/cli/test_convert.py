@@ -1,0 +1,159 @@
+"""`querysplat convert` and `querysplat poses`, as they are typed."""
+
+import json
+from itertools import pairwise
+from pathlib import Path
+
+import pycolmap
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from querysplat_cli.cli import run
+from querysplat_cli.errors import ExitCode
+from querysplat_cli.scene.cameras import PhotoCamera
+from querysplat_cli.scene.formats.known import read_known_cameras
+from querysplat_cli.scene.formats.ply import read_ply, write_ply
+from querysplat_cli.scene.formats.transforms import write_transforms
+from querysplat_cli.scene.gaussians import Gaussians
+
+
+def cameras(count: int = 4) -> dict[str, PhotoCamera]:
+    found = {}
+    for i in range(count):
+        w2c = torch.eye(4, dtype=torch.float64).numpy()
+        w2c[:3, :3] = Rotation.random(random_state=i).as_matrix()
+        w2c[:3, 3] = [i, 0.1 * i * i, 2]
+        lens = (0.1, -0.05, 0.001, 0.002) if i % 2 else (0.0, 0.0, 0.0, 0.0)
+        found[f"photo_{i}.jpg"] = PhotoCamera(w2c, (500.0, 510.0), (320.0, 241.0), lens, 480, 640)
+    return found
+
+
+def write_gaussians(path: Path, means: list[list[float]]) -> None:
+    count = len(means)
+    generator = torch.Generator().manual_seed(0)
+    write_ply(
+        path,
+        Gaussians(
+            torch.tensor(means),
+            torch.randn(count, 4, generator=generator),
+            torch.full((count, 3), 0.1),
+            torch.full((count,), 0.5),
+            0.1 * torch.randn(count, 4, 3, generator=generator),
+        ),
+    )
+
+
+def test_cameras_go_round(tmp_path: Path) -> None:
+    """transforms.json → COLMAP binary → COLMAP text → transforms.json."""
+    stations = [tmp_path / "a.json", tmp_path / "binary", tmp_path / "text", tmp_path / "b.json"]
+    write_transforms(stations[0], cameras())
+    for source, target in pairwise(stations):
+        assert run(["convert", str(source), str(target), "-q", *(["--text"] if target.name == "text" else [])]) == 0
+    assert {path.suffix for path in stations[1].iterdir()} == {".bin"}
+    assert {path.suffix for path in stations[2].iterdir()} == {".txt"}
+    for station in stations[1:]:
+        found = read_known_cameras(station)
+        assert found.keys() == cameras().keys()
+        for name, camera in cameras().items():
+            assert found[name].focal == pytest.approx(camera.focal)
+            assert found[name].principal == pytest.approx(camera.principal)
+            assert found[name].distortion == pytest.approx(camera.distortion)
+            assert found[name].w2c == pytest.approx(camera.w2c, abs=1e-9)
+    assert len(pycolmap.Reconstruction(stations[1]).cameras) == 2  # equal lenses are one camera
+
+
+def test_a_colmap_models_points_stay(tmp_path: Path) -> None:
+    write_transforms(tmp_path / "a.json", cameras())
+    assert run(["convert", str(tmp_path / "a.json"), str(tmp_path / "binary"), "-q"]) == 0
+    model = pycolmap.Reconstruction(tmp_path / "binary")
+    model.add_point3D([1.0, 2, 3], pycolmap.Track(), [9, 8, 7])
+    model.write_binary(tmp_path / "binary")
+    assert run(["convert", str(tmp_path / "binary"), str(tmp_path / "text"), "--text", "-q"]) == 0
+    assert [list(point.xyz) for point in pycolmap.Reconstruction(tmp_path / "text").points3D.values()] == [[1, 2, 3]]
+
+
+@pytest.mark.parametrize(
+    ("axis", "up"),
+    [("z", [0, 0, 1]), ("-z", [0, 0, -1]), ("x", [1, 0, 0]), ("-x", [-1, 0, 0]), ("y", [0, 1, 0]), ("-y", [0, -1, 0])],
+)
+def test_up_becomes_minus_y(tmp_path: Path, axis: str, up: list[float]) -> None:
+    write_gaussians(tmp_path / "a.ply", [[float(part) for part in up], [0.0, 0.0, 0.0], [1.0, 2.0, 3.0]])
+    assert run(["convert", str(tmp_path / "a.ply"), str(tmp_path / "b.ply"), "--up", axis, "--scale", "2", "-q"]) == 0
+    turned = read_ply(tmp_path / "b.ply")
+    assert turned.means[0].tolist() == pytest.approx([0, -2, 0], abs=1e-6)
+    assert float(turned.means[2].norm()) == pytest.approx(2 * 14**0.5, rel=1e-6)
+    assert turned.scales[0].tolist() == pytest.approx([0.2, 0.2, 0.2], rel=1e-5)
+
+
+def test_crop(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_gaussians(tmp_path / "a.ply", [[0.0, 0.0, 0.0], [1.0, 1.0, 1.0], [5.0, 0.0, 0.0]])
+    arguments = ["convert", str(tmp_path / "a.ply"), str(tmp_path / "b.ply")]
+    assert run([*arguments, "--scale", "2", "--crop=-1,-1,-1,3,3,3", "--json", "-q"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert (said["gaussians"], said["left_out"]) == (2, 1)
+    assert read_ply(tmp_path / "b.ply").means.tolist() == [[0, 0, 0], [2, 2, 2]]
+    assert run([*arguments, "--crop=9,9,9,10,10,10", "--force"]) == ExitCode.BAD_INPUT
+    assert len(read_ply(tmp_path / "b.ply")) == 2
+
+
+def test_spz_is_turned_to_its_own_axes_and_back(tmp_path: Path) -> None:
+    """SPZ specifies y up and z backward; .ply viewers take y down and z forward."""
+    gsply = pytest.importorskip("gsply")
+    write_gaussians(tmp_path / "a.ply", [[1.0, 2.0, 3.0], [0.5, -0.25, 1.0]])
+    assert run(["convert", str(tmp_path / "a.ply"), str(tmp_path / "a.spz"), "-q"]) == 0
+    assert gsply.read_spz(tmp_path / "a.spz").means[0].tolist() == pytest.approx([1, -2, -3], abs=1e-4)
+    assert run(["convert", str(tmp_path / "a.spz"), str(tmp_path / "b.ply"), "-q"]) == 0
+    first, second = read_ply(tmp_path / "a.ply"), read_ply(tmp_path / "b.ply")
+    torch.testing.assert_close(second.means, first.means, atol=1e-4, rtol=0)
+    torch.testing.assert_close(second.sh, first.sh, atol=0.02, rtol=0)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["nowhere.ply", "b.ply"],
+        ["a.ply", "b.obj"],
+        ["a.ply", "b.sog"],
+        ["a.ply", "b.ply", "--scale", "0"],
+        ["a.ply", "b.ply", "--crop", "1,2,3"],
+        ["a.ply", "b.ply", "--crop", "1,0,0,0,1,1"],
+        ["a.json", "b.txt"],
+        ["a.json", "b.json", "--up", "z"],
+        ["nowhere.json", "b.json"],
+    ],
+)
+def test_bad_requests_write_nothing(
+    arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_gaussians(Path("a.ply"), [[0.0, 0.0, 0.0]])
+    write_transforms(Path("a.json"), cameras())
+    assert run(["convert", *arguments]) == ExitCode.BAD_INPUT
+    assert capsys.readouterr().err.count("error: ") == 1
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.json", "a.ply"]
+
+
+def test_nothing_is_replaced_unasked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_gaussians(tmp_path / "a.ply", [[0.0, 0.0, 0.0]])
+    (tmp_path / "b.ply").write_text("mine")
+    assert run(["convert", str(tmp_path / "a.ply"), str(tmp_path / "b.ply")]) == ExitCode.BAD_INPUT
+    assert (tmp_path / "b.ply").read_text() == "mine"
+    assert "there already" in capsys.readouterr().err
+
+
+def test_poses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_transforms(tmp_path / "a.json", cameras(6))
+    assert run(["convert", str(tmp_path / "a.json"), str(tmp_path / "model"), "-q"]) == 0
+    plot = tmp_path / "tracks.svg"
+    arguments = ["poses", str(tmp_path / "a.json"), str(tmp_path / "model"), "--json", "-q", "--plot", str(plot)]
+    assert run(arguments) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["photos"] == 6
+    assert said["ate"] < 1e-9
+    assert said["auc_5"] == pytest.approx(100, abs=1e-3)
+    assert plot.is_file()
+    assert run(arguments) == ExitCode.BAD_INPUT
+    assert "there already" in capsys.readouterr().err
+    assert run(["poses", str(tmp_path / "a.json")]) == ExitCode.BAD_INPUT
+    assert "--colmap" in capsys.readouterr().err

@@ -1,0 +1,166 @@
+"""`querysplat eval` on a made-up scene in DL3DV's form, as it is typed."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from querysplat_cli.cli import run
+from querysplat_cli.errors import ExitCode
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "evaluation"))
+from evaluation_scenes import write_room
+
+FRAMES = 20
+OPTIONS = ["--views", "4", "--scales", "small", "--cases", "1", "--tto", "0,4", "--quiet"]
+ROWS = {f"{cameras}_{row}" for cameras in ("free", "posed") for row in ("depth", "tto=0", "tto=4")}
+
+
+@pytest.fixture(scope="module")
+def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    home = tmp_path_factory.mktemp("data") / "rooms" / "room1"
+    write_room(home, FRAMES)
+    return home.parent
+
+
+@pytest.fixture(scope="module")
+def evaluated(room: Path) -> tuple[Path, dict[str, Any]]:
+    out = room.parent / "out"
+    command = [sys.executable, "-m", "querysplat_cli", "eval", str(room), "-o", str(out), "--json", *OPTIONS]
+    done = subprocess.run([*command, "--save-pictures"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    return out, json.loads(done.stdout)
+
+
+def files(out: Path) -> dict[str, int]:
+    return {str(path.relative_to(out)): path.stat().st_mtime_ns for path in out.rglob("metrics.json")}
+
+
+def test_every_row_has_every_view(evaluated: tuple[Path, dict[str, Any]]) -> None:
+    out, summary = evaluated
+    assert summary == json.loads((out / "summary.json").read_text())
+    assert {row["row"] for row in summary["rows"]} == ROWS
+    assert summary["failures"] == []
+    for row in summary["rows"]:
+        assert (row["scored"], row["asked"], row["cases"]) == (4, 4, 1), row
+    psnr = {(row["row"], row["group"]): row["psnr"] for row in summary["averages"]}
+    for cameras in ("free", "posed"):
+        # More steps fit the inputs better; what was not shown is harder, and the cameras of it are right.
+        assert psnr[f"{cameras}_tto=4", "input"] > psnr[f"{cameras}_tto=0", "input"] + 1
+        assert psnr[f"{cameras}_tto=4", "input"] > psnr[f"{cameras}_tto=4", "interp"] > 19
+        assert psnr[f"{cameras}_tto=4", "extrap"] > 14
+    case = out / "posed_tto=4" / "4views_small" / "room1_000"
+    assert {path.name for path in case.iterdir()} == {"metrics.json", "timing.json", "cameras.npz", "rendered"}
+    config = json.loads((case.parent / "run_config.json").read_text())
+    assert len(config["settings"]["checkpoint_sha256"]) == 64
+    assert json.loads((out / "splits" / "4views_small.json").read_text())["total_samples"] == 1
+    timing = json.loads((case / "timing.json").read_text())
+    assert {"cameras", "depth", "queries", "tto", "total"} == timing["seconds"].keys()
+    assert 0.1 < timing["peak_memory_gib"] < 4
+
+
+def test_a_second_run_does_only_what_is_missing(evaluated: tuple[Path, dict[str, Any]], room: Path) -> None:
+    out, summary = evaluated
+    before = files(out)
+    gone = "posed_depth/4views_small/room1_000"
+    shutil.rmtree(out / gone)
+    assert run(["eval", str(room), "-o", str(out), *OPTIONS, "--save-pictures"]) == 0
+    after = files(out)
+    assert after.keys() == before.keys()
+    assert [name for name in after if after[name] != before[name]] == [f"{gone}/metrics.json"]
+    again = json.loads((out / "summary.json").read_text())
+    assert [row["psnr"] for row in again["rows"]] == [row["psnr"] for row in summary["rows"]]
+
+
+def test_other_settings_are_refused(
+    evaluated: tuple[Path, dict[str, Any]], room: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, _ = evaluated
+    before = files(out)
+    assert run(["eval", str(room), "-o", str(out), *OPTIONS, "--seed", "7"]) == ExitCode.BAD_INPUT
+    assert "other settings" in capsys.readouterr().err
+    assert files(out) == before
+
+
+def test_our_renders_score_the_same_as_anybody_elses(evaluated: tuple[Path, dict[str, Any]], room: Path) -> None:
+    """Through --predictions and the split files, one of which names a scene that is not there."""
+    out, summary = evaluated
+    splits = room.parent / "splits"
+    shutil.copytree(out / "splits", splits)
+    content = json.loads((splits / "4views_small.json").read_text())
+    content["samples"].append({**content["samples"][0], "scene_id": "elsewhere"})
+    (splits / "4views_small.json").write_text(json.dumps(content))
+    theirs = room.parent / "theirs"
+    arguments = ["eval", str(room), "-o", str(theirs), "--splits", str(splits), "--name", "rival", "-q"]
+    assert run([*arguments, "--predictions", str(out / "free_tto=4")]) == 0
+    found = json.loads((theirs / "summary.json").read_text())
+    assert [(failure["case"], failure["row"]) for failure in found["failures"]] == [("elsewhere_001", "rival")]
+    ours = {row["group"]: row["psnr"] for row in summary["rows"] if row["row"] == "free_tto=4"}
+    assert {row["group"]: row["psnr"] for row in found["rows"]} == pytest.approx(ours, abs=0.02)  # 8-bit pictures
+
+
+@pytest.mark.slow
+def test_shards_make_the_whole(room: Path) -> None:
+    options = [*OPTIONS, "--cameras", "posed", "--cases", "2", "--workers", "2"]
+    assert run(["eval", str(room), "-o", str(room.parent / "whole"), *options]) == 0
+    summary = json.loads((room.parent / "whole" / "summary.json").read_text())
+    parts = [room.parent / f"shard{i}" for i in (1, 2)]
+    for i, part in enumerate(parts, start=1):
+        assert run(["eval", str(room), "-o", str(part), *options, "--shard", f"{i}/2"]) == 0
+        assert len(files(part)) == 3
+    merged = room.parent / "merged"
+    assert run(["eval", *map(str, parts), "--merge", "-o", str(merged), "-q"]) == 0
+    found = json.loads((merged / "summary.json").read_text())
+    whole = {(row["row"], row["group"]): row["psnr"] for row in summary["rows"]}
+    assert {(row["row"], row["group"]): row["psnr"] for row in found["rows"]} == pytest.approx(whole, abs=1e-3)
+
+
+@pytest.mark.slow
+def test_a_stopped_run_leaves_whole_cases(room: Path, tmp_path: Path) -> None:
+    """SIGTERM is what a cluster's scheduler sends."""
+    command = [sys.executable, "-m", "querysplat_cli", "eval", str(room), "-o", str(tmp_path / "out"), *OPTIONS]
+    with subprocess.Popen([*command, "--cases", "50"], stderr=subprocess.PIPE, text=True) as process:
+        limit = time.monotonic() + 60
+        while not files(tmp_path / "out") and time.monotonic() < limit:
+            time.sleep(0.1)
+        os.kill(process.pid, signal.SIGTERM)
+        said = process.communicate(timeout=60)[1]
+    assert process.returncode == ExitCode.INTERRUPTED, said
+    assert "Aborted" not in said
+    assert "Traceback" not in said
+    assert files(tmp_path / "out")
+    assert not list((tmp_path / "out").rglob(".*"))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["nowhere"], "nowhere"),
+        (["ROOM", "--views", "3"], "--views 3"),
+        (["ROOM", "--scales", "huge"], "--scales huge"),
+        (["ROOM", "--shard", "3/2"], "--shard 3/2"),
+        (["ROOM", "--sweep", "colour=1"], "--sweep colour=1"),
+        (["ROOM", "--views", "12", "--scales", "large"], "no scene has the 49 frames"),
+        (["ROOM", "--splits", "nowhere.json"], "nowhere.json"),
+        (["ROOM", "--predictions", "nowhere"], "nowhere"),
+        (["ROOM", "--predictions", "/tmp", "--name", "../up"], "--name ../up"),
+    ],
+)
+def test_bad_requests(
+    arguments: list[str], message: str, room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = [str(room) if part == "ROOM" else part for part in arguments]
+    code = run(["eval", *given, "-o", str(tmp_path / "out"), "--quiet", "--cases", "1"])
+    assert code == (ExitCode.IMPOSSIBLE if "49" in message else ExitCode.BAD_INPUT)
+    captured = capsys.readouterr()
+    assert message in captured.err
+    assert captured.err.count("error: ") == 1
+    assert list((tmp_path / "out").rglob("*")) == []

@@ -1,0 +1,73 @@
+"""What work costs, and that work which rows share is done once and counts for each."""
+
+import sys
+import time
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from querysplat_cli.encoders.base import Geometry, Located
+from querysplat_cli.errors import ImpossibleScene
+from querysplat_cli.evaluation.costs import measured
+from querysplat_cli.evaluation.memoised import MemoisedEncoder
+from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.views import Views
+
+MIB = 1 << 20
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux forgets a peak")
+def test_a_peak_is_that_of_the_work_alone() -> None:
+    big = measured(lambda: float(np.ones(400 * MIB // 8).sum()))[1]
+    small = measured(lambda: float(np.ones(MIB // 8).sum()))[1]
+    assert big.peak_gib - small.peak_gib == pytest.approx(400 / 1024, abs=0.08)
+    assert measured(lambda: time.sleep(0.05))[1].seconds == pytest.approx(0.05, abs=0.04)
+
+
+class Fake:
+    """An encoder that counts what it is asked."""
+
+    name, size, own_frame = "fake", 448, False
+
+    def __init__(self) -> None:
+        self.asked: list[str] = []
+
+    def locate(self, photos: Any, **options: Any) -> Located:
+        self.asked.append("locate")
+        time.sleep(0.02)
+        if options["seed"] == 13:
+            raise ImpossibleScene("no overlap")
+        views = Views(torch.zeros(1, 3, 4, 4), torch.ones(1, 4, 4, dtype=torch.bool), ("a",), ((4, 4),))
+        return Located(views, Cameras(torch.eye(4)[None], torch.eye(3)[None], 4, 4), torch.zeros(0, 3), ())
+
+    def perceive(self, located: Located, **options: Any) -> Geometry:
+        self.asked.append("perceive")
+        return Geometry(torch.ones(1, 4, 4), torch.ones(1, 4, 4), (), 4)
+
+    def release(self) -> None:
+        raise AssertionError("cases to come need it")
+
+    def bytes_needed(self, views: int, size: int) -> int | None:
+        return None
+
+
+def test_a_question_is_asked_once() -> None:
+    def silent(text: str, fraction: float) -> None:
+        pass
+
+    fake = Fake()
+    encoder = MemoisedEncoder(fake)
+    options: dict[str, Any] = {"max_size": 64, "progress": silent}
+    first = encoder.locate([], seed=1, **options)
+    assert encoder.locate([], seed=1, **options) is first
+    assert encoder.cost_of(first).seconds >= 0.02
+    other = encoder.locate([], seed=1, max_size=32, progress=silent)
+    assert other is not first
+    depths = [encoder.perceive(located, seed=1, progress=silent) for located in (first, first, other)]
+    assert depths[0] is depths[1] is not depths[2]
+    for _ in range(2):
+        with pytest.raises(ImpossibleScene, match="no overlap"):
+            encoder.locate([], seed=13, **options)
+    assert fake.asked == ["locate", "locate", "perceive", "perceive", "locate"]

@@ -1,0 +1,46 @@
+"""Rows from what the user wants varied: any field of the settings, checked by its type."""
+
+from pathlib import Path
+
+import pytest
+
+from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.evaluation.grid import axes, read_axis, rows
+
+
+@pytest.mark.parametrize(
+    ("text", "axis"),
+    [
+        ("tto=0,20,auto", ("tto", (0, 20, None))),
+        ("max-size=256, 512", ("max_size", (256, 512))),
+        ("precision=fp32,bf16", ("precision", ("fp32", "bf16"))),
+        ("tto_target=kv,features", ("tto_target", ("kv", "features"))),
+        ("depth=true,false", ("depth", (True, False))),
+        ("queries=500,auto,500", ("queries", (500, None))),
+        ("preset=compact,mine/other.safetensors", ("preset", ("compact", "mine/other.safetensors"))),
+    ],
+)
+def test_values_have_the_fields_type(text: str, axis: tuple[str, tuple[object, ...]]) -> None:
+    assert read_axis(text) == axis
+
+
+@pytest.mark.parametrize("text", ["tto", "tto=", "tto=many", "tto=1.5", "force=true", "nonsense=1", "=1"])
+def test_other_values_are_refused(text: str) -> None:
+    with pytest.raises(QuerySplatError, match="--sweep"):
+        read_axis(text)
+
+
+def test_every_setting_that_makes_a_scene_can_be_varied() -> None:
+    assert {"tto", "queries", "max_size", "preset", "encoder"} <= axes().keys()
+    assert not {"inputs", "ply", "force", "poses"} & axes().keys()
+
+
+def test_rows_are_the_product() -> None:
+    table = rows([read_axis("tto=0,5"), read_axis("preset=compact,a/b.safetensors")], ["free", "posed"])
+    assert len(table) == 2 * (1 + 2 * 2)
+    assert [row.name for row in table[:3]] == ["free_depth", "free_tto=0_preset=compact", "free_tto=0_preset=b"]
+    assert table[2].overrides == (("tto", 0), ("preset", "a/b.safetensors"))
+    assert len({row.name for row in table}) == len(table)
+    assert all(Path(row.name).name == row.name for row in table)
+    with pytest.raises(QuerySplatError, match="twice"):
+        rows([read_axis("tto=0"), read_axis("tto=5")], ["free"])

@@ -1,0 +1,124 @@
+"""Camera errors with known answers."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.evaluation.poses import angles, area_under_recall, compare_cameras, draw_trajectories
+from querysplat_cli.scene.cameras import PhotoCamera
+from querysplat_cli.scene.sim3 import DegenerateAlignment
+
+
+def track(count: int = 8) -> dict[str, PhotoCamera]:
+    """Cameras on a bent line, turned at random."""
+    turns = Rotation.random(count, random_state=1).as_matrix()
+    cameras = {}
+    for i, turn in enumerate(turns):
+        w2c = np.eye(4)
+        w2c[:3, :3] = turn
+        w2c[:3, 3] = -turn @ [1.0 * i, 0.1 * i * i, np.sin(i)]
+        cameras[f"photo_{i}.jpg"] = PhotoCamera(w2c, (500.0, 500.0), (320.0, 240.0), (0.0, 0.0, 0.0, 0.0), 480, 640)
+    return cameras
+
+
+def moved(cameras: dict[str, PhotoCamera], scale: float) -> dict[str, PhotoCamera]:
+    """The same cameras in a world that is turned, scaled and shifted, and called otherwise."""
+    turn = Rotation.from_euler("xyz", [0.4, -1.0, 2.0]).as_matrix()
+    result = {}
+    for name, camera in cameras.items():
+        w2c = np.eye(4)
+        w2c[:3, :3] = camera.w2c[:3, :3] @ turn.T
+        w2c[:3, 3] = scale * camera.w2c[:3, 3] - w2c[:3, :3] @ [3, 4, -5]
+        result[f"folder/{Path(name).stem}.png"] = replace(camera, w2c=w2c)
+    return result
+
+
+def test_a_similarity_is_no_error() -> None:
+    errors = compare_cameras(moved(track(), 2.5), track())
+    assert errors.scale == pytest.approx(1 / 2.5)
+    for part in (errors.rotation, errors.centre, errors.pair_rotation, errors.pair_translation, errors.focal):
+        assert np.abs(part).max() < 1e-6
+    summary = errors.summary()
+    assert summary["photos"] == 8
+    assert all(
+        summary[f"{rate}_{t}"] == pytest.approx(100, abs=1e-4) for rate in ("rra", "rta", "auc") for t in (5, 30)
+    )
+
+
+def test_a_turned_camera_is_found() -> None:
+    """One of eight cameras rolled by 10°: seven of 28 pairs are off by that, and directions in its own axes, too."""
+    cameras = track()
+    name = "photo_0.jpg"
+    w2c = np.eye(4)
+    w2c[:3, :3] = Rotation.from_euler("z", 10, degrees=True).as_matrix()
+    cameras[name] = replace(cameras[name], w2c=w2c @ cameras[name].w2c)
+    errors = compare_cameras(cameras, track())
+    assert (errors.pair_rotation > 9.999).sum() == 7
+    assert np.sort(errors.pair_rotation)[-8:] == pytest.approx([0, *[10] * 7], abs=1e-4)
+    # The alignment's rotation is the mean of the relative rotations, so it takes up some of the ten degrees.
+    assert errors.rotation[0] == pytest.approx(10, abs=2)
+    assert errors.rotation[0] == errors.rotation.max()
+    summary = errors.summary()
+    assert summary["rra_5"] == pytest.approx(100 * 21 / 28)
+    assert summary["rra_15"] == 100
+
+
+def test_a_shifted_camera_and_a_wrong_lens() -> None:
+    cameras = track(30)
+    camera = cameras["photo_5.jpg"]
+    w2c = camera.w2c.copy()
+    w2c[:3, 3] -= w2c[:3, :3] @ [0, 0, 0.5]
+    cameras["photo_5.jpg"] = replace(camera, w2c=w2c, focal=(550.0, 550.0))
+    errors = compare_cameras(cameras, track(30))
+    assert errors.centre.argmax() == 5
+    assert errors.centre[5] == pytest.approx(0.5, rel=0.05)
+    assert errors.ate == pytest.approx(0.5 / np.sqrt(30), rel=0.05)
+    assert errors.focal[5] == pytest.approx(0.1)
+    assert np.abs(np.delete(errors.focal, 5)).max() < 1e-12
+
+
+def test_the_focal_length_counts_in_pictures_not_pixels() -> None:
+    half = {
+        name: replace(camera, focal=(250.0, 250.0), principal=(160.0, 120.0), height=240, width=320)
+        for name, camera in track().items()
+    }
+    assert np.abs(compare_cameras(half, track()).focal).max() < 1e-12
+
+
+def test_area_under_recall_is_the_integral() -> None:
+    assert area_under_recall(np.array([0.0, 0.0]), 5.0) == 1
+    assert area_under_recall(np.array([2.5, 10.0]), 5.0) == 0.25
+    errors = np.random.default_rng(0).uniform(0, 40, 200)
+    steps = (np.arange(200_000) + 0.5) / 200_000 * 30
+    curve = np.searchsorted(np.sort(errors), steps) / len(errors)
+    assert area_under_recall(errors, 30.0) == pytest.approx(curve.mean(), abs=1e-4)
+
+
+@pytest.mark.parametrize("degrees", [0, 1e-6, 1e-3, 1, 90, 179.999, 180])
+def test_angles_near_their_ends(degrees: float) -> None:
+    turn = Rotation.from_rotvec(np.radians(degrees) * np.array([0.6, 0, 0.8])).as_matrix()
+    assert angles(turn[None])[0] == pytest.approx(degrees, abs=1e-9)
+
+
+def test_what_cannot_be_compared() -> None:
+    with pytest.raises(QuerySplatError, match="0 photos are in both"):
+        compare_cameras(track(), {"other.jpg": track()["photo_0.jpg"]})
+    still = {name: replace(camera, w2c=np.eye(4)) for name, camera in track().items()}
+    with pytest.raises(DegenerateAlignment):
+        compare_cameras(still, track())
+    partial = compare_cameras(dict(list(track().items())[:5]), track())
+    assert (len(partial.names), len(partial.only_b), partial.only_a) == (5, 3, ())
+
+
+@pytest.mark.parametrize("suffix", ["png", "svg"])
+def test_the_picture(tmp_path: Path, suffix: str) -> None:
+    pytest.importorskip("matplotlib")
+    file = tmp_path / f"tracks.{suffix}"
+    draw_trajectories(compare_cameras(moved(track(), 2.0), track()), file, ("A", "B"))
+    assert file.read_bytes()[:5] == (b"\x89PNG\r" if suffix == "png" else b"<?xml")
+    with pytest.raises(QuerySplatError, match="not a kind of picture"):
+        draw_trajectories(compare_cameras(track(), track()), tmp_path / "tracks.doc", ("A", "B"))

@@ -1,0 +1,112 @@
+"""What is shown, what is scored, and pictures through a lens."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.evaluation.protocol import Protocol, photograph, resized
+from querysplat_cli.scene.cameras import PhotoCamera
+from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.views import Photo
+from querysplat_cli.splat.conventions import SH_0
+
+LENS = (0.12, -0.08, 0.004, -0.003)
+
+
+def photo(height: int, width: int) -> Photo:
+    pixels = np.random.default_rng(0).integers(0, 255, (height, width, 3), dtype=np.uint8)
+    return Photo("a.png", Path("a.png"), cv2.GaussianBlur(pixels, (0, 0), 2), focal=300.0)
+
+
+def camera(height: int, width: int, lens: tuple[float, float, float, float] = LENS) -> PhotoCamera:
+    return PhotoCamera(np.eye(4), (0.9 * width, 0.92 * width), (0.52 * width, 0.47 * height), lens, height, width)
+
+
+def specks(points: np.ndarray, size: float = 0.004) -> Gaussians:
+    count = len(points)
+    colours = torch.full((count, 1, 3), 0.5 / SH_0)
+    return Gaussians(
+        torch.from_numpy(points).float(),
+        torch.tensor([1.0, 0, 0, 0]).repeat(count, 1),
+        torch.full((count, 3), size),
+        torch.full((count,), 0.99),
+        colours,
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "size", "shown", "scored"),
+    [
+        ("release", (540, 960), (512, 512), (256, 256)),
+        ("release", (480, 270), (270, 270), (256, 256)),
+        ("release", (1200, 700), (512, 512), (256, 256)),
+        ("text", (540, 960), (256, 455), (540, 960)),
+        ("text", (480, 270), (455, 256), (480, 270)),
+        ("text", (200, 300), (200, 300), (200, 300)),
+    ],
+)
+def test_sizes(name: str, size: tuple[int, int], shown: tuple[int, int], scored: tuple[int, int]) -> None:
+    rules, taken = Protocol(name), photo(*size)  # type: ignore[arg-type]
+    assert rules.shown(taken).pixels.shape == (*shown, 3)
+    assert rules.truth(taken).shape == (3, *scored)
+    lens = rules.shown_camera(camera(*size), taken)
+    assert (lens.height, lens.width) == shown
+    assert rules.picture(specks(np.array([[0, 0, 2.0]])), lens, taken).shape == (3, *scored)
+
+
+@pytest.mark.parametrize("name", ["release", "text"])
+def test_the_shown_photo_and_its_camera_agree(name: str) -> None:
+    """A mark at a point's projection is still there after cropping and reducing; the camera is a full-size photo's."""
+    rules, point = Protocol(name), np.array([[0.05, -0.08, 1.0]])  # type: ignore[arg-type]
+    full = camera(1080, 1920)
+    taken = Photo("a.png", Path("a.png"), np.zeros((540, 960, 3), np.uint8))
+    x, y = _seen(full, point)[0] / 2
+    taken.pixels[round(y - 0.5) - 2 : round(y - 0.5) + 3, round(x - 0.5) - 2 : round(x - 0.5) + 3] = 255
+    shown, lens = rules.shown(taken), rules.shown_camera(full, taken)
+    weights = shown.pixels[..., 0].astype(float)
+    rows, columns = np.mgrid[: shown.height, : shown.width] + 0.5
+    found = np.array([(weights * columns).sum(), (weights * rows).sum()]) / weights.sum()
+    np.testing.assert_allclose(found, _seen(lens, point)[0], atol=0.6)  # the mark stands on whole pixels
+
+
+def test_a_camera_of_another_shape_is_refused() -> None:
+    with pytest.raises(QuerySplatError, match="its camera 300 × 200"):
+        Protocol("release").shown_camera(camera(200, 300), photo(270, 480))
+
+
+@pytest.mark.parametrize("lens", [LENS, (0.0, 0.0, 0.0, 0.0), (-0.2, 0.05, 0.0, 0.0)])
+def test_specks_are_where_opencv_puts_them(lens: tuple[float, float, float, float]) -> None:
+    """OpenCV resamples at 1/32 pixel; half a pixel, the usual mistake, would be seen."""
+    taken = camera(120, 160, lens)
+    for point in np.array([[0.0, 0, 1], [0.3, 0.2, 1], [-0.35, 0.1, 1], [0.1, -0.25, 1.0]]):
+        picture = photograph(specks(point[None], 0.01), taken)[0].double().numpy()
+        rows, columns = np.mgrid[:120, :160] + 0.5
+        found = np.array([(picture * columns).sum(), (picture * rows).sum()]) / picture.sum()
+        np.testing.assert_allclose(found, _seen(taken, point[None])[0], atol=0.08)
+
+
+def test_a_lens_without_distortion_changes_nothing() -> None:
+    generator = np.random.default_rng(1)
+    points = generator.uniform([-0.6, -0.5, 1], [0.6, 0.5, 1.5], (300, 3))
+    scene = specks(points, 0.03)
+    straight = photograph(scene, camera(96, 128, (0.0, 0.0, 0.0, 0.0)))
+    nearly = photograph(scene, camera(96, 128, (1e-9, 0.0, 0.0, 0.0)))
+    assert float((straight - nearly).abs().max()) < 1e-3
+
+
+def test_resizing_keeps_corners_and_means() -> None:
+    ramp = torch.linspace(0, 1, 512)[None, None].repeat(3, 64, 1)
+    small = resized(ramp, 32, 256)
+    assert small.shape == (3, 32, 256)
+    torch.testing.assert_close(small[:, 0, 1:-1], ramp.reshape(3, 64, 256, 2).mean(-1)[:, 0, 1:-1], atol=1e-5, rtol=0)
+    assert resized(ramp, 64, 512) is ramp
+
+
+def _seen(lens: PhotoCamera, points: np.ndarray) -> np.ndarray:
+    """Pixels with centres at +0.5, by OpenCV, which counts from the centres."""
+    K = np.array([[lens.focal[0], 0, lens.principal[0]], [0, lens.focal[1], lens.principal[1]], [0, 0, 1]])
+    return cv2.projectPoints(points, np.zeros(3), np.zeros(3), K, np.array(lens.distortion))[0][:, 0]

@@ -1,0 +1,200 @@
+"""Results on disk: what they add up to, what may be merged, and what is refused."""
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.evaluation.case import RowResult, ViewScore
+from querysplat_cli.evaluation.costs import Cost
+from querysplat_cli.evaluation.metrics import Scores
+from querysplat_cli.evaluation.results import Place, merge, places, prepare, run_config, write_case, write_failure
+from querysplat_cli.evaluation.splits import Case, FrameRef, Split
+from querysplat_cli.evaluation.summary import summarise
+from querysplat_cli.evaluation.sweep import Point, Spread, frontier, write_curves
+from querysplat_cli.scene.cameras import PhotoCamera
+from querysplat_cli.scene.formats.dataset import Frame
+
+
+def split(name: str, scale: str, cases: int = 2) -> Split:
+    refs = {group: (FrameRef("", 0),) for group in ("input", "interp", "extrap")}
+    return Split(name, "d", 4, scale, tuple(Case(f"s_{i:03d}", "s", refs) for i in range(cases)))
+
+
+def view(number: int, psnr: float, ssim: float = 0.5) -> ViewScore:
+    camera = PhotoCamera(np.eye(4), (1.0, 1.0), (0.5, 0.5), (0.0, 0.0, 0.0, 0.0), 4, 4)
+    frame = Frame(number, f"{number}.png", "", Path(f"{number}.png"))
+    return ViewScore(frame, camera, Scores(psnr, ssim, None), torch.zeros(3, 4, 4))
+
+
+def result(*interp: float, seconds: float = 2.0, gaussians: int = 10) -> RowResult:
+    views = {
+        "input": [view(0, 30.0)],
+        "interp": [view(i + 1, float(psnr)) for i, psnr in enumerate(interp)],
+        "extrap": [],
+    }
+    missing = {"input": {}, "interp": {}, "extrap": {"9.png": "it was not located"}}
+    return RowResult(views, missing, {"cameras": Cost(1.0, 0.5), "tto": Cost(seconds, 0.75)}, gaussians, ())
+
+
+def settings(**changes: Any) -> dict[str, Any]:
+    return {"tto": 0, **changes}
+
+
+def start(out: Path, row: str, on: Split, **changes: Any) -> Place:
+    place = Place(out, row, on.name)
+    prepare(place, run_config(settings(**changes), on, "release", {"missing": "no LPIPS"}), force=False)
+    return place
+
+
+def test_a_splits_figure_is_the_mean_over_views_and_the_average_that_over_splits(tmp_path: Path) -> None:
+    """As in the release: a case with more scored views weighs more, a split with more cases does not."""
+    small, large = split("small", "small"), split("large", "large", 1)
+    place = start(tmp_path, "free_tto=0", small)
+    write_case(place.case("s_000"), "s", result(10, 20, 30, seconds=1.0), pictures=False)
+    write_case(place.case("s_001"), "s", result(40, seconds=3.0), pictures=True)
+    place = start(tmp_path, "free_tto=0", large)
+    write_case(place.case("s_000"), "s", result(11), pictures=False)
+    write_failure(Place(tmp_path, "free_tto=0", "large").case("s_001"), "s", "no overlap")
+    summary = summarise(tmp_path)
+    rows = {(row["split"], row["group"]): row for row in summary["rows"]}
+    assert rows["small", "interp"]["psnr"] == 25
+    assert rows["small", "interp"]["scored"] == 4
+    assert rows["small", "extrap"]["psnr"] is None
+    assert (rows["small", "extrap"]["scored"], rows["small", "extrap"]["asked"]) == (0, 2)
+    assert rows["small", "interp"]["seconds_median"] == 3
+    assert rows["small", "interp"]["peak_memory_gib"] == 0.75
+    (average,) = [row for row in summary["averages"] if row["group"] == "interp"]
+    assert average["psnr"] == pytest.approx((25 + 11) / 2)
+    assert (average["splits"], average["failed"]) == (2, 1)
+    assert [failure["error"] for failure in summary["failures"]] == ["no overlap"]
+    assert (place.out / "free_tto=0" / "small" / "s_001" / "rendered" / "interp" / "1.png").is_file()
+    with (tmp_path / "summary.csv").open() as file:
+        assert {row["psnr"] for row in csv.DictReader(file) if row["group"] == "interp"} == {"25.0", "11.0"}
+    text = (tmp_path / "summary.md").read_text()
+    assert "| free_tto=0 | 30.00 / 0.500 / – | 18.00 / 0.500 / – |" in text
+    assert "no LPIPS" in text
+    assert "no overlap" in text
+
+
+def test_a_split_in_which_everything_failed_is_not_forgotten(tmp_path: Path) -> None:
+    place = start(tmp_path, "r", split("small", "small"))
+    write_case(place.case("s_000"), "s", result(20), pictures=False)
+    place = start(tmp_path, "r", split("large", "large"))
+    for case in range(2):
+        write_failure(place.case(f"s_{case:03d}"), "s", "no overlap")
+    (average,) = [row for row in summarise(tmp_path)["averages"] if row["group"] == "interp"]
+    assert (average["psnr"], average["splits"], average["cases"], average["failed"]) == (20, 1, 1, 2)
+    text = (tmp_path / "summary.md").read_text()
+    assert "| 2 of 3 | 2 of 3 |" in text
+    assert "| r | – / – / – | – / – / – | – / – / – | 0 of 0 | 2 of 2 |" in text
+
+
+def test_quoted_rows_have_a_source_and_say_so(tmp_path: Path) -> None:
+    place = start(tmp_path, "free_tto=0", split("small", "small"))
+    write_case(place.case("s_000"), "s", result(20), pictures=False)
+    summary = summarise(tmp_path)
+    assert all(row["where"] and row["views"] in (2, 4, 12) for row in summary["quoted"]["rows"])
+    text = (tmp_path / "summary.md").read_text()
+    quoted = text[text.index("Quoted, not measured here") :]
+    assert "24.58 / 0.800 / 0.184" in quoted
+    assert not any("QuerySplat + TTO" in row["row"] for row in summary["rows"])
+
+
+def test_shards_add_up(tmp_path: Path) -> None:
+    whole, parts = split("small", "small", 4), [tmp_path / "1", tmp_path / "2"]
+    for number in range(4):
+        for out in (tmp_path / "all", parts[number % 2]):
+            place = start(out, "free_tto=0", whole)
+            write_case(place.case(f"s_{number:03d}"), "s", result(10.0 * number, 15), pictures=False)
+    merge(parts, tmp_path / "merged")
+    assert summarise(tmp_path / "merged")["rows"] == summarise(tmp_path / "all")["rows"]
+    assert [(place.row, place.split) for place in places(tmp_path / "merged")] == [("free_tto=0", "small")]
+
+
+def test_a_scored_case_wins_over_a_failed_one(tmp_path: Path) -> None:
+    whole = split("small", "small", 1)
+    write_failure(start(tmp_path / "1", "r", whole).case("s_000"), "s", "the machine was full")
+    write_case(start(tmp_path / "2", "r", whole).case("s_000"), "s", result(12), pictures=False)
+    merge([tmp_path / "1", tmp_path / "2"], tmp_path / "merged")
+    summary = summarise(tmp_path / "merged")
+    assert summary["failures"] == []
+    assert summary["averages"][1]["psnr"] == 12
+
+
+def test_different_runs_do_not_mix(tmp_path: Path) -> None:
+    start(tmp_path / "1", "r", split("small", "small"))
+    start(tmp_path / "1", "r", split("small", "small"))  # going on is allowed
+    with pytest.raises(QuerySplatError, match=r"other settings \(settings\)"):
+        start(tmp_path / "1", "r", split("small", "small"), tto=5)
+    with pytest.raises(QuerySplatError, match=r"other settings \(split\)"):
+        start(tmp_path / "1", "r", split("small", "small", 3))
+    start(tmp_path / "2", "r", split("small", "small"), tto=5)
+    with pytest.raises(QuerySplatError, match="other settings"):
+        merge([tmp_path / "1", tmp_path / "2"], tmp_path / "merged")
+    with pytest.raises(QuerySplatError, match="no results"):
+        merge([tmp_path], tmp_path / "other")
+
+
+def test_damaged_results_are_named(tmp_path: Path) -> None:
+    place = start(tmp_path, "r", split("small", "small"))
+    write_case(place.case("s_000"), "s", result(12), pictures=False)
+    (place.case("s_000") / "metrics.json").write_text("{")
+    with pytest.raises(QuerySplatError, match=r"s_000/metrics\.json: damaged"):
+        summarise(tmp_path)
+
+
+def test_timing_has_every_stage(tmp_path: Path) -> None:
+    write_case(tmp_path / "c", "s", result(12, seconds=4.0), pictures=False)
+    timing = json.loads((tmp_path / "c" / "timing.json").read_text())
+    assert timing["seconds"] == {"cameras": 1.0, "tto": 4.0, "total": 5.0}
+    assert (timing["peak_memory_gib"], timing["gaussians"]) == (0.75, 10)
+    cameras = np.load(tmp_path / "c" / "cameras.npz")
+    assert cameras["groups"].tolist() == ["input", "interp"]
+    assert cameras["w2c"].shape == (2, 4, 4)
+
+
+def point(row: str, psnr: float, seconds: float, views: int = 4) -> Point:
+    none = Spread(None, None, None)
+    figures = dict.fromkeys(("psnr", "ssim", "lpips", "seconds", "gaussians", "peak_memory_gib"), none)
+    return Point(row, views, "interp", 1, figures | {"psnr": _at(psnr), "seconds": _at(seconds)})
+
+
+def _at(value: float) -> Spread:
+    return Spread(float(value), float(value), float(value))
+
+
+def test_the_frontier_holds_what_nothing_beats() -> None:
+    points = [point("fast", 20, 1), point("slow", 25, 9), point("beaten", 19, 2), point("tied", 20, 1)]
+    points += [point("even", 25, 10), point("other", 10, 99, views=2)]
+    best = {each.row for each in frontier(points) if "psnr for seconds" in each.best}
+    assert best == {"fast", "tied", "slow", "other"}
+    assert not any("lpips" in pair for each in frontier(points) for pair in each.best)
+    fewer = replace(points[0], figures=points[0].figures | {"lpips": _at(0.4)})
+    worse = replace(points[1], figures=points[1].figures | {"lpips": _at(0.2)})
+    marked = frontier([fewer, worse])
+    assert ["lpips for seconds" in each.best for each in marked] == [True, True]
+
+
+def test_curves_are_written(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    for row, psnr, seconds in (("a", 10, 1.0), ("b", 20, 3.0)):
+        place = start(tmp_path, row, split("small", "small"))
+        for case in range(2):
+            write_case(place.case(f"s_{case:03d}"), "s", result(psnr + case, seconds=seconds), pictures=False)
+    points = write_curves(tmp_path)
+    assert [(each.row, each.figures["psnr"].middle, each.figures["seconds"].middle) for each in points] == [
+        ("a", 10.5, 2.0),
+        ("b", 20.5, 4.0),
+    ]
+    assert "| **b** | 2 | 20.50 (20.25–20.75) |" in (tmp_path / "sweep.md").read_text()
+    assert (tmp_path / "sweep.png").read_bytes()[:4] == b"\x89PNG"
+    assert "<svg" in (tmp_path / "sweep.svg").read_text()
+    assert len(json.loads((tmp_path / "sweep.json").read_text())) == 2
+    assert (tmp_path / "sweep.csv").read_text().startswith("row,views,group,cases,psnr_median")

@@ -1,0 +1,56 @@
+"""Worker processes: all jobs are done, and one that dies takes no other with it."""
+
+import os
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from querysplat_cli.evaluation.workers import THREAD_LIMITS, Workers
+
+
+def handler(folder: Path) -> Callable[[str], None]:
+    def handle(job: str) -> None:
+        if job == "crash":
+            os._exit(3)
+        if job == "kill":
+            os.kill(os.getpid(), signal.SIGKILL)
+        if job == "sleep":
+            (folder / "started").touch()
+            time.sleep(60)
+        (folder / job).write_text(f"{os.getpid()} {os.environ.get(THREAD_LIMITS[0])}")
+
+    return handle
+
+
+def test_crashes_are_reported_and_the_rest_is_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(THREAD_LIMITS[0], raising=False)
+    jobs = ["a", "crash", "b", "kill", "c", "d"]
+    ends: dict[str, str | None] = {}
+    Workers(2, handler, tmp_path).run(jobs, lambda job, why: ends.update({job: why}))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "b", "c", "d"]
+    assert ends.keys() == set(jobs)
+    assert "code 3" in str(ends["crash"])
+    assert "SIGKILL" in str(ends["kill"])
+    assert all(ends[job] is None for job in "abcd")
+    written = [(tmp_path / job).read_text().split() for job in "abcd"]
+    assert str(os.getpid()) not in {process for process, _ in written}
+    cores = len(os.sched_getaffinity(0))
+    assert {share for _, share in written} == {str(max(1, cores // 2))}
+    assert THREAD_LIMITS[0] not in os.environ
+
+
+def test_an_interruption_stops_every_worker(tmp_path: Path) -> None:
+    workers = Workers(2, handler, tmp_path)
+
+    def interrupted(job: str, why: str | None) -> None:
+        raise KeyboardInterrupt
+
+    start = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        workers.run(["a", "sleep", "sleep"], interrupted)
+    assert time.monotonic() - start < 30
+    assert workers._running
+    assert not any(process.is_alive() for process in workers._running)

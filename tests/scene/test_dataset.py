@@ -1,0 +1,143 @@
+"""Scenes in the forms in which datasets come, with what is wrong with them in practice."""
+
+import json
+import shutil
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.scene.formats.dataset import ZipMember, fetch, find_scenes
+
+FRAMES = 5
+
+
+def write_pictures(folder: Path, numbers: list[int]) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    for number in numbers:
+        cv2.imwrite(str(folder / f"frame_{number:05d}.png"), np.full((48, 64, 3), number, np.uint8))
+
+
+def listing(numbers: list[int], **changes: Any) -> dict[str, Any]:
+    """A transforms.json of full-size pictures, camera i at (i, 0, 0)."""
+    frames = []
+    for number in numbers:
+        matrix = np.eye(4)
+        matrix[0, 3] = number
+        frames.append({"file_path": f"images/frame_{number:05d}.png", "transform_matrix": matrix.tolist()})
+    lens = {"w": 640, "h": 480, "fl_x": 500, "fl_y": 500, "cx": 320, "cy": 240, "k1": 0.01}
+    return {**lens, "camera_model": "OPENCV", "frames": frames, **changes}
+
+
+def write_scene(home: Path, folder: str = "images_4", **changes: Any) -> None:
+    numbers = list(range(1, FRAMES + 1))
+    write_pictures(home / folder, numbers)
+    (home / "transforms.json").write_text(json.dumps(listing(numbers, **changes)))
+
+
+@pytest.mark.parametrize("inner", ["", "nerfstudio", "colmap"])
+def test_layouts_of_dl3dv(tmp_path: Path, inner: str) -> None:
+    """10K, Benchmark and sample; the subset's folder lies between the root and the scenes."""
+    for name in ("b2", "b10"):
+        write_scene(tmp_path / "1K" / name / inner)
+    scenes = find_scenes([tmp_path])
+    assert [scene.name for scene in scenes] == ["b2", "b10"]
+    for scene in scenes:
+        assert [frame.index for frame in scene.frames] == list(range(FRAMES))
+        assert scene.cameras["frame_00003.png"].w2c[0, 3] == -3
+        assert scene.notes == ()
+    assert find_scenes([tmp_path / "1K" / "b2"])[0].name == "b2"
+
+
+def test_a_zip_is_read_like_its_folder(tmp_path: Path) -> None:
+    write_scene(tmp_path / "abc" / "scene1")
+    packed = Path(shutil.make_archive(str(tmp_path / "archive"), "zip", tmp_path / "abc"))
+    plain, zipped = find_scenes([tmp_path / "abc"])[0], find_scenes([packed])[0]
+    assert zipped.name == plain.name == "scene1"
+    assert [(frame.index, frame.name, frame.folder) for frame in zipped.frames] == [
+        (frame.index, frame.name, frame.folder) for frame in plain.frames
+    ]
+    assert zipped.cameras.keys() == plain.cameras.keys()
+    assert all(isinstance(frame.file, ZipMember) for frame in zipped.frames)
+    copies = fetch(zipped.frames[1:3], tmp_path / "scratch")
+    for copy, original in zip(copies, fetch(plain.frames[1:3], tmp_path), strict=True):
+        assert copy.name == original.name
+        assert copy.read_bytes() == original.read_bytes()
+
+
+def test_a_zip_cannot_write_outside(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "evil.zip", "w") as archive:
+        picture = cv2.imencode(".png", np.zeros((48, 64, 3), np.uint8))[1].tobytes()
+        archive.writestr("scene/images_4/a.png", picture)
+        archive.writestr("scene/images_4/../../../b.png", picture)
+    for scene in find_scenes([tmp_path / "evil.zip"]):
+        for file in fetch(scene.frames, tmp_path / "in" / "scratch"):
+            assert (tmp_path / "in" / "scratch") in file.resolve().parents
+    assert not (tmp_path / "b.png").exists()
+
+
+def test_the_folder_is_replaced_by_name_only(tmp_path: Path) -> None:
+    """A parent folder may be called images, too (AnySplat's loader renames that as well)."""
+    write_scene(tmp_path / "images" / "scene1", "images_8")
+    (scene,) = find_scenes([tmp_path / "images" / "scene1"])
+    assert len(scene.frames) == FRAMES
+    assert scene.frames[0].folder == "images_8"
+    assert scene.notes == ("no images_4: its pictures are those of images_8",)
+
+
+def test_frames_that_are_not_on_disk_keep_the_numbers_of_the_others(tmp_path: Path) -> None:
+    write_scene(tmp_path / "scene1")
+    (tmp_path / "scene1" / "images_4" / "frame_00002.png").unlink()
+    (scene,) = find_scenes([tmp_path])
+    assert [frame.index for frame in scene.frames] == [0, 2, 3, 4]
+    assert scene.notes == ("1 of 5 listed frames are not on disk",)
+
+
+def test_frames_are_in_natural_order_whatever_the_list_says(tmp_path: Path) -> None:
+    write_scene(tmp_path / "scene1")
+    order = [3, 1, 5, 2, 4]
+    (tmp_path / "scene1" / "transforms.json").write_text(json.dumps(listing(order)))
+    (scene,) = find_scenes([tmp_path])
+    assert [frame.name for frame in scene.frames] == [f"frame_{i:05d}.png" for i in range(1, 6)]
+    assert [frame.index for frame in scene.frames] == [order.index(i) for i in range(1, 6)]
+
+
+def test_cameras_that_are_none(tmp_path: Path) -> None:
+    """NaN and mirrored cameras occur in DL3DV (DepthSplat's loader skips them)."""
+    numbers = list(range(1, FRAMES + 1))
+    content = listing(numbers)
+    content["frames"][1]["transform_matrix"][0][0] = float("nan")
+    content["frames"][2]["transform_matrix"][0][0] = -1.0
+    write_pictures(tmp_path / "scene1" / "images_4", numbers)
+    (tmp_path / "scene1" / "transforms.json").write_text(json.dumps(content))
+    (scene,) = find_scenes([tmp_path])
+    assert len(scene.frames) == FRAMES
+    assert scene.cameras.keys() == {"frame_00001.png", "frame_00004.png", "frame_00005.png"}
+    assert scene.notes == ("2 cameras are no rigid motions, and not used",)
+
+
+def test_plain_photos_have_no_cameras(tmp_path: Path) -> None:
+    write_pictures(tmp_path / "holiday", [10, 9, 2])
+    (tmp_path / "holiday" / "notes.txt").write_text("no picture")
+    (scene,) = find_scenes([tmp_path])
+    assert (scene.name, scene.cameras) == ("holiday", {})
+    assert [frame.index for frame in scene.frames] == [0, 1, 2]
+
+
+def test_what_is_no_scene(tmp_path: Path) -> None:
+    with pytest.raises(QuerySplatError, match="no such file"):
+        find_scenes([tmp_path / "nowhere"])
+    (tmp_path / "text.zip").write_text("no zip")
+    with pytest.raises(QuerySplatError, match="no zip"):
+        find_scenes([tmp_path / "text.zip"])
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(QuerySplatError, match="no scene in it"):
+        find_scenes([tmp_path / "empty"])
+    write_scene(tmp_path / "one" / "same")
+    write_scene(tmp_path / "two" / "same")
+    with pytest.raises(QuerySplatError, match="two scenes are called same"):
+        find_scenes([tmp_path / "one", tmp_path / "two"])
