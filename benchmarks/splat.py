@@ -267,7 +267,7 @@ def details(scene: tuple[Gaussians, Cameras], result: Result) -> Details:
 
 def in_tree(tree: Path, options: list[str]) -> dict[str, Any]:
     """The brief result of this program with the package of another source tree."""
-    environment = {**os.environ, "PYTHONPATH": str(tree / "src"), "NUMBA_CACHE_DIR": str(tree / "cache")}
+    environment = {**os.environ, "PYTHONPATH": str(tree / "src")}
     command = [sys.executable, __file__, *options, "--brief", "--json"]
     done = subprocess.run(command, env=environment, check=True, capture_output=True, text=True)
     return dict(json.loads(done.stdout))

@@ -130,7 +130,8 @@ def _reconstruct(settings: ReconstructSettings, device: torch.device, stages: St
     if passes.other and passes.other.heldout and not scene.adapted.interrupted:
         with stages(f"{passes.other.source} score"):
             second = build_scene(passes.other.inputs, encoder, model, settings, Stages())
-            scores[passes.other.source] = _score_heldout(second, passes.other)
+            if not second.adapted.interrupted:
+                scores[passes.other.source] = _score_heldout(second, passes.other)
     with stages("write"):
         report = Report(
             ply=str(settings.ply),
