@@ -141,7 +141,7 @@ class _Run(Generic[V]):
 
     def _start(self, variables: V) -> None:
         self.variables = variables.map(lambda tensor: tensor.detach().clone().requires_grad_())
-        self._before = variables
+        self._before = variables.map(lambda tensor: tensor.detach().clone())
         named = {field.name: getattr(self.variables, field.name) for field in fields(self.variables)}
         groups = [{"params": [tensor], "rate": self._rates[name]} for name, tensor in named.items()]
         self._adam = torch.optim.Adam(groups, lr=self._lr, fused=True)
@@ -151,7 +151,8 @@ class _Run(Generic[V]):
 
     def step(self, share: float) -> None:
         """One step at `share` of the rate."""
-        self._before = self.variables.map(lambda tensor: tensor.detach().clone())
+        for before, now in zip(tensors(self._before), tensors(self.variables), strict=True):
+            before.copy_(now.detach())
         for group in self._adam.param_groups:
             group["lr"] = self._lr * group["rate"] * share
         self._adam.step()
