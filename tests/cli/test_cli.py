@@ -1,5 +1,7 @@
 """The command line as a user meets it: what it says, and the code it exits with."""
 
+import subprocess
+import sys
 from pathlib import Path
 
 import cv2
@@ -111,3 +113,20 @@ def test_a_bug_keeps_its_traceback(
     monkeypatch.setattr("querysplat_cli.pipeline.load_photos", lambda *a, **k: 1 / 0)
     assert run(["reconstruct", str(photo(tmp_path / "p.png")), "-o", str(tmp_path / "s.ply"), "-q"]) == ExitCode.BUG
     assert "ZeroDivisionError" in capsys.readouterr().err
+
+
+def test_ctrl_c_inside_exec_keeps_the_exit_code(tmp_path: Path) -> None:
+    """Libraries run exec() on strings; there, CPython takes a handled interruption for an unhandled one."""
+    (tmp_path / "interrupted.py").write_text("""
+from querysplat_cli import cli
+
+def interrupted(*_, **__):
+    exec("raise KeyboardInterrupt")
+
+cli.app = interrupted
+cli.main()
+""")
+    command = [sys.executable, "-m", "interrupted"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, check=False, text=True)
+    assert done.returncode == ExitCode.INTERRUPTED, done.stderr
+    assert "stopped" in done.stderr

@@ -15,7 +15,11 @@ UsageError: Any = typer.BadParameter.__bases__[0]
 
 def main() -> None:
     """Run the command line and exit with a code of `ExitCode`."""
-    sys.exit(run(sys.argv[1:]))
+    code = run(sys.argv[1:])
+    # Where Ctrl-C came while a library ran exec() on a string, `python -m` takes it for unhandled, though it was
+    # handled, and dies of SIGINT instead of exiting with our code. The next exec() puts that right.
+    exec("")
+    sys.exit(code)
 
 
 def run(arguments: list[str]) -> int:

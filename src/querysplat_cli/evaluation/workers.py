@@ -5,7 +5,8 @@ import queue
 import signal
 import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from typing import Any, Generic, TypeVar
@@ -54,6 +55,9 @@ class Workers(Generic[Job]):
                     thread.join()
             finally:
                 self._stop()
+                for thread in threads:
+                    if thread.ident:  # was started
+                        thread.join()
                 signal.signal(signal.SIGTERM, before or signal.SIG_DFL)
 
     def _drive(self, waiting: "queue.SimpleQueue[Job]", finished: "queue.SimpleQueue[tuple[Job, str | None]]") -> None:
@@ -107,8 +111,9 @@ class Workers(Generic[Job]):
 def _serve(pipe: Connection, handler: Callable[[Any], Callable[[Any], None]], setup: Any) -> None:
     # Ctrl-C reaches every process of a terminal; the first one decides, and files are put away on its word.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    handle = handler(setup)
-    _on_termination(lambda *_: sys.exit(128 + signal.SIGTERM))
+    with _termination_held_back():
+        handle = handler(setup)
+        _on_termination(lambda *_: sys.exit(128 + signal.SIGTERM))
     while True:
         try:
             job = pipe.recv()
@@ -126,6 +131,19 @@ def _on_termination(action: Callable[..., None]) -> Any:
     import pycolmap  # noqa: F401
 
     return signal.signal(signal.SIGTERM, action)
+
+
+@contextmanager
+def _termination_held_back() -> Iterator[None]:
+    """A SIGTERM that comes meanwhile is delivered at the end."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _interrupt(*_: object) -> None:
