@@ -17,9 +17,8 @@ from querysplat_cli.pipeline import load_again
 from querysplat_cli.progress import Stages
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.files import atomic_folder, refuse_existing
-from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.gaussians import SH_0, Gaussians
 from querysplat_cli.scene.views import Views
-from querysplat_cli.splat.conventions import SH_0
 from querysplat_cli.store import MemoryMap, StoredScene, read_scene
 
 COLUMNS = 4

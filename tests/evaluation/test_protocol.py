@@ -10,9 +10,8 @@ import torch
 from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.evaluation.protocol import Protocol, photograph, resized
 from querysplat_cli.scene.cameras import PhotoCamera
-from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.gaussians import SH_0, Gaussians
 from querysplat_cli.scene.views import Photo
-from querysplat_cli.splat.conventions import SH_0
 
 LENS = (0.12, -0.08, 0.004, -0.003)
 
