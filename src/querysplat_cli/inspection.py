@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from querysplat_cli.drawing import new_figure
+from querysplat_cli.drawing import new_figure, save_figure
 from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.model.attention_maps import attention_of
 from querysplat_cli.pipeline import load_again
@@ -153,7 +153,7 @@ def _histograms(path: Path, gaussians: Gaussians) -> None:
         right.hist(values, bins=50, histtype="step", label=axis)
     right.set(xlabel="log₁₀ scale, scene units")
     right.legend()
-    figure.savefig(path, dpi=120)
+    save_figure(figure, path)
 
 
 def _points(path: Path, scene: StoredScene, found: MemoryMap, gaussians: Gaussians) -> None:
@@ -177,4 +177,4 @@ def _points(path: Path, scene: StoredScene, found: MemoryMap, gaussians: Gaussia
         axes.set(title=f"{name} ({len(points):,})", xlabel="x", ylabel="z", zlabel="−y")
         axes.set(xlim=(low[0], high[0]), ylim=(low[2], high[2]), zlim=(-high[1], -low[1]))
         axes.view_init(elev=25, azim=-70)
-    figure.savefig(path, dpi=120)
+    save_figure(figure, path)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from querysplat_cli.drawing import new_figure
+from querysplat_cli.drawing import new_figure, save_figure
 from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.files import atomic_path
@@ -135,7 +135,7 @@ def draw_trajectories(errors: PoseErrors, file: Path, titles: Sequence[str]) -> 
     side.set_ylim(bottom=0)
     side.legend(fontsize=8)
     with atomic_path(file) as draft:
-        figure.savefig(draft, dpi=130, format=file.suffix[1:].lower())
+        save_figure(figure, draft)
 
 
 def _recall(errors: np.ndarray, threshold: float) -> float:
