@@ -18,12 +18,12 @@ from querysplat_cli.evaluation.costs import Cost, measured
 from querysplat_cli.evaluation.lpips import Lpips
 from querysplat_cli.evaluation.memoised import MemoisedEncoder
 from querysplat_cli.evaluation.metrics import Scores, compare
-from querysplat_cli.evaluation.protocol import SHAPE, Protocol
+from querysplat_cli.evaluation.protocol import Protocol
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.pipeline import ReconstructSettings, build_scene, load_parts
 from querysplat_cli.precision import check_precision, matrix_products
 from querysplat_cli.progress import Stages
-from querysplat_cli.scene.cameras import Cameras, PhotoCamera
+from querysplat_cli.scene.cameras import Cameras, PhotoCamera, same_shape
 from querysplat_cli.scene.formats.dataset import Frame, fetch
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.photos import load_photos
@@ -138,7 +138,7 @@ class CaseRunner:
         """
         for name, lens in lenses.items():
             height, width = _size(self.photos[name][1])
-            if abs(lens.width * height / (lens.height * width) - 1) > SHAPE:
+            if not same_shape((lens.height, lens.width), (height, width)):
                 raise QuerySplatError(
                     f"the encoder saw only {lens.width} × {lens.height} of {name}, shown as {width} × {height}",
                     "Use --protocol release, which shows squares.",

@@ -14,19 +14,17 @@ import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
-from torch.nn import functional as F
 
 from querysplat_cli.encoders.classical.sparse_model import rescaled
 from querysplat_cli.errors import QuerySplatError
-from querysplat_cli.scene.cameras import Cameras, PhotoCamera
+from querysplat_cli.scene.cameras import Cameras, PhotoCamera, same_shape
+from querysplat_cli.scene.fit import resized
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.views import Photo
 from querysplat_cli.splat.render import render
 
 ProtocolName = Literal["release", "text"]
 RELEASE_SIDE, RELEASE_SCORED, TEXT_SIDE = 512, 256, 256
-SHAPE = 0.02
-"""Relative difference in shape beyond which a camera is not that of the photo."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +44,7 @@ class Protocol:
         scale = min(1.0, limit / min(pixels.shape[:2]))
         height, width = (round(size * scale) for size in pixels.shape[:2])
         if scale < 1:
-            pixels = _bytes(resized(_tensor(pixels), height, width))
+            pixels = _bytes(resized(_tensor(pixels), (height, width)))
         focal = photo.focal and photo.focal * scale
         return replace(photo, pixels=np.ascontiguousarray(pixels), focal=focal)
 
@@ -55,7 +53,7 @@ class Protocol:
 
         Raises QuerySplatError when the camera is of a picture of another shape.
         """
-        if abs(photo.width / photo.height / (camera.width / camera.height) - 1) > SHAPE:
+        if not same_shape((photo.height, photo.width), (camera.height, camera.width)):
             raise QuerySplatError(
                 f"{photo.name} is {photo.width} × {photo.height}, its camera {camera.width} × {camera.height}",
                 "Give the cameras of these pictures.",
@@ -74,12 +72,12 @@ class Protocol:
         """What renders are held against, in [0, 1]."""
         if self.name == "text":
             return _tensor(photo.pixels)
-        return resized(_tensor(self.shown(photo).pixels), RELEASE_SCORED, RELEASE_SCORED)
+        return resized(_tensor(self.shown(photo).pixels), (RELEASE_SCORED, RELEASE_SCORED))
 
     def picture(self, gaussians: Gaussians, camera: PhotoCamera, photo: Photo) -> Float[Tensor, "3 height width"]:
         """The render that `truth(photo)` is compared with; `camera` is that of `shown(photo)`, in the scene's frame."""
         if self.name == "text":
-            return resized(photograph(gaussians, camera), photo.height, photo.width)
+            return resized(photograph(gaussians, camera), (photo.height, photo.width))
         return photograph(gaussians, rescaled(camera, RELEASE_SCORED, RELEASE_SCORED))
 
 
@@ -106,13 +104,6 @@ def photograph(gaussians: Gaussians, camera: PhotoCamera) -> Float[Tensor, "3 he
     columns, lines = np.moveaxis((straight - corner).astype(np.float32), -1, 0)
     seen = cv2.remap(wide, columns, lines, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
     return torch.from_numpy(seen).permute(2, 0, 1).clamp(0, 1)
-
-
-def resized(image: Float[Tensor, "3 h w"], height: int, width: int) -> Float[Tensor, "3 height width"]:
-    """Bilinear, antialiased where it gets smaller; corners stay corners."""
-    if image.shape[1:] == (height, width):
-        return image
-    return F.interpolate(image[None], (height, width), mode="bilinear", antialias=True, align_corners=False)[0]
 
 
 def _render(gaussians: Gaussians, w2c: np.ndarray, K: np.ndarray, height: int, width: int) -> Tensor:

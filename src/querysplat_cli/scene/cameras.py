@@ -10,6 +10,14 @@ from torch import Tensor
 
 from querysplat_cli.scene.sim3 import Sim3
 
+SHAPE = 0.02
+"""What rounding their sizes may do to the shapes of pictures."""
+
+
+def same_shape(one: tuple[int, int], other: tuple[int, int]) -> bool:
+    """Whether pictures of these (height, width) can show the same, one larger than the other."""
+    return abs(one[1] * other[0] / (one[0] * other[1]) - 1) <= SHAPE
+
 
 @dataclass(frozen=True)
 class PhotoCamera:
