@@ -112,6 +112,7 @@ def evaluate(
         ply=Path("scene.ply"),
         queries=limit,
         max_size=max_size,
+        fit="pad",  # the protocol has cut the photos where it wants to
         preset=preset,
         encoder=encoder,
         weights=weights,

@@ -39,7 +39,8 @@ LARGEST_SIDE = 1 << 16
 class Row:
     """One line of the table. `overrides` are fields of ReconstructSettings; `method` "depth" splats the VGM's depth.
 
-    Cameras are found (`free`) or the dataset's (`posed`).
+    Cameras are found (`free`) or the dataset's (`posed`). An encoder that can take none finds those of the inputs in
+    both, and the dataset's are those of the targets.
     """
 
     name: str
@@ -115,10 +116,11 @@ class CaseRunner:
         encoder = self._encoders.setdefault(key, MemoisedEncoder(own))
         if row.cameras == "posed" and not self.known:
             raise QuerySplatError("the dataset has no cameras of these photos", "Leave the posed rows out.")
-        located = self._locate(encoder, settings, self._names("input"), posed=row.cameras == "posed")
+        posed = row.cameras == "posed" and not encoder.own_frame
+        located = self._locate(encoder, settings, self._names("input"), posed=posed)
         gaussians, costs, doubts = self._build(row, model, encoder, located, settings)
         if row.cameras == "posed":
-            result = self.judge(gaussians, joined(self.known, _lenses(located)), "the dataset has no camera of it")
+            result = self.judge(gaussians, joined(self.known, lenses_of(located)), "the dataset has no camera of it")
         else:
             lenses, why = self._free_targets(encoder, located, settings)
             result = self.judge(gaussians, lenses, "it was not located", why)
@@ -207,7 +209,7 @@ class CaseRunner:
         Targets are located together with the inputs (`release`: each group by itself), and come to the scene by the
         similarity of the inputs' cameras. The inputs keep those that the scene was made with.
         """
-        inputs, input_names = _lenses(located), self._names("input")
+        inputs, input_names = lenses_of(located), self._names("input")
         lenses = dict(inputs)
         why: dict[str, str] = {}
         targets = [self._names(group) - input_names for group in self.groups if group != "input"]
@@ -215,7 +217,7 @@ class CaseRunner:
             if not names:
                 continue
             try:
-                everything = _lenses(self._locate(encoder, settings, input_names | names, posed=False))
+                everything = lenses_of(self._locate(encoder, settings, input_names | names, posed=False))
                 moved = joined(everything, inputs)
             except QuerySplatError as error:
                 why |= dict.fromkeys(names, error.message)
@@ -247,14 +249,25 @@ def same_parts(settings: ReconstructSettings) -> ReconstructSettings:
     return replace(settings, tto=None, tto_target="kv", max_size=None, max_views=None)
 
 
-def _lenses(located: Located) -> dict[str, PhotoCamera]:
+def lenses_of(located: Located) -> dict[str, PhotoCamera]:
     """Each view's camera with its lens, for the photo as it was taken."""
     views, cameras = located.views, located.cameras
-    lenses = located.lenses or tuple(
-        PhotoCamera(w2c, (K[0, 0], K[1, 1]), (K[0, 2], K[1, 2]), (0.0, 0.0, 0.0, 0.0), *size)
-        for w2c, K, size in zip(cameras.w2c.double().numpy(), cameras.K.double().numpy(), views.sizes, strict=True)
-    )
+    lenses = located.lenses or map(_pinhole, cameras.w2c.double(), cameras.K.double(), views.masks)
     return dict(zip(views.names, lenses, strict=True))
+
+
+def _pinhole(w2c: torch.Tensor, K: torch.Tensor, mask: torch.Tensor) -> PhotoCamera:
+    """The camera of a photo that lies where `mask` is True."""
+    rows, columns = (mask.any(axis).nonzero()[:, 0].tolist() for axis in (1, 0))
+    fx, fy, cx, cy = (float(K[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    return PhotoCamera(
+        w2c=w2c.numpy(),
+        focal=(fx, fy),
+        principal=(cx - columns[0], cy - rows[0]),
+        distortion=(0.0, 0.0, 0.0, 0.0),
+        height=rows[-1] + 1 - rows[0],
+        width=columns[-1] + 1 - columns[0],
+    )
 
 
 def joined(everything: Mapping[str, PhotoCamera], inputs: Mapping[str, PhotoCamera]) -> dict[str, PhotoCamera]:
