@@ -7,6 +7,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Literal
 
+import numpy as np
 import torch
 
 from querysplat_cli.device import find_device
@@ -26,13 +27,11 @@ from querysplat_cli.progress import Stages
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera, same_shape
 from querysplat_cli.scene.formats.dataset import Frame, fetch
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.scene.photos import load_photos
+from querysplat_cli.scene.photos import WHOLE, load_photos
 from querysplat_cli.scene.sim3 import DegenerateAlignment, Sim3, align_cameras
 from querysplat_cli.scene.views import Photo
 
 CameraSource = Literal["free", "posed"]
-LARGEST_SIDE = 1 << 16
-"""Photos are read as they are: the protocol says what size counts."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +89,7 @@ class CaseRunner:
         self._settings, self._lpips = settings, lpips
         frames = list({frame.name: frame for group in groups.values() for frame in group}.values())
         with TemporaryDirectory() as scratch:
-            loaded, unread = load_photos(fetch(frames, Path(scratch)), LARGEST_SIDE)
+            loaded, unread = load_photos(fetch(frames, Path(scratch)), WHOLE)
         if unread:
             raise QuerySplatError(f"{unread[0].name}: {unread[0].why}", "Download the scene again.")
         self.photos = {}
@@ -259,15 +258,8 @@ def lenses_of(located: Located) -> dict[str, PhotoCamera]:
 def _pinhole(w2c: torch.Tensor, K: torch.Tensor, mask: torch.Tensor) -> PhotoCamera:
     """The camera of a photo that lies where `mask` is True."""
     rows, columns = (mask.any(axis).nonzero()[:, 0].tolist() for axis in (1, 0))
-    fx, fy, cx, cy = (float(K[i, j]) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
-    return PhotoCamera(
-        w2c=w2c.numpy(),
-        focal=(fx, fy),
-        principal=(cx - columns[0], cy - rows[0]),
-        distortion=(0.0, 0.0, 0.0, 0.0),
-        height=rows[-1] + 1 - rows[0],
-        width=columns[-1] + 1 - columns[0],
-    )
+    cut = K.numpy() - np.array([[0, 0, columns[0]], [0, 0, rows[0]], [0, 0, 0]])
+    return PhotoCamera.pinhole(w2c.numpy(), cut, rows[-1] + 1 - rows[0], columns[-1] + 1 - columns[0])
 
 
 def joined(everything: Mapping[str, PhotoCamera], inputs: Mapping[str, PhotoCamera]) -> dict[str, PhotoCamera]:

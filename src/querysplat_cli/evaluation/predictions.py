@@ -20,7 +20,8 @@ from querysplat_cli.scene.formats.dataset import Frame
 from querysplat_cli.scene.formats.known import JSON_NAMES
 from querysplat_cli.scene.formats.ply import read_ply
 from querysplat_cli.scene.formats.transforms import read_transforms
-from querysplat_cli.scene.photos import SUFFIXES, load_photos
+from querysplat_cli.scene.photos import SUFFIXES, WHOLE, load_photo
+from querysplat_cli.scene.views import LeftOut
 
 
 def score_prediction(runner: CaseRunner, root: Path, split: str, case: str) -> RowResult:
@@ -75,9 +76,9 @@ def _picture_file(files: list[Path], group: str, frame: Frame) -> Path | None:
 def _read(file: Path | None, truth: torch.Tensor) -> torch.Tensor | None:
     if file is None:
         return None
-    (photo, *_), unread = load_photos([file], 1 << 16)
-    if unread:
-        raise QuerySplatError(f"{file}: {unread[0].why}", "Write it again.")
+    photo = load_photo(file, file.name, WHOLE)
+    if isinstance(photo, LeftOut):
+        raise QuerySplatError(f"{file}: {photo.why}", "Write it again.")
     height, width = truth.shape[1:]
     if not same_shape((photo.height, photo.width), (height, width)):
         raise QuerySplatError(

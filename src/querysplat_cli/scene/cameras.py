@@ -34,6 +34,12 @@ class PhotoCamera:
     height: int
     width: int
 
+    @staticmethod
+    def pinhole(w2c: np.ndarray, K: np.ndarray, height: int, width: int) -> "PhotoCamera":
+        """The camera of a picture without distortion, from its matrices [4, 4] and [3, 3]."""
+        (fx, _, cx), (_, fy, cy), _ = K.tolist()
+        return PhotoCamera(w2c, (fx, fy), (cx, cy), (0.0, 0.0, 0.0, 0.0), height, width)
+
 
 @dataclass(frozen=True)
 class Cameras:

@@ -1,4 +1,4 @@
-"""Captured scenes as datasets keep them: DL3DV, nerfstudio, COLMAP, plain photos; folders and zips."""
+"""Captured scenes as datasets keep them: DL3DV, nerfstudio, COLMAP, our scene folder, plain photos; folders, zips."""
 
 import json
 import shutil
@@ -17,6 +17,8 @@ from querysplat_cli.scene.photos import SUFFIXES, natural_key
 
 PICTURE_FOLDERS = ("images_4", "images_2", "images", "images_8")
 """DL3DV's sizes in the order of preference: 960 × 540 is what its users evaluate with."""
+LISTINGS = ("transforms.json", "cameras.json")
+"""What nerfstudio and DL3DV, and our scene folder, call the file of cameras."""
 HOMES = ("", "nerfstudio", "colmap", "gaussian_splat")
 """Where in a scene's folder DL3DV's releases (10K, Benchmark and sample) keep pictures and cameras."""
 DEPTH = 2
@@ -128,7 +130,7 @@ def _scenes(place: Traversable, name: str, pictures: str, depth: int) -> Iterato
 def _scene(place: Traversable, name: str, pictures: str) -> CapturedScene | None:
     for home in (_inside(place, part) for part in HOMES):
         folders = [folder for folder in (pictures, *PICTURE_FOLDERS) if _inside(home, folder).is_dir()]
-        if (home / "transforms.json").is_file() or folders:
+        if any((home / name).is_file() for name in LISTINGS) or folders:
             return _read(home, name, folders[0] if folders else None, pictures)
     if any(_is_picture(entry) for entry in place.iterdir()):
         return _read(place, name, None, pictures)
@@ -169,10 +171,11 @@ def _frame(index: int, name: str, folder: str | None, file: Traversable) -> Fram
 def _cameras(home: Traversable) -> tuple[dict[str, PhotoCamera], list[str]]:
     """The dataset's cameras by short name, in its order, and the paths that it gives for the pictures."""
     with TemporaryDirectory() as scratch:
-        listing = home / "transforms.json"
-        if listing.is_file():
+        for listing in (home / name for name in LISTINGS if (home / name).is_file()):
             copy = _copied(listing, Path(scratch))
-            return read_transforms(copy), [frame["file_path"] for frame in json.loads(copy.read_bytes())["frames"]]
+            content = json.loads(copy.read_bytes())
+            frames = [*content["frames"], *content.get("heldout_frames", [])]
+            return read_transforms(copy), [frame["file_path"] for frame in frames]
         for part in MODEL_FOLDERS:
             model = _inside(home, part)
             files = [model / file for file in MODEL_FILES if (model / file).is_file()] if model.is_dir() else []
