@@ -18,6 +18,7 @@ from querysplat_cli.progress import Stages
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.files import atomic_folder, refuse_existing
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
+from querysplat_cli.scene.pictures import write_picture
 from querysplat_cli.scene.views import Views
 from querysplat_cli.store import MemoryMap, StoredScene, read_scene
 
@@ -77,7 +78,7 @@ def inspect_scene(
         per_query = model.config.gaussians_per_query
         own = gaussians[slice(chosen * per_query, (chosen + 1) * per_query)]
         for branch, weight in maps.items():
-            cv2.imwrite(str(draft / f"attention_{branch}.png"), _overlays(scene.views, cameras, weight, own)[..., ::-1])
+            write_picture(draft / f"attention_{branch}.png", _overlays(scene.views, cameras, weight, own))
         _histograms(draft / "histograms.png", gaussians)
         _points(draft / "points.png", scene, scene.map, gaussians)
     return Inspected(

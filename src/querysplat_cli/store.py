@@ -33,6 +33,7 @@ from querysplat_cli.scene.files import atomic_folder, atomic_path
 from querysplat_cli.scene.formats.ply import write_ply
 from querysplat_cli.scene.formats.transforms import read_cameras, write_cameras
 from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.pictures import eight_bit, write_picture
 from querysplat_cli.scene.views import Views
 
 LOSSLESS_SUFFIXES = {".png", ".bmp", ".tif", ".tiff"}
@@ -116,11 +117,8 @@ def write_images(folder: Path, views: Views) -> None:
     """The pictures, without what is only canvas, under the names of `views`; lossless, or JPEG at its best."""
     for image, name, (height, width) in zip(views.images, views.names, views.sizes, strict=True):
         path = folder / _stored_name(name)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        pixels = (image[:, :height, :width].permute(1, 2, 0) * 255).round().to(torch.uint8).numpy()
-        settings = [] if path.suffix.lower() in LOSSLESS_SUFFIXES else list(JPEG_SETTINGS)
-        if not cv2.imwrite(str(path), pixels[..., ::-1], settings):
-            raise OSError(f"cannot write {path}")
+        settings = () if path.suffix.lower() in LOSSLESS_SUFFIXES else JPEG_SETTINGS
+        write_picture(path, eight_bit(image[:, :height, :width]), settings)
 
 
 def read_scene(path: Path) -> tuple[StoredScene, dict[str, Any]]:

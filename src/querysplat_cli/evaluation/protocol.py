@@ -20,6 +20,7 @@ from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera, same_shape
 from querysplat_cli.scene.fit import resized
 from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.pictures import eight_bit
 from querysplat_cli.scene.views import Photo
 from querysplat_cli.splat.render import render
 
@@ -44,7 +45,7 @@ class Protocol:
         scale = min(1.0, limit / min(pixels.shape[:2]))
         height, width = (round(size * scale) for size in pixels.shape[:2])
         if scale < 1:
-            pixels = _bytes(resized(_tensor(pixels), (height, width)))
+            pixels = eight_bit(resized(_tensor(pixels), (height, width)))
         focal = photo.focal and photo.focal * scale
         return replace(photo, pixels=np.ascontiguousarray(pixels), focal=focal)
 
@@ -114,7 +115,3 @@ def _render(gaussians: Gaussians, w2c: np.ndarray, K: np.ndarray, height: int, w
 
 def _tensor(pixels: np.ndarray) -> Tensor:
     return torch.from_numpy(np.ascontiguousarray(pixels)).permute(2, 0, 1).float() / 255
-
-
-def _bytes(image: Tensor) -> np.ndarray:
-    return (image.permute(1, 2, 0) * 255).round().to(torch.uint8).numpy()
