@@ -12,9 +12,9 @@ from querysplat_cli.encoders.classical.undistort import undistorted
 from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.files import atomic_folder, refuse_existing
-from querysplat_cli.scene.formats.colmap import copy_colmap, find_model, write_colmap
+from querysplat_cli.scene.formats.colmap import copy_colmap, write_colmap
 from querysplat_cli.scene.formats.compressed import read_sog, read_spz, write_spz
-from querysplat_cli.scene.formats.known import read_known_cameras
+from querysplat_cli.scene.formats.known import find_known_cameras, read_known_cameras
 from querysplat_cli.scene.formats.ply import read_ply, write_ply
 from querysplat_cli.scene.formats.transforms import write_transforms
 from querysplat_cli.scene.gaussians import Gaussians
@@ -59,6 +59,8 @@ def convert(request: Conversion) -> dict[str, Any]:
     if request.target.is_dir() and any(path.is_relative_to(request.target.resolve()) for path in given):
         raise QuerySplatError(f"{request.target} holds what is to be converted", "Choose another target.")
     if request.source.suffix.lower() in READERS:
+        if request.photos or request.text:
+            raise QuerySplatError("--photos and --text are for cameras", "Leave them out.")
         return _convert_gaussians(request)
     if request.photos and request.text:
         raise QuerySplatError("--text is for COLMAP models, --photos for scene folders", "Leave one of them out.")
@@ -97,18 +99,18 @@ def _convert_gaussians(request: Conversion) -> dict[str, Any]:
 
 
 def _convert_cameras(request: Conversion) -> dict[str, Any]:
-    cameras = read_known_cameras(request.source)
-    if request.photos:
-        return _make_scene_folder(request.target, cameras, request.photos)
-    model = find_model(request.source) if request.source.is_dir() else None
-    if request.target.suffix.lower() == ".json":
+    source = find_known_cameras(request.source)
+    cameras = read_known_cameras(source)
+    if request.target.suffix.lower() == ".json" and not request.photos:
         write_transforms(request.target, cameras)
     elif request.target.suffix:
         raise QuerySplatError(f"{request.target}: not a kind of file for cameras", "Use a .json, or a folder.")
+    elif request.photos:
+        return _make_scene_folder(request.target, cameras, request.photos)
     else:
         with atomic_folder(request.target) as draft:
-            if model:
-                copy_colmap(model, draft, text=request.text)
+            if source.is_dir():
+                copy_colmap(source, draft, text=request.text)
             else:
                 write_colmap(draft, cameras, text=request.text)
     return {"target": str(request.target), "cameras": len(cameras)}
@@ -137,6 +139,8 @@ def _make_scene_folder(target: Path, cameras: Mapping[str, PhotoCamera], place: 
                 f"Names must agree: the first camera is that of {next(iter(cameras))}.",
             )
         write_transforms(draft / "cameras.json", kept)
+    names = {*kept, *(each.name for each in left_out)}
+    left_out += [LeftOut(name, "there is no photo of it") for name in cameras if name not in names]
     return {"target": str(target), "cameras": len(kept), "left_out": [vars(each) for each in left_out]}
 
 

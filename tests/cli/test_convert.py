@@ -84,7 +84,7 @@ def test_photos_and_cameras_become_a_scene_folder(tmp_path: Path, capsys: pytest
     assert run([*arguments, "--json", "-q"]) == 0
     said = json.loads(capsys.readouterr().out)
     names = [f"frame_{i:05d}.png" for i in (1, 2, 3)]
-    assert (said["cameras"], [each["name"] for each in said["left_out"]]) == (3, ["unplaced.png"])
+    assert (said["cameras"], [each["name"] for each in said["left_out"]]) == (3, ["unplaced.png", "lost.png"])
     assert sorted(path.name for path in scene.iterdir()) == ["cameras.json", "images"]
     given, made = read_known_cameras(room), read_known_cameras(scene)
     assert list(made) == names
@@ -124,6 +124,16 @@ def test_a_colmap_models_points_stay(tmp_path: Path) -> None:
     model.write_binary(tmp_path / "binary")
     assert run(["convert", str(tmp_path / "binary"), str(tmp_path / "text"), "--text", "-q"]) == 0
     assert [list(point.xyz) for point in pycolmap.Reconstruction(tmp_path / "text").points3D.values()] == [[1, 2, 3]]
+
+
+def test_a_folder_that_holds_two_sets_of_cameras_means_one(tmp_path: Path) -> None:
+    """DL3DV's samples hold a transforms.json beside the model that it was made of."""
+    home = tmp_path / "colmap"
+    write_transforms(tmp_path / "few.json", cameras(2))
+    assert run(["convert", str(tmp_path / "few.json"), str(home / "sparse" / "0"), "-q"]) == 0
+    write_transforms(home / "transforms.json", cameras(4))
+    assert run(["convert", str(home), str(tmp_path / "model"), "-q"]) == 0
+    assert len(read_known_cameras(tmp_path / "model")) == len(read_known_cameras(home)) == 4
 
 
 @pytest.mark.parametrize(
@@ -172,6 +182,10 @@ def test_spz_is_turned_to_its_own_axes_and_back(tmp_path: Path) -> None:
         ["a.ply", "b.ply", "--crop", "1,2,3"],
         ["a.ply", "b.ply", "--crop", "1,0,0,0,1,1"],
         ["a.json", "b.txt"],
+        ["a.json", "b.json", "--photos", "."],
+        ["a.json", "b", "--photos", "nowhere"],
+        ["a.ply", "b.ply", "--photos", "."],
+        ["a.ply", "b.ply", "--text"],
         ["a.json", "b.json", "--up", "z"],
         ["nowhere.json", "b.json"],
     ],
