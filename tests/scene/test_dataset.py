@@ -87,6 +87,15 @@ def test_a_colmap_project(tmp_path: Path, home: str, text: bool) -> None:
         assert scene.cameras["frame_00003.png"].w2c == pytest.approx(known.cameras["frame_00003.png"].w2c)
         assert scene.cameras["frame_00003.png"].distortion[0] == pytest.approx(0.01)
         assert scene.notes == ()
+    (tmp_path / "in" / "scene1" / home / "cameras.json").write_text("[]")  # as the original 3DGS writes it
+    assert find_scenes([tmp_path / "in"])[0].cameras.keys() == known.cameras.keys()
+
+
+def test_a_damaged_listing_is_named(tmp_path: Path) -> None:
+    write_scene(tmp_path / "scene1")
+    (tmp_path / "scene1" / "transforms.json").write_text("{")
+    with pytest.raises(QuerySplatError, match=r"transforms\.json"):
+        find_scenes([tmp_path])
 
 
 def test_our_scene_folder_with_its_held_out_photos(tmp_path: Path) -> None:

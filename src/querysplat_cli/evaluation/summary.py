@@ -135,7 +135,7 @@ def markdown(summary: dict[str, Any]) -> str:
             parts += ["", f"*Quoted, not measured here ({summary['quoted']['note']}):*", ""]
             parts += ["| method | views | PSNR / SSIM / LPIPS | where |", "| --- | --- | --- | --- |"]
             parts += [f"| {row['method']} | {TITLES[row['group']]} | {cell(row)} | {row['where']} |" for row in quoted]
-    by_split = sorted(summary["rows"], key=lambda row: (row["views"], _size(row["scale"]), row["split"]))
+    by_split = sorted(summary["rows"], key=lambda row: (row["views"], _rank(row["scale"]), row["split"]))
     for split in dict.fromkeys(row["split"] for row in by_split):
         rows = [row for row in by_split if row["split"] == split]
         parts += ["", f"## {split}", "", *_table(rows)]
@@ -198,7 +198,7 @@ def _table(rows: Sequence[dict[str, Any]]) -> list[str]:
     return lines
 
 
-def _size(scale: str) -> int:
+def _rank(scale: str) -> int:
     return SCALES.index(scale) if scale in SCALES else len(SCALES)
 
 

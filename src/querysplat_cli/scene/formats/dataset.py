@@ -17,8 +17,6 @@ from querysplat_cli.scene.photos import SUFFIXES, natural_key
 
 PICTURE_FOLDERS = ("images_4", "images_2", "images", "images_8")
 """DL3DV's sizes in the order of preference: 960 × 540 is what its users evaluate with."""
-LISTINGS = ("transforms.json", "cameras.json")
-"""What nerfstudio and DL3DV, and our scene folder, call the file of cameras."""
 HOMES = ("", "nerfstudio", "colmap", "gaussian_splat")
 """Where in a scene's folder DL3DV's releases (10K, Benchmark and sample) keep pictures and cameras."""
 DEPTH = 2
@@ -130,7 +128,7 @@ def _scenes(place: Traversable, name: str, pictures: str, depth: int) -> Iterato
 def _scene(place: Traversable, name: str, pictures: str) -> CapturedScene | None:
     for home in (_inside(place, part) for part in HOMES):
         folders = [folder for folder in (pictures, *PICTURE_FOLDERS) if _inside(home, folder).is_dir()]
-        if any((home / name).is_file() for name in LISTINGS) or folders:
+        if (home / "transforms.json").is_file() or folders:
             return _read(home, name, folders[0] if folders else None, pictures)
     if any(_is_picture(entry) for entry in place.iterdir()):
         return _read(place, name, None, pictures)
@@ -171,11 +169,8 @@ def _frame(index: int, name: str, folder: str | None, file: Traversable) -> Fram
 def _cameras(home: Traversable) -> tuple[dict[str, PhotoCamera], list[str]]:
     """The dataset's cameras by short name, in its order, and the paths that it gives for the pictures."""
     with TemporaryDirectory() as scratch:
-        for listing in (home / name for name in LISTINGS if (home / name).is_file()):
-            copy = _copied(listing, Path(scratch))
-            content = json.loads(copy.read_bytes())
-            frames = [*content["frames"], *content.get("heldout_frames", [])]
-            return read_transforms(copy), [frame["file_path"] for frame in frames]
+        if (home / "transforms.json").is_file():
+            return _listed(_copied(home / "transforms.json", Path(scratch)))
         for part in MODEL_FOLDERS:
             model = _inside(home, part)
             files = [model / file for file in MODEL_FILES if (model / file).is_file()] if model.is_dir() else []
@@ -184,7 +179,14 @@ def _cameras(home: Traversable) -> tuple[dict[str, PhotoCamera], list[str]]:
                     _copied(file, Path(scratch))
                 cameras = read_colmap(Path(scratch))
                 return cameras, list(cameras)
+        if (home / "cameras.json").is_file():  # our scene folder's; the original 3DGS writes another one beside a model
+            return _listed(_copied(home / "cameras.json", Path(scratch)))
     return {}, []
+
+
+def _listed(listing: Path) -> tuple[dict[str, PhotoCamera], list[str]]:
+    cameras, content = read_transforms(listing), json.loads(listing.read_bytes())
+    return cameras, [frame["file_path"] for frame in [*content["frames"], *content.get("heldout_frames", [])]]
 
 
 def _copied(file: Traversable, folder: Path) -> Path:
