@@ -15,8 +15,9 @@ LAYERS = [
     {"errors", "progress", "device", "precision", "tensor_files", "catalogue", "drawing"},
     {"scene"},
     {"model", "encoders", "splat"},
+    {"prune"},
     {"tto", "training"},
-    {"holdout", "quality", "report", "preview", "curve", "store", "memory", "weight_files", "remembering"}
+    {"holdout", "quality", "report", "preview", "curve", "store", "memory", "weight_files", "remembering", "savings"}
     | {"pipeline", "rendering", "inspection", "demo", "convert"},
     {"evaluation"},
     {"cli", "__main__"},

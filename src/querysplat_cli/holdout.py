@@ -8,7 +8,7 @@ import torch
 
 from querysplat_cli.encoders.base import Located
 from querysplat_cli.errors import QuerySplatError
-from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.cameras import Cameras, project
 from querysplat_cli.scene.sim3 import DegenerateAlignment, align_cameras, rotation_angles
 from querysplat_cli.scene.views import LeftOut, Photo, Views
 
@@ -150,10 +150,5 @@ def _pose_difference(own: Located, rows: Sequence[int], others: Cameras) -> Pose
         degrees.append(rotation_angles(w2c[:3, :3] @ mine[:3, :3].T))
         points = own.points[own.visibility[row]].double()
         if len(points):
-            pixels.append((_project(points, mine, lens) - _project(points, w2c, K)).norm(dim=1).median())
+            pixels.append((project(points, mine, lens) - project(points, w2c, K)).norm(dim=1).median())
     return PoseDifference(float(torch.stack(degrees).mean()), float(torch.stack(pixels).mean()) if pixels else None)
-
-
-def _project(points: torch.Tensor, w2c: torch.Tensor, K: torch.Tensor) -> torch.Tensor:
-    image = (points @ w2c[:3, :3].T + w2c[:3, 3]) @ K.T
-    return image[:, :2] / image[:, 2:]

@@ -62,8 +62,9 @@ def inspect_scene(
     with stages("attention"):
         with torch.no_grad():
             gaussians = model.decode(scene.memories, scene.anchors)
+        kept = torch.ones(len(gaussians), dtype=torch.bool) if scene.kept is None else scene.kept
         count = len(gaussians) // model.config.gaussians_per_query
-        by_query = gaussians.opacities.view(count, -1)
+        by_query = (gaussians.opacities * kept).view(count, -1)
         chosen = int(by_query.sum(1).argmax()) if query is None else query
         if not 0 <= chosen < count:
             raise QuerySplatError(f"--query {chosen}: there are queries 0 to {count - 1}", "Choose one of them.")
@@ -77,6 +78,7 @@ def inspect_scene(
     with stages("draw"), atomic_folder(output) as draft:
         per_query = model.config.gaussians_per_query
         own = gaussians[slice(chosen * per_query, (chosen + 1) * per_query)]
+        gaussians = gaussians[kept]
         for branch, weight in maps.items():
             write_picture(draft / f"attention_{branch}.png", _overlays(scene.views, cameras, weight, own))
         _histograms(draft / "histograms.png", gaussians)

@@ -7,18 +7,20 @@ from typing import Any
 
 import torch
 
+from querysplat_cli import savings
 from querysplat_cli.device import find_device, moved
 from querysplat_cli.encoders.base import Encoder, EncoderOptions, Geometry, Located
 from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.errors import QuerySplatError
-from querysplat_cli.holdout import CameraPass, CameraSource, locate_passes
-from querysplat_cli.memory import MemoryNeeds, free_bytes, within_memory
-from querysplat_cli.model.anchors import Anchors
+from querysplat_cli.holdout import CameraPass, CameraSource, locate_passes, take
+from querysplat_cli.memory import MemoryNeeds, evenly_spaced, free_bytes, within_memory
 from querysplat_cli.model.checkpoints import load
-from querysplat_cli.model.memories import Features, Memories
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.precision import check_precision, matrix_products
 from querysplat_cli.progress import Progress, Stages
+from querysplat_cli.prune.bands import without_idle_bands
+from querysplat_cli.prune.gaussians import Amount, prune
+from querysplat_cli.prune.views import near_duplicates
 from querysplat_cli.quality import Quality, score
 from querysplat_cli.remembering import Remembered, Target, remember
 from querysplat_cli.report import (
@@ -38,13 +40,16 @@ from querysplat_cli.scene.formats.known import read_known_cameras
 from querysplat_cli.scene.formats.ply import read_ply
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.photos import find_photos, load_photos
-from querysplat_cli.scene.views import Photo, Views
+from querysplat_cli.scene.views import LeftOut, Photo, Views
 from querysplat_cli.splat.compile_ahead import compile_ahead
 from querysplat_cli.store import StoredScene, ply_path, read_scene, scene_folder, write_scene
-from querysplat_cli.tto.adapt import Adapted, adapt
+from querysplat_cli.tto.adapt import Adapted, Start, adapt
 from querysplat_cli.tto.optimise import TtoStep
 from querysplat_cli.tto.plan import RELEASE_STEPS, Space, TtoRun, plan_release, plan_tto
 from querysplat_cli.tto.rendering_loss import RenderingLoss
+
+TESTED_VIEWS = 12
+"""What leaving something out costs is measured on at most so many input views, evenly spaced."""
 
 
 @dataclass(frozen=True)
@@ -71,13 +76,16 @@ class ReconstructSettings:
     device: str = "auto"
     seed: int = 42
     force: bool = False
+    prune: Amount = "auto"
+    keep_everything: bool = False
 
 
 @dataclass(frozen=True)
 class BuiltScene:
-    """A scene and what it was made of."""
+    """A scene and what it was made of. `duplicates` are views that were left out of it."""
 
     located: Located
+    duplicates: tuple[LeftOut, ...]
     geometry: Geometry
     remembered: Remembered
     adapted: Adapted
@@ -136,14 +144,14 @@ def _reconstruct(settings: ReconstructSettings, device: torch.device, stages: St
         report = Report(
             ply=str(settings.ply),
             scene=str(scene_folder(settings.ply)),
-            views=views_entry(scene.located.views.names, (*unread, *too_many, *passes.left_out)),
+            views=views_entry(scene.located.views.names, (*unread, *too_many, *passes.left_out, *scene.duplicates)),
             gaussians=len(scene.adapted.gaussians),
             seconds=seconds_entry(stages.seconds),
             quality={
                 "input": quality_entry(quality),
                 "heldout": heldout_entry(passes.chosen.source, scores, passes.difference),
             },
-            left_out=_left_out(settings, scene),
+            left_out=[asdict(saving) for saving in _savings(settings, scene)],
             doubts=[*passes.doubts, *scene.geometry.doubts],
             tto=tto_entries(scene.adapted.runs),
             settings={
@@ -161,6 +169,7 @@ def _reconstruct(settings: ReconstructSettings, device: torch.device, stages: St
             scene.remembered.anchors,
             settings.preset,
             scene.remembered.map,
+            scene.adapted.kept,
         )
         write_scene(settings.ply, stored, scene.adapted.gaussians, asdict(report))
     return report
@@ -192,13 +201,21 @@ def build_scene(
 
     After the `last` scene the encoder cannot be used any more: its weights make room for the decoders.
     """
+    located, duplicates = (located, ()) if settings.keep_everything else _distinct(located)
     views, cameras = located.views, located.cameras
     with stages("depth") as progress:
         geometry = encoder.perceive(located, seed=settings.seed, progress=progress)
     if last:
         encoder.release()
     with stages("queries"):
-        remembered = remember(model, located, geometry, queries=settings.queries, target=settings.tto_target)
+        remembered = remember(
+            model,
+            located,
+            geometry,
+            queries=settings.queries,
+            target=settings.tto_target,
+            everything=settings.keep_everything,
+        )
         geometry = replace(geometry, features=())
     with stages("tto") as progress:
         if remembered.anchors is None:
@@ -207,9 +224,26 @@ def build_scene(
             count = remembered.anchors.opacities.numel()
             plan = plan_tto(settings.tto, views=len(views), gaussians=count, space=settings.tto_space)
         steps = sum(run.settings.steps for run in plan)
-        start = remembered.variables.map(torch.Tensor.float) if steps else remembered.variables
-        adapted = _optimise(model, start, remembered.anchors, None, views, cameras, plan, settings.seed, progress)
-    return BuiltScene(located, geometry, remembered, adapted)
+        variables = remembered.variables.map(torch.Tensor.float) if steps else remembered.variables
+        adapted = _optimise(
+            model,
+            Start(variables, remembered.anchors),
+            (views, cameras),
+            plan,
+            settings.seed,
+            "off" if settings.keep_everything else settings.prune,
+            progress,
+            all_bands=settings.keep_everything,
+        )
+    return BuiltScene(located, duplicates, geometry, remembered, adapted)
+
+
+def _distinct(located: Located) -> tuple[Located, tuple[LeftOut, ...]]:
+    """Without the views that show what another one shows, and those."""
+    names = located.views.names
+    same = near_duplicates(located.cameras, located.points, located.visibility)
+    left_out = tuple(LeftOut(names[view], f"shows what {names[other]} shows") for view, other in same.items())
+    return take(located, [view for view in range(len(names)) if view not in same]), left_out
 
 
 def optimise_scene(
@@ -221,12 +255,14 @@ def optimise_scene(
     seed: int,
     stages: Stages,
     space: Space | None = None,
+    amount: Amount = "off",
     weights: Path | None = None,
 ) -> Report:
     """Take up the scene in `path` (its folder or its .ply), optimise it further, and write it back.
 
-    `space` None goes on where the last run worked. `weights` is where the model's files are now, if not where
-    they were. Raises QuerySplatError when memories are asked for whose Gaussians have gone their own way.
+    `space` None goes on where the last run worked; `amount` of the Gaussians stay. `weights` is where the model's
+    files are now, if not where they were. Raises QuerySplatError when memories are asked for whose Gaussians have
+    gone their own way.
     """
     with stages("read"):
         scene, before = read_scene(path)
@@ -248,9 +284,8 @@ def optimise_scene(
             plan = plan_tto(
                 steps, views=len(scene.views), gaussians=count, space=chosen, lr=lr, resumed=chosen in spaces
             )
-        adapted = _optimise(
-            model, scene.memories, scene.anchors, gaussians, scene.views, scene.cameras, plan, seed, progress
-        )
+        start = Start(scene.memories, scene.anchors, gaussians, None if apart else scene.kept)
+        adapted = _optimise(model, start, (scene.views, scene.cameras), plan, seed, amount, progress)
     with stages("score"):
         quality = {
             "input": quality_entry(score(adapted.gaussians, scene.views, scene.cameras)),
@@ -262,11 +297,13 @@ def optimise_scene(
             gaussians=len(adapted.gaussians),
             seconds=seconds_entry(stages.seconds),
             quality=quality,
+            left_out=savings.taken_further(before["left_out"], adapted),
             tto=[*before["tto"], *tto_entries(adapted.runs)],
             peak_memory_gib=peak_memory_gib(),
             machine=machine(),
         )
-        write_scene(ply_path(path), replace(scene, memories=adapted.memories), adapted.gaussians, asdict(report))
+        stored = replace(scene, memories=adapted.memories, kept=adapted.kept)
+        write_scene(ply_path(path), stored, adapted.gaussians, asdict(report))
     return report
 
 
@@ -282,18 +319,22 @@ def load_again(name: str, settings: dict[str, Any], weights: Path | None, device
 
 def _optimise(
     model: QuerySplat,
-    variables: Memories | Features,
-    anchors: Anchors | None,
-    gaussians: Gaussians | None,
-    views: Views,
-    cameras: Cameras,
+    start: Start,
+    photos: tuple[Views, Cameras],
     plan: Sequence[TtoRun],
     seed: int,
+    amount: Amount,
     progress: Progress,
+    *,
+    all_bands: bool = False,
 ) -> Adapted:
-    """The result on the CPU, however it was made: on the device of `model`."""
+    """The result on the CPU, however it was made: on the device of `model`.
+
+    `amount` is that of the Gaussians that stay; SH bands that change nothing go, unless `all_bands`.
+    """
     device = next(model.parameters()).device
-    variables, anchors, gaussians = moved((variables, anchors, gaussians), device)
+    target = RenderingLoss(*moved(photos, device))
+    tested = evenly_spaced(range(len(target.views)), TESTED_VIEWS)
     total = sum(run.settings.steps for run in plan)
     taken = 0
 
@@ -302,16 +343,22 @@ def _optimise(
         taken += 1
         progress(f"loss {step.loss:.4f}, {step.psnr:.2f} dB, {step.gaussians:,} Gaussians", taken / total)
 
+    def psnr(gaussians: Gaussians) -> float:
+        return target.psnr(gaussians, tested)
+
     adapted = adapt(
         model,
-        variables,
-        anchors,
-        gaussians,
-        RenderingLoss(*moved((views, cameras), device)),
+        moved(start, device),
+        target,
         plan,
         generator=torch.Generator().manual_seed(seed),
         progress=show,
+        pruning=None if amount == "off" else lambda gaussians: prune(gaussians, target.cameras, amount, psnr),
+        at_once=amount != "auto",
     )
+    if not all_bands:
+        fewer, idle = without_idle_bands(adapted.gaussians, psnr)
+        adapted = replace(adapted, gaussians=fewer, idle_bands=idle)
     return moved(adapted, torch.device("cpu"))
 
 
@@ -319,21 +366,12 @@ def _score_heldout(scene: BuiltScene, cameras: CameraPass) -> Quality | None:
     return score(scene.adapted.gaussians, *cameras.heldout) if cameras.heldout else None
 
 
-def _left_out(settings: ReconstructSettings, scene: BuiltScene) -> list[dict[str, str]]:
-    """Work that was not done because it would change nothing, or could not be done."""
-    rows = [("LPIPS loss", "its weights are not part of this package", "the network's run in every step")]
-    blocks = scene.remembered.anchor_report
-    if blocks:
-        rows.append(
-            (
-                "queries",
-                f"of {blocks.blocks:,} blocks, {blocks.redundant:,} show what another view shows at least as finely "
-                f"and {blocks.hiding:,} would hide surfaces seen by others",
-                f"{9 * (blocks.redundant + blocks.hiding):,} Gaussians",
-            )
-        )
+def _savings(settings: ReconstructSettings, scene: BuiltScene) -> list[savings.Saving]:
+    found = [savings.LPIPS, *savings.of_adapted(scene.adapted)]
+    if scene.remembered.anchor_report and not settings.keep_everything:
+        found.append(savings.queries(scene.remembered.anchor_report, scene.adapted))
     if scene.geometry.depth is None:
-        rows.append(("depth", "learned queries do not need it", "the depth head"))
+        found.append(savings.DEPTH)
     if settings.poses:
-        rows.append(("structure from motion", f"poses were given in {settings.poses}", "matching and mapping"))
-    return [dict(zip(("what", "why", "saved"), row, strict=True)) for row in rows]
+        found.append(savings.sfm(settings.poses))
+    return found

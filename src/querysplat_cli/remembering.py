@@ -34,11 +34,18 @@ class Remembered:
 
 @torch.no_grad()
 def remember(
-    model: QuerySplat, located: Located, geometry: Geometry, *, queries: int | None, target: Target
+    model: QuerySplat,
+    located: Located,
+    geometry: Geometry,
+    *,
+    queries: int | None,
+    target: Target,
+    everything: bool = False,
 ) -> Remembered:
     """Memories or features on the CPU; with anchors, only the rows that some anchor attends to.
 
-    `queries` bounds the anchors. Raises QuerySplatError when the model cannot read such features.
+    `queries` bounds the anchors; with `everything` those that other views make superfluous stay. Raises
+    QuerySplatError when the model cannot read such features.
     """
     views, cameras = located.views, located.cameras
     model.check_features(geometry.features, cameras.height, cameras.width)
@@ -51,7 +58,13 @@ def remember(
         assert geometry.depth is not None
         assert geometry.confidence is not None
         anchors, report = build_anchors(
-            views, cameras, geometry.depth, geometry.confidence, patch=geometry.patch, queries=queries
+            views,
+            cameras,
+            geometry.depth,
+            geometry.confidence,
+            patch=geometry.patch,
+            queries=queries,
+            everything=everything,
         )
         rows = anchors.geometry.index.unique(), anchors.appearance.index.unique()
         memories, anchors = attended_rows(memories, anchors)

@@ -22,7 +22,7 @@ class Report:
     """One run. The fields are the JSON object's, described in docs/cli.md.
 
     `left_out` lists work that was not done because it would change nothing or could not be done; each
-    entry has "what", "why" and "saved". `doubts` are sentences on why the scene may be wrong.
+    entry is a `Saving`. `doubts` are sentences on why the scene may be wrong.
     """
 
     ply: str
@@ -31,7 +31,7 @@ class Report:
     gaussians: int
     seconds: dict[str, float]
     quality: dict[str, Any]
-    left_out: list[dict[str, str]]
+    left_out: list[dict[str, Any]]
     doubts: list[str]
     tto: list[dict[str, Any]]
     settings: dict[str, Any]

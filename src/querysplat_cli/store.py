@@ -18,7 +18,7 @@ from typing import Any
 import cv2
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
@@ -60,7 +60,8 @@ class MemoryMap:
 
 @dataclass(frozen=True)
 class StoredScene:
-    """A scene that can be taken up again. `model` is the preset or checkpoint that decodes the memories."""
+    """A scene that can be taken up again. `model` is the preset or checkpoint that decodes the memories, `kept` which
+    of the Gaussians that they decode to are the scene's (None: all)."""
 
     views: Views
     cameras: Cameras
@@ -69,6 +70,7 @@ class StoredScene:
     anchors: Anchors | None
     model: str
     map: MemoryMap | None = None
+    kept: Bool[Tensor, "n"] | None = None
 
     @property
     def groups(self) -> dict[str, tuple[Views, Cameras]]:
@@ -102,6 +104,8 @@ def write_scene(ply: Path, scene: StoredScene, gaussians: Gaussians, report: dic
         tensors = {"masks": masks, **_flatten("memories", scene.memories)}
         if scene.anchors is not None:
             tensors |= _flatten("anchors", scene.anchors)
+        if scene.kept is not None:
+            tensors["kept"] = scene.kept
         if scene.map is not None:
             tensors |= _flatten("map", scene.map)
         # By our own hand, since save_file makes files that nobody else may read.
@@ -148,7 +152,7 @@ def read_scene(path: Path) -> tuple[StoredScene, dict[str, Any]]:
         anchors = _unflatten(Anchors, "anchors", tensors) if "anchors.means" in tensors else None
         where = _unflatten(MemoryMap, "map", tensors) if "map.grid" in tensors else None
         memory = _unflatten(Memories, "memories", tensors)
-        scene = StoredScene(views, inputs.cameras, held, memory, anchors, model, where)
+        scene = StoredScene(views, inputs.cameras, held, memory, anchors, model, where, tensors.get("kept"))
     except (OSError, SafetensorError, KeyError, ValueError) as error:
         raise QuerySplatError(f"{folder} is damaged: {error}", "Run `querysplat reconstruct` again.") from error
     return scene, report

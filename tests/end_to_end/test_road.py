@@ -93,7 +93,12 @@ def test_what_is_reported(scene: tuple[Path, dict[str, Any]]) -> None:
     assert 0 < heldout["pose_difference"]["degrees"] < 1
     assert 0 < heldout["pose_difference"]["pixels"] < 5
     assert report["quality"]["input"]["psnr"] > 22
-    assert {"what", "why", "saved"} == report["left_out"][0].keys()
+    for part in report["left_out"]:
+        assert part.keys() == {"what", "why", "saved", "bytes", "seconds", "psnr_lost"}
+    pruned = next(part for part in report["left_out"] if part["what"] == "Gaussians")
+    assert 0 <= pruned["psnr_lost"] <= 0.02
+    gone, everything = (int(number.replace(",", "")) for number in pruned["saved"].split(" of "))
+    assert report["gaussians"] == everything - gone
 
 
 def test_the_score_is_that_of_the_files(scene: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
@@ -119,6 +124,35 @@ def test_tto_takes_the_scene_up(scene: tuple[Path, dict[str, Any]], capsys: pyte
     assert run(["tto", str(ply), "--steps", "0", "--json", "-q"]) == 0  # by the .ply, and doing nothing
     again = json.loads(capsys.readouterr().out)
     assert again["quality"]["input"]["psnr"] == after["quality"]["input"]["psnr"]
+
+
+def test_a_scene_is_pruned_to_a_number(
+    scene: tuple[Path, dict[str, Any]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """What stays is remembered: taking the scene up again brings nothing back."""
+    source, before = scene
+    ply = Path(shutil.copy(source, tmp_path / "scene.ply"))
+    shutil.copytree(source.with_suffix(""), ply.with_suffix(""))
+    target = before["gaussians"] // 2
+    assert run(["tto", str(ply), "--steps", "2", "--prune", str(target), "--json", "-q"]) == 0
+    after = json.loads(capsys.readouterr().out)
+    assert after["gaussians"] == target == len(read_ply(ply))
+    lost = [part["psnr_lost"] for part in after["left_out"] if part["what"] == "Gaussians"][-1]
+    assert lost > 0
+    assert run(["tto", str(ply), "--steps", "2", "--json", "-q"]) == 0
+    assert json.loads(capsys.readouterr().out)["gaussians"] == target
+    assert run(["inspect", str(ply.with_suffix("")), "-o", str(tmp_path / "inspected"), "-q"]) == 0
+
+
+def test_everything_can_be_kept(
+    room: Path, scene: tuple[Path, dict[str, Any]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, usual = scene
+    command = ["reconstruct", str(room), "-o", str(tmp_path / "a.ply"), "--holdout-every", "3", "--json", *SMALL]
+    assert run([*command, "--keep-everything"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["gaussians"] > 1.5 * usual["gaussians"]
+    assert {part["what"] for part in report["left_out"]} == {"LPIPS loss"}
 
 
 def test_gaussians_that_were_optimised_themselves_are_not_decoded_again(

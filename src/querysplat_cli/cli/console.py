@@ -74,10 +74,21 @@ def _table(report: dict[str, Any]) -> Table:
     for run in report["tto"]:
         table.add_row("tto", _tto_text(run))
     for part in report["left_out"]:
-        table.add_row("left out", f"{part['what']}: {part['why']} (saved {part['saved']})")
+        table.add_row("left out", _saving_text(part))
     for doubt in report["doubts"]:
         table.add_row("[yellow]doubtful[/yellow]", doubt)
     return table
+
+
+def _saving_text(part: dict[str, Any]) -> str:
+    text = f"{part['what']}: {part['why']}; saved {part['saved']}"
+    if part["bytes"]:
+        text += f", {part['bytes'] / 2**20:.1f} MiB"
+    if part["seconds"] is not None and part["seconds"] >= 0:
+        text += f", {part['seconds']:.1f} s"
+    if part["psnr_lost"] is not None:
+        text += f"; cost {part['psnr_lost']:.2f} dB on the photos"
+    return text
 
 
 def _quality_text(quality: dict[str, Any]) -> str:

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -35,6 +35,21 @@ class TtoSpace(StrEnum):
     features = "features"
     gaussians = "gaussians"
     both = "both"
+
+
+Prune = Annotated[
+    str,
+    typer.Option(metavar="auto|off|N", help="Leave out Gaussians that change nothing (auto), or all but N."),
+]
+
+
+def amount(text: str) -> Literal["auto", "off"] | int:
+    """A parser for `Prune`."""
+    if text in ("auto", "off"):
+        return text  # type: ignore[return-value]
+    if not text.isdecimal() or int(text) < 1:
+        raise typer.BadParameter(f"--prune {text!r} is neither `auto` nor `off` nor a number of Gaussians to keep")
+    return int(text)
 
 
 def number_or_auto(smallest: int) -> Callable[[str], int | None]:

@@ -14,11 +14,13 @@ from querysplat_cli.cli.options import (
     NetworkPrecision,
     Precision,
     Preset,
+    Prune,
     Queries,
     Quiet,
     Seed,
     TtoSpace,
     Weights,
+    amount,
     number_or_auto,
 )
 
@@ -60,6 +62,10 @@ def reconstruct(
         TtoSpace, typer.Option(help="Optimise the memories, the Gaussians themselves, or both in turn.")
     ] = TtoSpace.features,
     queries: Queries = "auto",
+    prune: Prune = "auto",
+    keep_everything: Annotated[
+        bool, typer.Option("--keep-everything", help="Leave nothing out that could be, for comparison.")
+    ] = False,
     max_size: Annotated[
         str, typer.Option(metavar="PX|auto", help="Longer side of the working pictures; auto: the encoder's own.")
     ] = "auto",
@@ -109,6 +115,8 @@ def reconstruct(
         device=device,
         seed=seed,
         force=force,
+        prune=amount(prune),
+        keep_everything=keep_everything,
     )
     with showing_stages(quiet=quiet) as stages:
         report = run(settings, stages)

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from querysplat_cli.cli.options import Device, Json, Quiet, Seed, TtoSpace, number_or_auto
+from querysplat_cli.cli.options import Device, Json, Prune, Quiet, Seed, TtoSpace, amount, number_or_auto
 
 
 def tto(
@@ -19,6 +19,7 @@ def tto(
         TtoSpace | None,
         typer.Option(help="Optimise the memories, the Gaussians themselves, or both in turn; as last time by default."),
     ] = None,
+    prune: Prune = "off",
     weights: Annotated[Path | None, typer.Option(help="The folder of downloaded weights, if not where it was.")] = None,
     device: Device = "auto",
     seed: Seed = 42,
@@ -42,6 +43,7 @@ def tto(
             seed=seed,
             stages=stages,
             space=None if space is None else space.value,
+            amount=amount(prune),
             weights=weights,
         )
     print_report(report, quiet=quiet, as_json=json)

@@ -91,18 +91,20 @@ def build_anchors(
     patch: int,
     queries: int | None = None,
     near: int = 4,
+    everything: bool = False,
 ) -> tuple[Anchors, AnchorReport]:
     """Anchored queries for a scene whose depth (camera z, scene units) is known.
 
     Memory rows are the patches of `patch` pixels, view by view, row by row; each query attends to the
     `near` nearest of them in space. `queries` limits their number by cutting the pictures more coarsely;
-    None keeps a block for each patch that shows something no other view shows as well.
+    None keeps a block for each patch that shows something no other view shows as well, or, with `everything`,
+    for each patch.
     """
     block = 2 * CELLS
     while True:
         cells = _cells(views, cameras, depth, confidence, block // CELLS)
         seen = _compare_views(cells, views, cameras, depth, confidence)
-        keep, report = _choose_blocks(cells, seen, cameras, block // CELLS)
+        keep, report = _choose_blocks(cells, seen, cameras, block // CELLS, everything)
         if queries is None or report.kept <= queries:
             break
         block += CELLS
@@ -275,9 +277,12 @@ def _compare_views(cells: _Cells, views: Views, cameras: Cameras, depth: Tensor,
 
 
 def _choose_blocks(
-    cells: _Cells, seen: _Seen, cameras: Cameras, cell: int
+    cells: _Cells, seen: _Seen, cameras: Cameras, cell: int, everything: bool
 ) -> tuple[Bool[Tensor, "blocks"], AnchorReport]:
     empty = cells.valid.float().mean(-1) <= 0.5
+    if everything:
+        shown = int((~empty).sum())
+        return ~empty.flatten(), AnchorReport(empty.numel(), shown, 0, 0, empty.numel() - shown)
     hiding = ~empty & (seen.hiding.float().mean(-1) > 0.5)
     keep = torch.zeros_like(empty)
     for own in range(len(cameras)):

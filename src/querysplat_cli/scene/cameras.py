@@ -103,3 +103,9 @@ class Cameras:
         moved[:, :3, 3] = similarity.scale * w2c[:, :3, 3] - moved[:, :3, :3] @ similarity.translation
         moved[:, 3, 3] = 1
         return replace(self, w2c=moved.to(self.w2c.dtype))
+
+
+def project(points: Float[Tensor, "n 3"], w2c: Float[Tensor, "4 4"], K: Float[Tensor, "3 3"]) -> Float[Tensor, "n 2"]:
+    """Pixels of world points that lie before the camera."""
+    image = (points @ w2c[:3, :3].T + w2c[:3, 3]) @ K.T
+    return image[:, :2] / image[:, 2:]

@@ -4,12 +4,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Bool
+from torch import Tensor
 
 from querysplat_cli.model.anchors import Anchors
 from querysplat_cli.model.memories import Features, Memories
 from querysplat_cli.model.querysplat import QuerySplat
+from querysplat_cli.prune.bands import IdleBands
+from querysplat_cli.prune.gaussians import Pruned
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.tto.features import optimise_memories
+from querysplat_cli.tto.features import decoded, optimise_memories
 from querysplat_cli.tto.gaussians import optimise_gaussians
 from querysplat_cli.tto.optimise import TtoResult, TtoStep
 from querysplat_cli.tto.plan import TtoRun
@@ -18,52 +22,95 @@ from querysplat_cli.tto.rendering_loss import RenderingLoss
 
 @dataclass(frozen=True)
 class Adapted:
-    """What became of a scene. Where the Gaussians were optimised themselves, `memories` no longer decode to them."""
+    """What became of a scene. Where the Gaussians were optimised themselves, `memories` no longer decode to them;
+    elsewhere `gaussians` are the decoded ones that are `kept` (all where it is None), without `idle_bands`."""
 
     memories: Memories
     gaussians: Gaussians
     runs: tuple[tuple[TtoRun, TtoResult], ...]
+    kept: Bool[Tensor, "n"] | None = None
+    pruned: Pruned | None = None
+    idle_bands: IdleBands | None = None
 
     @property
     def interrupted(self) -> bool:
         return any(result.interrupted for _, result in self.runs)
 
 
+@dataclass(frozen=True)
+class Start:
+    """What there is to optimise. `gaussians` is the scene where it is no longer what the memories decode to;
+    `kept` says which of the decoded ones are the scene's (None: all)."""
+
+    variables: Memories | Features
+    anchors: Anchors | None
+    gaussians: Gaussians | None = None
+    kept: Bool[Tensor, "n"] | None = None
+
+
 def adapt(
     model: QuerySplat,
-    variables: Memories | Features,
-    anchors: Anchors | None,
-    gaussians: Gaussians | None,
+    start: Start,
     target: RenderingLoss,
     plan: Sequence[TtoRun],
     *,
     generator: torch.Generator,
     progress: Callable[[TtoStep], None] = lambda step: None,
+    pruning: Callable[[Gaussians], Pruned] | None = None,
+    at_once: bool = False,
 ) -> Adapted:
     """Go through the runs of `plan`, at least one; an interrupted one is the last.
 
-    `gaussians` is the scene where it is no longer what the memories decode to.
+    The first prunes half-way; where that must not depend on what optimisation brings, it is done `at_once`.
     """
+    variables, anchors, gaussians, kept = start.variables, start.anchors, start.gaussians, start.kept
+    pruned: Pruned | None = None
+    if pruning and at_once:
+        with torch.no_grad():
+            everything = decoded(model, variables, anchors, kept) if gaussians is None else gaussians
+        pruned, pruning = pruning(everything), None
+        if gaussians is None:
+            kept = _narrowed(kept, pruned.kept)
+        else:
+            gaussians = gaussians[pruned.kept]
     runs: list[tuple[TtoRun, TtoResult]] = []
     for run in plan:
         result: TtoResult
         if run.space == "features":
             result = optimise_memories(
-                model, variables, anchors, target, run.settings, generator=generator, progress=progress
+                model,
+                variables,
+                anchors,
+                target,
+                run.settings,
+                generator=generator,
+                progress=progress,
+                kept=kept,
+                pruning=pruning,
             )
             variables = result.variables
+            if result.pruned:
+                kept = _narrowed(kept, result.pruned.kept)
         else:
-            start = _decode(model, variables, anchors) if gaussians is None else gaussians
-            result = optimise_gaussians(start, target, run.settings, generator=generator, progress=progress)
+            if gaussians is None:
+                with torch.no_grad():
+                    gaussians = decoded(model, variables, anchors, kept)
+            result = optimise_gaussians(
+                gaussians, target, run.settings, generator=generator, progress=progress, pruning=pruning
+            )
+        pruned, pruning = result.pruned or pruned, None
         gaussians = result.gaussians
         runs.append((run, result))
         if result.interrupted:
             break
     assert gaussians is not None
     memories = variables if isinstance(variables, Memories) else model.project(variables)
-    return Adapted(memories, gaussians, tuple(runs))
+    return Adapted(memories, gaussians, tuple(runs), kept, pruned)
 
 
-@torch.no_grad()
-def _decode(model: QuerySplat, variables: Memories | Features, anchors: Anchors | None) -> Gaussians:
-    return model.decode(variables, anchors)
+def _narrowed(kept: Bool[Tensor, "n"] | None, among_them: Bool[Tensor, "m"]) -> Bool[Tensor, "n"]:
+    if kept is None:
+        return among_them
+    narrower = kept.clone()
+    narrower[kept] = among_them
+    return narrower

@@ -9,10 +9,14 @@ from dataclasses import fields
 from typing import TypeVar
 
 import torch
+from jaxtyping import Bool
+from torch import Tensor
 
 from querysplat_cli.model.anchors import Anchors
 from querysplat_cli.model.memories import Features, Memories
 from querysplat_cli.model.querysplat import QuerySplat
+from querysplat_cli.prune.gaussians import Pruned
+from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.tto.optimise import TtoResult, TtoSettings, TtoStep, optimise
 from querysplat_cli.tto.rendering_loss import RenderingLoss
 
@@ -28,14 +32,28 @@ def optimise_memories(
     *,
     generator: torch.Generator,
     progress: Callable[[TtoStep], None] = lambda step: None,
+    kept: Bool[Tensor, "n"] | None = None,
+    pruning: Callable[[Gaussians], Pruned] | None = None,
 ) -> TtoResult[M]:
-    """`optimise` for the four memory tensors, or for the two of features; all at the same rate."""
+    """`optimise` for the four memory tensors, or for the two of features; all at the same rate.
+
+    `kept` says which of the decoded Gaussians an earlier pruning left.
+    """
     return optimise(
         memories,
-        lambda variables: model.decode(variables, anchors),
+        lambda variables: decoded(model, variables, anchors, kept),
         target,
         settings,
         rates={field.name: 1.0 for field in fields(memories)},
         generator=generator,
         progress=progress,
+        pruning=pruning,
     )
+
+
+def decoded(
+    model: QuerySplat, variables: Memories | Features, anchors: Anchors | None, kept: Bool[Tensor, "n"] | None
+) -> Gaussians:
+    """The Gaussians of a scene of which some were pruned."""
+    gaussians = model.decode(variables, anchors)
+    return gaussians if kept is None else gaussians[kept]

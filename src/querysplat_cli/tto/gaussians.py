@@ -13,6 +13,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional as F
 
+from querysplat_cli.prune.gaussians import Pruned
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.tto.optimise import TtoResult, TtoSettings, TtoStep, optimise
 from querysplat_cli.tto.rendering_loss import RenderingLoss
@@ -60,6 +61,7 @@ def optimise_gaussians(
     *,
     generator: torch.Generator,
     progress: Callable[[TtoStep], None] = lambda step: None,
+    pruning: Callable[[Gaussians], Pruned] | None = None,
 ) -> TtoResult[Changes]:
     """`optimise` for changes to `gaussians`."""
     return optimise(
@@ -70,6 +72,7 @@ def optimise_gaussians(
         rates=RATES,
         generator=generator,
         progress=progress,
+        pruning=pruning,
     )
 
 

@@ -14,12 +14,15 @@ from typing import Any, ClassVar, Generic, Protocol, TypeVar, runtime_checkable
 import torch
 from torch import Tensor
 
+from querysplat_cli.prune.gaussians import Pruned
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.tto.rendering_loss import RenderingLoss
 
 RISE = 2.0
 """A step is undone when the loss of its views exceeds the least seen of them by this factor. Views that pull in
 different ways, and Adam's first steps, raise it by up to half on their own and come down again."""
+PRUNE_AFTER = 0.5
+"""The share of the steps after which Gaussians are pruned; the rest makes up for those that went."""
 PATIENCE = 30
 """Steps undone in a row before a run is given up; the rate has then fallen by 2³⁰."""
 
@@ -63,7 +66,8 @@ class TtoStep:
 class TtoResult(Generic[V]):
     """The better of the first and the last state, by the loss over all views; steps undone on the way.
 
-    `gaussians` is what the variables decode to. `interrupted` says that Ctrl-C ended the run early.
+    `gaussians` is what the variables decode to, less what was `pruned`. `interrupted` says that Ctrl-C ended the
+    run early.
     """
 
     variables: V
@@ -73,6 +77,7 @@ class TtoResult(Generic[V]):
     history: tuple[TtoStep, ...]
     undone: int = 0
     interrupted: bool = False
+    pruned: Pruned | None = None
 
 
 def optimise(
@@ -84,11 +89,13 @@ def optimise(
     rates: Mapping[str, float],
     generator: torch.Generator,
     progress: Callable[[TtoStep], None] = lambda step: None,
+    pruning: Callable[[Gaussians], Pruned] | None = None,
 ) -> TtoResult[V]:
     """Adam (β 0.9, 0.999) on every tensor of `variables`, at `settings.lr` times its rate in `rates`.
 
     A step after which the loss rises beyond its noise, or anything stops being finite, is undone and the
-    rate halved. Ctrl-C ends the run and keeps what was reached.
+    rate halved. `pruning` chooses, half-way, the Gaussians that the other half goes on with. Ctrl-C ends the run
+    and keeps what was reached.
     """
     everything = list(range(len(target.views)))
     with torch.no_grad():
@@ -96,14 +103,20 @@ def optimise(
     losses = target.values(first, everything)
     before = TtoResult(variables, first, sum(losses) / len(losses), sum(losses) / len(losses), ())
     if not settings.steps:
-        return before
+        left = pruning(first) if pruning else None
+        return replace(before, gaussians=_staying(first, left), pruned=left)
     run = _Run(variables, settings.lr, rates)
     history: list[TtoStep] = []
     start, undone, in_a_row, interrupted = time.perf_counter(), 0, 0, False
+    pruned: Pruned | None = None
     draws = _draws(len(everything), settings.views_per_step, generator)
     try:
         for step, chosen in enumerate(islice(draws, settings.steps)):
-            gaussians = decode(run.variables)
+            gaussians = _staying(decode(run.variables), pruned)
+            if pruning and not pruned and step >= PRUNE_AFTER * settings.steps and _finite(tensors(gaussians)):
+                pruned = pruning(gaussians.detach())
+                gaussians = _staying(gaussians, pruned)
+                losses = target.values(gaussians, everything)
             here = target.value_and_gradient(gaussians, chosen) if _finite(tensors(gaussians)) else None
             if here:
                 torch.autograd.backward(tensors(gaussians), tensors(here.gradient))
@@ -125,11 +138,15 @@ def optimise(
     found = replace(before, history=tuple(history), undone=undone, interrupted=interrupted)
     last = run.variables.map(Tensor.detach)
     with torch.no_grad():
-        gaussians = decode(last)
+        gaussians = _staying(decode(last), pruned)
     loss = target.value(gaussians, everything) if _finite(tensors(gaussians)) else math.inf
     if loss < before.loss_before:
-        return replace(found, variables=last, gaussians=gaussians, loss_after=loss)
+        return replace(found, variables=last, gaussians=gaussians, loss_after=loss, pruned=pruned)
     return found
+
+
+def _staying(gaussians: Gaussians, pruned: Pruned | None) -> Gaussians:
+    return gaussians if pruned is None else gaussians[pruned.kept]
 
 
 class _Run(Generic[V]):

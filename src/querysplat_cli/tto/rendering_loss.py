@@ -48,6 +48,11 @@ class RenderingLoss:
         """The loss over the views `chosen`."""
         return sum(self.values(gaussians, chosen)) / len(chosen)
 
+    def psnr(self, gaussians: Gaussians, chosen: list[int]) -> float:
+        """The mean over the views `chosen`, in dB."""
+        with torch.no_grad():
+            return _decibels([self._view(gaussians, view)[1] for view in chosen])
+
     def value_and_gradient(self, gaussians: Gaussians, chosen: list[int]) -> "LossAndGradient":
         """The loss over the views `chosen`, and its gradient with respect to every Gaussian parameter."""
         leaves = gaussians.map(lambda field: field.detach().requires_grad_())
@@ -58,8 +63,7 @@ class RenderingLoss:
             losses.append(float(loss.detach()))
             errors.append(error)
         gradient = leaves.map(lambda field: torch.zeros_like(field) if field.grad is None else field.grad)
-        psnr = sum(-10 * math.log10(max(error, 1e-10)) for error in errors) / len(errors)
-        return LossAndGradient(losses, psnr, gradient)
+        return LossAndGradient(losses, _decibels(errors), gradient)
 
     def _view(self, gaussians: Gaussians, view: int) -> tuple[Tensor, float]:
         """Loss and mean squared error of one view."""
@@ -68,3 +72,8 @@ class RenderingLoss:
         with torch.no_grad():
             error = (picture.clamp(0, 1) - photo).square().mean(1)[mask].mean()
         return photometric_loss(picture, photo, mask), float(error)
+
+
+def _decibels(errors: list[float]) -> float:
+    """The mean PSNR of mean squared errors."""
+    return sum(-10 * math.log10(max(error, 1e-10)) for error in errors) / len(errors)

@@ -1,0 +1,148 @@
+"""What is left out: Gaussians, SH bands and views that change nothing."""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+
+from querysplat_cli.prune.bands import without_idle_bands
+from querysplat_cli.prune.gaussians import LOSS, prune, weights
+from querysplat_cli.prune.views import near_duplicates
+from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.views import Views
+from querysplat_cli.splat.render import contributions, render
+from querysplat_cli.tto.gaussians import optimise_gaussians
+from querysplat_cli.tto.optimise import TtoSettings
+from querysplat_cli.tto.rendering_loss import RenderingLoss
+
+SIZE = 32
+
+
+def cameras(*sideways: float) -> Cameras:
+    w2c = torch.eye(4).repeat(len(sideways), 1, 1)
+    w2c[:, 0, 3] = -torch.tensor(sideways)
+    K = torch.tensor([[40.0, 0, SIZE / 2], [0, 40.0, SIZE / 2], [0, 0, 1]]).repeat(len(sideways), 1, 1)
+    return Cameras(w2c, K, SIZE, SIZE)
+
+
+def wall_and_hidden(hidden: int = 50) -> Gaussians:
+    """A wall of 144 opaque Gaussians near z = 2, none as far as another, and `hidden` ones behind it."""
+    steps = torch.linspace(-1.1, 1.1, 12)
+    depth = torch.linspace(1.9, 2.1, 144)[torch.randperm(144, generator=torch.Generator().manual_seed(5))]
+    wall = torch.stack([*torch.meshgrid(steps, steps, indexing="xy"), depth.view(12, 12)], -1).reshape(-1, 3)
+    behind = torch.rand(hidden, 3, generator=torch.Generator().manual_seed(0)) * 0.5 + torch.tensor([-0.2, -0.2, 4.0])
+    count = len(wall) + hidden
+    random = torch.Generator().manual_seed(1)
+    return Gaussians(
+        means=torch.cat([wall, behind]),
+        quats=torch.tensor([1.0, 0, 0, 0]).repeat(count, 1),
+        scales=torch.full((count, 3), 0.15),
+        opacities=torch.full((count,), 0.99),
+        sh=torch.randn(count, 4, 3, generator=random) * torch.tensor([1.0, 0, 0, 0])[:, None],
+    )
+
+
+def photos(gaussians: Gaussians, views: Cameras) -> RenderingLoss:
+    """Photos of the Gaussians, with a little noise, so that PSNR is finite."""
+    images = render(gaussians, views).colour
+    images = (images + 0.01 * torch.randn(images.shape, generator=torch.Generator().manual_seed(2))).clamp(0, 1)
+    names = tuple(f"{i}.png" for i in range(len(views)))
+    masks = torch.ones(len(views), SIZE, SIZE, dtype=torch.bool)
+    return RenderingLoss(Views(images, masks, names, ((SIZE, SIZE),) * len(views)), views)
+
+
+def test_weights_view_by_view_are_those_of_all_views() -> None:
+    scene, views = wall_and_hidden(), cameras(-0.1, 0.0, 0.2)
+    torch.testing.assert_close(weights(scene, views), contributions(scene, views), rtol=1e-5, atol=1e-5)
+
+
+def test_what_no_photo_shows_goes_and_the_rest_stays() -> None:
+    scene, views = wall_and_hidden(), cameras(-0.1, 0.0, 0.1)
+    target = photos(scene, views)
+    pruned = prune(scene, views, "auto", lambda some: target.psnr(some, [0, 1, 2]))
+    gone = ~pruned.kept
+    assert int(gone[144:].sum()) >= 45  # of 50 hidden ones, as finely as shares are looked for
+    assert pruned.psnr_before - pruned.psnr_after <= LOSS
+    assert pruned.psnr_after == pytest.approx(target.psnr(scene[pruned.kept], [0, 1, 2]))
+
+
+def test_a_number_keeps_those_of_most_weight() -> None:
+    scene, views = wall_and_hidden(), cameras(-0.1, 0.0, 0.1)
+    pruned = prune(scene, views, 100, lambda some: float(len(some)))
+    assert int(pruned.kept.sum()) == 100
+    weight = weights(scene, views)
+    assert weight[pruned.kept].min() >= weight[~pruned.kept].max()
+    assert pruned.psnr_before - pruned.psnr_after == 94
+    assert prune(scene, views, 1000, lambda some: 0.0).kept.all()
+
+
+def test_optimisation_goes_on_with_those_that_stay() -> None:
+    scene, views = wall_and_hidden(), cameras(-0.1, 0.0, 0.1)
+    result = optimise_gaussians(
+        scene,
+        photos(replace(scene, sh=0.5 * scene.sh), views),
+        TtoSettings(steps=10, lr=0.002),
+        generator=torch.Generator().manual_seed(0),
+        pruning=lambda some: prune(some, views, 150, lambda each: 0.0),
+    )
+    assert result.loss_after < result.loss_before
+    assert {(step.step < 5, step.gaussians) for step in result.history} == {(True, 194), (False, 150)}
+    assert result.pruned is not None
+    assert len(result.gaussians) == int(result.pruned.kept.sum()) == 150
+
+
+def test_steps_after_a_costly_pruning_are_not_taken_for_failures() -> None:
+    scene, views = wall_and_hidden(), cameras(-0.1, 0.0, 0.1)
+    result = optimise_gaussians(
+        scene,
+        photos(scene, views),
+        TtoSettings(steps=10, lr=0.002),
+        generator=torch.Generator().manual_seed(0),
+        pruning=lambda some: prune(some, views, 100, lambda each: 0.0),
+    )
+    assert [step.gaussians for step in result.history[-5:]] == [100] * 5
+    assert len(result.gaussians) == 194, "what is worse than the start is not kept"
+
+
+def test_pruning_needs_no_steps() -> None:
+    scene, views = wall_and_hidden(), cameras(-0.1, 0.1)
+    result = optimise_gaussians(
+        scene,
+        photos(scene, views),
+        TtoSettings(steps=0, lr=0.02),
+        generator=torch.Generator(),
+        pruning=lambda some: prune(some, views, 20, lambda each: 0.0),
+    )
+    assert len(result.gaussians) == 20
+
+
+@pytest.mark.parametrize("size", [0.0, 1.0])
+def test_bands_go_where_colours_do_not_depend_on_the_direction(size: float) -> None:
+    scene, views = wall_and_hidden(), cameras(-0.3, 0.3)
+    random = torch.Generator().manual_seed(3)
+    scene = replace(scene, sh=scene.sh + size * torch.randn(scene.sh.shape, generator=random))
+    target = photos(scene, views)
+    fewer, idle = without_idle_bands(scene, lambda some: target.psnr(some, [0, 1]))
+    if size:
+        assert idle is None
+        assert fewer is scene
+    else:
+        assert fewer.sh_degree == 0
+        assert idle is not None
+        assert idle.count == 3
+        assert math.isclose(idle.psnr_lost, 0, abs_tol=1e-4)
+
+
+def test_views_from_one_place_are_duplicates_and_others_are_not() -> None:
+    points = torch.rand(40, 3, generator=torch.Generator().manual_seed(4)) + torch.tensor([-0.5, -0.5, 2.0])
+    # 40 px · 0.002 / 2.5 = 0.03 px, 3.2 px: of 32 pixels, 0.128 are the limit.
+    views = cameras(0.0, 0.002, 0.2, 0.202, 0.4)
+    everything = (torch.arange(40),) * 5
+    assert near_duplicates(views, points, everything) == {1: 0, 3: 2}
+    half = (torch.arange(40), torch.arange(25, 40), *everything[2:])
+    assert near_duplicates(views, points, half) == {1: 0, 3: 2}
+    apart = (torch.arange(20), torch.arange(10, 40), *everything[2:])
+    assert 1 not in near_duplicates(views, points, apart)
+    assert near_duplicates(views, torch.zeros(0, 3), (torch.zeros(0, dtype=torch.int64),) * 5) == {}
