@@ -17,7 +17,19 @@ LAYERS = [
     {"model", "encoders", "splat"},
     {"prune"},
     {"tto", "training"},
-    {"holdout", "quality", "report", "preview", "curve", "store", "memory", "weight_files", "remembering", "savings"}
+    {
+        "holdout",
+        "quality",
+        "report",
+        "preview",
+        "curve",
+        "store",
+        "memory",
+        "weight_files",
+        "remembering",
+        "savings",
+        "budget",
+    }
     | {"pipeline", "rendering", "inspection", "demo", "convert"},
     {"evaluation"},
     {"cli", "__main__"},

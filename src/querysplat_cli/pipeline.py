@@ -8,6 +8,7 @@ from typing import Any
 import torch
 
 from querysplat_cli import savings
+from querysplat_cli.budget import Budget, optimising_seconds, working_size
 from querysplat_cli.device import find_device, moved
 from querysplat_cli.encoders.base import Encoder, EncoderOptions, Geometry, Located
 from querysplat_cli.encoders.registry import find_encoder
@@ -78,17 +79,20 @@ class ReconstructSettings:
     force: bool = False
     prune: Amount = "auto"
     keep_everything: bool = False
+    budget: float | None = None
 
 
 @dataclass(frozen=True)
 class BuiltScene:
-    """A scene and what it was made of. `duplicates` are views that were left out of it."""
+    """A scene and what it was made of. `duplicates` are views that were left out of it; `time_for_more` says
+    whether the budget has room for another scene."""
 
     located: Located
     duplicates: tuple[LeftOut, ...]
     geometry: Geometry
     remembered: Remembered
     adapted: Adapted
+    time_for_more: bool = True
 
 
 def reconstruct(settings: ReconstructSettings, stages: Stages) -> Report:
@@ -113,7 +117,12 @@ def _reconstruct(settings: ReconstructSettings, device: torch.device, stages: St
     with stages("model") as progress:
         model, encoder = load_parts(settings, device)
         known = read_known_cameras(settings.poses) if settings.poses else None
+        scenes = 1 if settings.holdout_every is None or known or encoder.own_frame else 2
+        budget = Budget(settings.budget, stages.elapsed) if settings.budget else None
         size = settings.max_size or encoder.size
+        if budget and not settings.max_size and encoder.name == "classical":
+            largest = max(photos, key=lambda photo: photo.height * photo.width)
+            size = working_size(budget, len(photos), scenes, (largest.height, largest.width), size)
         needs = MemoryNeeds(encoder, model, size, optimising=bool(settings.tto))
         photos, too_many, expected = within_memory(photos, needs, free, settings.max_views)
         if expected:
@@ -131,13 +140,16 @@ def _reconstruct(settings: ReconstructSettings, device: torch.device, stages: St
         poses_known=bool(known),
         own_frame=encoder.own_frame,
     )
-    scene = build_scene(passes.chosen.inputs, encoder, model, settings, stages, last=passes.other is None)
+    scenes = 2 if passes.other and passes.other.heldout else 1
+    scene = build_scene(
+        passes.chosen.inputs, encoder, model, settings, stages, last=passes.other is None, budget=budget, scenes=scenes
+    )
     with stages("score"):
         quality = score(scene.adapted.gaussians, scene.located.views, scene.located.cameras)
         scores = {passes.chosen.source: _score_heldout(scene, passes.chosen)}
-    if passes.other and passes.other.heldout and not scene.adapted.interrupted:
+    if passes.other and passes.other.heldout and scene.time_for_more and not scene.adapted.interrupted:
         with stages(f"{passes.other.source} score"):
-            second = build_scene(passes.other.inputs, encoder, model, settings, Stages())
+            second = build_scene(passes.other.inputs, encoder, model, settings, Stages(), budget=budget)
             if not second.adapted.interrupted:
                 scores[passes.other.source] = _score_heldout(second, passes.other)
     with stages("write"):
@@ -196,11 +208,15 @@ def build_scene(
     stages: Stages,
     *,
     last: bool = False,
+    budget: Budget | None = None,
+    scenes: int = 1,
 ) -> BuiltScene:
     """Depth, queries, memories, test-time optimisation: a scene from photos with cameras.
 
-    After the `last` scene the encoder cannot be used any more: its weights make room for the decoders.
+    After the `last` scene the encoder cannot be used any more: its weights make room for the decoders. Of a
+    `budget`, as much is used as leaves time for the rest of the `scenes`.
     """
+    before = stages.elapsed()
     located, duplicates = (located, ()) if settings.keep_everything else _distinct(located)
     views, cameras = located.views, located.cameras
     with stages("depth") as progress:
@@ -218,11 +234,17 @@ def build_scene(
         )
         geometry = replace(geometry, features=())
     with stages("tto") as progress:
-        if remembered.anchors is None:
-            plan = plan_release(settings.tto or 0, space=settings.tto_space)
+        anchors = remembered.anchors
+        config = model.config
+        count = config.query_count * config.gaussians_per_query if anchors is None else anchors.opacities.numel()
+        seconds, more = None, True
+        if budget:
+            seconds, more = optimising_seconds(budget, stages.elapsed() - before, count, scenes)
+        space = settings.tto_space
+        if anchors is None:
+            plan = plan_release(settings.tto or 0, space=space, seconds=seconds)
         else:
-            count = remembered.anchors.opacities.numel()
-            plan = plan_tto(settings.tto, views=len(views), gaussians=count, space=settings.tto_space)
+            plan = plan_tto(settings.tto, views=len(views), gaussians=count, space=space, seconds=seconds)
         steps = sum(run.settings.steps for run in plan)
         variables = remembered.variables.map(torch.Tensor.float) if steps else remembered.variables
         adapted = _optimise(
@@ -235,7 +257,7 @@ def build_scene(
             progress,
             all_bands=settings.keep_everything,
         )
-    return BuiltScene(located, duplicates, geometry, remembered, adapted)
+    return BuiltScene(located, duplicates, geometry, remembered, adapted, more)
 
 
 def _distinct(located: Located) -> tuple[Located, tuple[LeftOut, ...]]:
@@ -374,4 +396,6 @@ def _savings(settings: ReconstructSettings, scene: BuiltScene) -> list[savings.S
         found.append(savings.DEPTH)
     if settings.poses:
         found.append(savings.sfm(settings.poses))
+    if not scene.time_for_more:
+        found.append(savings.SECOND_SCORE)
     return found

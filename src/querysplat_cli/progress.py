@@ -12,12 +12,22 @@ class Stages:
     """Times named stages and tells a listener how each one advances.
 
     `listen(stage, text, fraction)` is called at the start of a stage (0.0), whenever it reports, and at its
-    end (1.0). `seconds` adds up when a stage runs more than once.
+    end (1.0). `seconds` adds up when a stage runs more than once. `started` is when everything began, by
+    `time.perf_counter`; now by default.
     """
 
-    def __init__(self, listen: Callable[[str, str, float], None] = lambda stage, text, fraction: None) -> None:
+    def __init__(
+        self,
+        listen: Callable[[str, str, float], None] = lambda stage, text, fraction: None,
+        started: float | None = None,
+    ) -> None:
         self.seconds: dict[str, float] = {}
         self._listen = listen
+        self._started = time.perf_counter() if started is None else started
+
+    def elapsed(self) -> float:
+        """Seconds since everything began."""
+        return time.perf_counter() - self._started
 
     @contextmanager
     def __call__(self, stage: str) -> Iterator[Progress]:

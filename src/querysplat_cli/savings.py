@@ -24,6 +24,7 @@ class Saving:
 
 GAUSSIANS, BANDS = "Gaussians", "SH bands"
 LPIPS = Saving("LPIPS loss", "its weights are not part of this package", "the network's run in every step")
+SECOND_SCORE = Saving("the other cameras' score", "--budget has no time for a second scene", "a second scene")
 DEPTH = Saving("depth", "learned queries do not need it", "the depth head")
 
 

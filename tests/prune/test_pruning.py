@@ -106,18 +106,6 @@ def test_steps_after_a_costly_pruning_are_not_taken_for_failures() -> None:
     assert len(result.gaussians) == 194, "what is worse than the start is not kept"
 
 
-def test_pruning_needs_no_steps() -> None:
-    scene, views = wall_and_hidden(), cameras(-0.1, 0.1)
-    result = optimise_gaussians(
-        scene,
-        photos(scene, views),
-        TtoSettings(steps=0, lr=0.02),
-        generator=torch.Generator(),
-        pruning=lambda some: prune(some, views, 20, lambda each: 0.0),
-    )
-    assert len(result.gaussians) == 20
-
-
 @pytest.mark.parametrize("size", [0.0, 1.0])
 def test_bands_go_where_colours_do_not_depend_on_the_direction(size: float) -> None:
     scene, views = wall_and_hidden(), cameras(-0.3, 0.3)

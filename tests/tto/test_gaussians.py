@@ -121,3 +121,19 @@ def test_interrupting_keeps_what_was_reached() -> None:
     assert result.interrupted
     assert len(result.history) == 21
     assert result.loss_after < result.loss_before
+
+
+def test_a_run_ends_with_its_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = iter(range(10_000))
+    monkeypatch.setattr("querysplat_cli.tto.optimise.time.perf_counter", lambda: float(next(clock)))
+    target = cloud()
+    result = optimise_gaussians(
+        disturbed(target),
+        RenderingLoss(*photos_of(target)),
+        TtoSettings(steps=1000, lr=0.01, seconds=20.0),
+        generator=torch.Generator().manual_seed(0),
+    )
+    assert result.loss_after < result.loss_before
+    # The clock is read twice a step, and a step that would not end in time is not begun.
+    assert len(result.history) in (9, 10)
+    assert result.history[-1].seconds <= 20

@@ -22,12 +22,17 @@ console = Console(stderr=True, highlight=False)
 
 
 @contextmanager
-def showing_stages(*, quiet: bool) -> Iterator[Stages]:
-    """Stages whose progress is drawn on a terminal, printed line by line elsewhere, or kept quiet."""
+def showing_stages(*, quiet: bool, started: float | None = None) -> Iterator[Stages]:
+    """Stages whose progress is drawn on a terminal, printed line by line elsewhere, or kept quiet.
+
+    `started` is when the command did, if not now.
+    """
     if quiet:
-        yield Stages()
+        yield Stages(started=started)
     elif not console.is_terminal:
-        yield Stages(lambda stage, text, fraction: console.print(stage) if fraction == 0.0 and not text else None)
+        yield Stages(
+            lambda stage, text, fraction: console.print(stage) if fraction == 0.0 and not text else None, started
+        )
     else:
         columns = (SpinnerColumn(), TextColumn("{task.description:<16}"), BarColumn(), TimeElapsedColumn())
         with Progress(*columns, TextColumn("{task.fields[text]}"), console=console) as bars:
@@ -38,7 +43,7 @@ def showing_stages(*, quiet: bool) -> Iterator[Stages]:
                     tasks[stage] = bars.add_task(stage, total=1.0, text=text)
                 bars.update(tasks[stage], completed=fraction, text=text)
 
-            yield Stages(show)
+            yield Stages(show, started)
 
 
 def print_report(report: Report, *, quiet: bool, as_json: bool) -> None:
@@ -108,7 +113,9 @@ def _quality_text(quality: dict[str, Any]) -> str:
 
 
 def _tto_text(run: dict[str, Any]) -> str:
-    text = f"{run['steps']} steps on {run['space']}, loss {run['loss_before']:.4f} → {run['loss_after']:.4f}"
+    taken = len(run["curve"]) + run["undone"]
+    steps = f"{taken} steps in {run['seconds']:.0f} s" if run["seconds"] else f"{run['steps']} steps"
+    text = f"{steps} on {run['space']}, loss {run['loss_before']:.4f} → {run['loss_after']:.4f}"
     if run["undone"]:
         text += f", {run['undone']} undone"
     if run["interrupted"]:

@@ -2,6 +2,7 @@
 
 from enum import StrEnum
 from pathlib import Path
+from time import perf_counter
 from typing import Annotated
 
 import typer
@@ -55,6 +56,10 @@ def reconstruct(
     tto: Annotated[
         str, typer.Option(metavar="STEPS|auto", help="Steps of test-time optimisation; 0 for none.")
     ] = "auto",
+    budget: Annotated[
+        float | None,
+        typer.Option(min=1.0, metavar="SECONDS", help="Time for everything: sets picture size and optimisation."),
+    ] = None,
     tto_target: Annotated[
         TtoTarget, typer.Option(help="What it optimises: keys and values, or the features that they are made of.")
     ] = TtoTarget.kv,
@@ -88,6 +93,7 @@ def reconstruct(
     json: Json = False,
 ) -> None:
     """Turn photos, with no camera poses, into a 3D Gaussian splatting scene."""
+    started = perf_counter()
     steps, limit = number_or_auto(0)(tto), number_or_auto(1)(queries)
     size, most = number_or_auto(96)(max_size), number_or_auto(1)(max_views)
     from querysplat_cli.cli.console import exit_if_interrupted, print_report, showing_stages
@@ -117,8 +123,9 @@ def reconstruct(
         force=force,
         prune=amount(prune),
         keep_everything=keep_everything,
+        budget=budget,
     )
-    with showing_stages(quiet=quiet) as stages:
+    with showing_stages(quiet=quiet, started=started) as stages:
         report = run(settings, stages)
     print_report(report, quiet=quiet, as_json=json)
     exit_if_interrupted(report)

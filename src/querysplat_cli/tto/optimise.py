@@ -43,12 +43,13 @@ class Variables(Protocol):
 class TtoSettings:
     """How to optimise. `views_per_step` None takes every view in every step, as the paper's release does;
     a number draws that many, each view once before any comes again. The rate rises over `warm_up` steps and
-    falls to a tenth along a cosine."""
+    falls to a tenth along a cosine. With `seconds`, a run ends when they are over, and its rate falls with the time."""
 
     steps: int
     lr: float
     views_per_step: int | None = None
     warm_up: int = 0
+    seconds: float | None = None
 
 
 @dataclass(frozen=True)
@@ -103,8 +104,7 @@ def optimise(
     losses = target.values(first, everything)
     before = TtoResult(variables, first, sum(losses) / len(losses), sum(losses) / len(losses), ())
     if not settings.steps:
-        left = pruning(first) if pruning else None
-        return replace(before, gaussians=_staying(first, left), pruned=left)
+        return before
     run = _Run(variables, settings.lr, rates)
     history: list[TtoStep] = []
     start, undone, in_a_row, interrupted = time.perf_counter(), 0, 0, False
@@ -112,8 +112,11 @@ def optimise(
     draws = _draws(len(everything), settings.views_per_step, generator)
     try:
         for step, chosen in enumerate(islice(draws, settings.steps)):
+            done = _done(step, time.perf_counter() - start, settings)
+            if done >= 1:
+                break
             gaussians = _staying(decode(run.variables), pruned)
-            if pruning and not pruned and step >= PRUNE_AFTER * settings.steps and _finite(tensors(gaussians)):
+            if pruning and not pruned and done >= PRUNE_AFTER and _finite(tensors(gaussians)):
                 pruned = pruning(gaussians.detach())
                 gaussians = _staying(gaussians, pruned)
                 losses = target.values(gaussians, everything)
@@ -132,7 +135,7 @@ def optimise(
             seconds = time.perf_counter() - start
             history.append(TtoStep(step, here.loss, here.psnr, seconds, len(gaussians)))
             progress(history[-1])
-            run.step(_fall(step, settings))
+            run.step(_fall(step, done, settings))
     except KeyboardInterrupt:
         interrupted = True
     found = replace(before, history=tuple(history), undone=undone, interrupted=interrupted)
@@ -186,8 +189,14 @@ def _risen(now: list[float], least: list[float], chosen: list[int]) -> bool:
     return not sum(now) / len(now) <= RISE * mean + 1e-4
 
 
-def _fall(step: int, settings: TtoSettings) -> float:
-    cosine = 0.55 + 0.45 * math.cos(math.pi * step / settings.steps)
+def _done(step: int, seconds: float, settings: TtoSettings) -> float:
+    """The part of a run that is over: of its steps, or of its time, with the step that it would take."""
+    in_time = 0.0 if settings.seconds is None else seconds * (1 + 1 / max(step, 1)) / max(settings.seconds, 1e-9)
+    return max(step / settings.steps, in_time if step else 0.0)
+
+
+def _fall(step: int, done: float, settings: TtoSettings) -> float:
+    cosine = 0.55 + 0.45 * math.cos(math.pi * done)
     return cosine * min(1.0, (step + 1) / max(1, settings.warm_up))
 
 

@@ -17,6 +17,8 @@ RELEASE_STEPS, RELEASE_LEARNING_RATE = 20, 5e-3
 VIEWS_PER_STEP = 3
 STEPS = (40, 150)
 """Fewest and most steps of an automatic plan; what more of them bring on held-out photos is little."""
+MOST_STEPS = 300
+"""However much time there is."""
 WORK = 30.0
 STEP_COST, GAUSSIAN_COST = 0.047, 1.65e-6
 """An automatic plan stays within `WORK` seconds, as a step takes 0.047 s + 1.65 µs a Gaussian for three views of
@@ -40,26 +42,34 @@ def plan_tto(
     space: Space = "features",
     lr: float | None = None,
     resumed: bool = False,
+    seconds: float | None = None,
 ) -> tuple[TtoRun, ...]:
-    """Runs of `steps` steps together, or of as many as usually pay (None)."""
+    """Runs of `steps` steps together, or of as many as usually pay (None); with `seconds`, for no longer than these,
+    and None is then as many as ever pay."""
     affordable = int(WORK / (STEP_COST + GAUSSIAN_COST * gaussians))
+    if steps is None:
+        steps = min(max(affordable, STEPS[0]), STEPS[1]) if seconds is None else MOST_STEPS
     usual = RESUMED_LEARNING_RATE if resumed else LEARNING_RATE
     settings = TtoSettings(
-        steps=min(max(affordable, STEPS[0]), STEPS[1]) if steps is None else steps,
+        steps=steps,
         lr=usual if lr is None else lr,
         views_per_step=VIEWS_PER_STEP if views > VIEWS_PER_STEP else None,
         warm_up=RESUMED_WARM_UP if resumed else 0,
+        seconds=seconds,
     )
     return _runs(space, settings)
 
 
-def plan_release(steps: int, *, space: Space = "features", lr: float | None = None) -> tuple[TtoRun, ...]:
+def plan_release(
+    steps: int, *, space: Space = "features", lr: float | None = None, seconds: float | None = None
+) -> tuple[TtoRun, ...]:
     """As the authors' release does: every view in every step."""
-    return _runs(space, TtoSettings(steps, RELEASE_LEARNING_RATE if lr is None else lr))
+    return _runs(space, TtoSettings(steps, RELEASE_LEARNING_RATE if lr is None else lr, seconds=seconds))
 
 
 def _runs(space: Space, settings: TtoSettings) -> tuple[TtoRun, ...]:
     if space != "both":
         return (TtoRun(space, settings),)
-    first = replace(settings, steps=settings.steps - settings.steps // 2)
-    return TtoRun("features", first), TtoRun("gaussians", replace(settings, steps=settings.steps // 2))
+    half = replace(settings, seconds=settings.seconds and settings.seconds / 2)
+    first = replace(half, steps=settings.steps - settings.steps // 2)
+    return TtoRun("features", first), TtoRun("gaussians", replace(half, steps=settings.steps // 2))
