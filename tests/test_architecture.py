@@ -15,8 +15,9 @@ LAYERS = [
     {"errors", "progress", "device", "precision", "tensor_files", "catalogue", "drawing"},
     {"scene"},
     {"model", "encoders", "splat"},
+    {"holdout", "feedback"},
     {"tto", "training"},
-    {"holdout", "quality", "report", "preview", "curve", "store", "memory", "weight_files", "remembering"}
+    {"quality", "report", "preview", "curve", "store", "memory", "weight_files", "remembering"}
     | {"pipeline", "rendering", "inspection", "demo", "convert"},
     {"evaluation"},
     {"cli", "__main__"},
