@@ -176,9 +176,9 @@ class QuerySplat(nn.Module):
         )
 
     def _raw(self, geometry: Tensor, appearance: Tensor) -> tuple[Tensor, Tensor]:
-        """Raw numbers of both heads, a row for each Gaussian."""
-        per_query = self.config.gaussians_per_query
+        """Raw numbers of both heads, a row for each Gaussian, in the type of the queries whatever autocast says."""
+        per_query, dtype = self.config.gaussians_per_query, self.geometry_queries.dtype
         return (
-            self.geometry_head(geometry).unflatten(-1, (per_query, -1)).flatten(0, 1),
-            self.appearance_head(appearance).unflatten(-1, (per_query, -1)).flatten(0, 1),
+            self.geometry_head(geometry).to(dtype).unflatten(-1, (per_query, -1)).flatten(0, 1),
+            self.appearance_head(appearance).to(dtype).unflatten(-1, (per_query, -1)).flatten(0, 1),
         )

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import av
 import cv2
@@ -40,6 +40,7 @@ class Capture:
     known: Mapping[str, PhotoCamera] | None
 
 
+@runtime_checkable
 class Source(Protocol):
     """Scenes by number; a capture depends on the seed, the scene and the draw alone."""
 

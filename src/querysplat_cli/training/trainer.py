@@ -112,10 +112,11 @@ class Trainer:
                 lines.append(row)
                 if journal:
                     journal.add(row)
-                done = self.step / self.config.steps
-                progress(f"loss {row['loss']:.4f}, {row['psnr']:.2f} dB, {row['seconds_per_step']:.2f} s a step", done)
             if self.step % self.config.save_every == 0 or last:
                 self._save(journal, time.perf_counter() - begun)
+            if lines and lines[-1]["step"] == self.step:
+                row, done = lines[-1], self.step / self.config.steps
+                progress(f"loss {row['loss']:.4f}, {row['psnr']:.2f} dB, {row['seconds_per_step']:.2f} s a step", done)
         seconds = time.perf_counter() - begun
         final = lines[-1] if lines else {"loss": math.nan, "psnr": math.nan}
         return TrainReport(
