@@ -154,7 +154,7 @@ def test_what_a_step_sees_depends_on_seed_step_and_process_alone(tmp_path: Path)
     assert draws[::-1] == [again.path(step, 0, rank, (1, 9)) for step in range(19, -1, -1) for rank in (1, 0)]
     assert draws != [other.path(step, 0, rank, (1, 9)) for step in range(20) for rank in (0, 1)]
     assert draws[::2] != draws[1::2]
-    assert set(draws) == {path for path in cache_folder(data, data.sources[0]).glob("*.safetensors")}
+    assert set(draws) == set(cache_folder(data, data.sources[0]).glob("*.safetensors"))
     with pytest.raises(QuerySplatError, match="no sample has"):
         one.path(0, 0, 0, (5, 6))
     read = one.read(draws[0], following=draws[1])

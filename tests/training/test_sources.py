@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.training.config import SourceSettings
 from querysplat_cli.training.outdoors import CLEARANCE, _distance, make_outdoors, wander
-from querysplat_cli.training.procedural import Scene, Solid, cast, make_scene
+from querysplat_cli.training.procedural import Solid, make_scene
 from querysplat_cli.training.raycast import BALL, BOX, CYLINDER
 from querysplat_cli.training.sources import drawn_views, open_source
 
@@ -85,14 +85,6 @@ def test_distances_are_zero_on_surfaces_and_negative_inside(shape: int) -> None:
     solid = Solid(shape, (1, 2, 3), (0.5, 0.5, 0.5), "plain", WHITE, WHITE, turn=0.4)
     points = np.array([[1.0, 2, 3.5], [1, 2, 3], [1, 2, 4.5]])
     np.testing.assert_allclose(_distance(solid, points), [0, -0.5, 1], atol=1e-12)
-
-
-def test_what_no_solid_covers_is_black() -> None:
-    scene = Scene((Solid(BOX, (0, 0, -5), (9, 9, 0.1), "plain", WHITE, WHITE),), (0, 0, 3), (0, 0, 0))
-    cameras = wander(scene, 1, 0, 40, 60)
-    images, depth = cast(scene, cameras)
-    assert (depth == 0).any()
-    assert (images.sum(1)[depth == 0] == 0).all()
 
 
 @pytest.fixture
