@@ -18,6 +18,7 @@ from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.model.checkpoints import load_file as load_model
 from querysplat_cli.training.config import LossSettings, OptimiserSettings, StageSettings, TrainConfig
 from querysplat_cli.training.data import Samples
+from querysplat_cli.training.journal import Journal
 from querysplat_cli.training.processes import Processes
 from querysplat_cli.training.schedule import weights
 from querysplat_cli.training.step import add_gradient, anchored, decoded
@@ -146,6 +147,17 @@ def test_views_a_few_at_once_give_the_gradient_of_all_at_once(tmp_path: Path) ->
     assert gradients[0].abs().max() > 0
     torch.testing.assert_close(gradients[1], gradients[0], rtol=1e-4, atol=1e-7)
     torch.testing.assert_close(gradients[2], gradients[0], rtol=1e-4, atol=1e-7)
+
+
+def test_tensorboard_gets_the_log(tmp_path: Path) -> None:
+    pytest.importorskip("tensorboard")
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    journal = Journal(tmp_path, 0, tensorboard=True)
+    journal.add({"step": 3, "loss": 0.25, "psnr": 20.0, "lr": 1e-3})
+    events = EventAccumulator(str(tmp_path / "tensorboard"))
+    events.Reload()
+    assert [(event.step, event.value) for event in events.Scalars("loss")] == [(3, 0.25)]
 
 
 def test_targets_never_reach_the_reconstruction(tmp_path: Path) -> None:
