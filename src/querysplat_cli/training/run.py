@@ -25,7 +25,7 @@ from querysplat_cli.training.processes import joined_processes
 from querysplat_cli.training.schedule import trained, weights
 from querysplat_cli.training.sources import open_source
 from querysplat_cli.training.step import add_gradient, anchored
-from querysplat_cli.training.trainer import MODEL, STATE, Trainer, TrainReport, peak_gib, starting_model
+from querysplat_cli.training.trainer import MODEL, STATE, Trainer, TrainReport, freeze, peak_gib, starting_model
 
 
 @dataclass(frozen=True)
@@ -101,9 +101,7 @@ def plan(request: TrainRequest, stages: Stages) -> TrainPlan:
     config = request.config
     device = find_device(request.device)
     model = starting_model(config)
-    model.train()
-    for name, parameter in model.named_parameters():
-        parameter.requires_grad_(not name.startswith(config.optimiser.frozen))
+    freeze(model, config)
     whole = sum(parameter.numel() for parameter in model.parameters())
     learning = sum(parameter.numel() for _, parameter in trained(model))
     sources = [(open_source(source), source.samples) for source in config.data.sources]

@@ -74,7 +74,7 @@ class Trainer:
             # A learned model has as many queries as its stage says; the others always have the same tensors.
             self._grow(config.stages[self._stage].queries)
             self.model.load_state_dict({name: tensor.to(device) for name, tensor in state.part("model").items()})
-        _freeze(self.model, config)
+        freeze(self.model, config)
         self._filter = RankFilter(config.optimiser, state.facts["window"] if state else ())
         self._average = Average(self.model, config.optimiser.ema, state.part("average") if state else None)
         self.skipped: dict[str, int] = dict(state.facts["skipped"]) if state else {}
@@ -229,7 +229,7 @@ class Trainer:
         before = self.model.config.query_count
         self._grow(self.config.stages[stage].queries)
         if self.model.config.query_count != before:
-            _freeze(self.model, self.config)
+            freeze(self.model, self.config)
             self._average = Average(self.model, self.config.optimiser.ema, None)
 
     def _grow(self, queries: int) -> None:
@@ -270,7 +270,8 @@ def peak_gib(device: torch.device) -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
 
 
-def _freeze(model: QuerySplat, config: TrainConfig) -> None:
+def freeze(model: QuerySplat, config: TrainConfig) -> None:
+    """Have everything learn but the tensors whose names begin as `optimiser.frozen` says."""
     model.train()
     for name, parameter in model.named_parameters():
         parameter.requires_grad_(not name.startswith(config.optimiser.frozen))
