@@ -68,10 +68,10 @@ class Trainer:
         if state:
             _check_same(config, from_table(state.facts["config"]), folder)
         self.step = state.step if state else 0
-        self._stage, _ = config.at(self.step)
+        # At the end of a stage its own tensors are in the state; the next one begins with the next step.
+        self._stage, _ = config.at(max(0, self.step - 1))
         self.model = starting_model(config).to(device)
         if state:
-            # A learned model has as many queries as its stage says; the others always have the same tensors.
             self._grow(config.stages[self._stage].queries)
             self.model.load_state_dict({name: tensor.to(device) for name, tensor in state.part("model").items()})
         freeze(self.model, config)
@@ -230,7 +230,6 @@ class Trainer:
         self._grow(self.config.stages[stage].queries)
         if self.model.config.query_count != before:
             freeze(self.model, self.config)
-            self._average = Average(self.model, self.config.optimiser.ema, None)
 
     def _grow(self, queries: int) -> None:
         if queries and queries != self.model.config.query_count:
