@@ -23,6 +23,7 @@ import numpy as np
 import torch
 
 import splat
+from querysplat_cli.drawing import new_figure, save_figure
 from querysplat_cli.splat.render import RenderSettings, render
 
 EXACT = RenderSettings(alpha_min=1e-8, transmittance_min=0.0)
@@ -160,13 +161,8 @@ def knobs() -> dict[str, list[Row]]:
 
 
 def plot(scales: dict[str, list[Row]], knob_rows: dict[str, list[Row]], path: Path) -> None:
-    import matplotlib
-
-    matplotlib.use("svg")
-    matplotlib.rcParams["svg.hashsalt"] = "querysplat"
-    from matplotlib import pyplot
-
-    figure, axes = pyplot.subplots(1, 4, figsize=(15, 3.6))
+    figure = new_figure(15, 3.6)
+    axes = figure.subplots(1, 4)
     for axis, (name, rows) in zip(axes, scales.items(), strict=False):
         axis.loglog([row["x"] for row in rows], [row["ms"] for row in rows], "C0.-", label="ms, both passes")
         axis.loglog([row["x"] for row in rows], [row["mb"] for row in rows], "C1.--", label="MB beyond the start")
@@ -177,8 +173,7 @@ def plot(scales: dict[str, list[Row]], knob_rows: dict[str, list[Row]], path: Pa
         axes[3].semilogy([row["ms"] for row in rows], [row["mean"] for row in rows], f"{colour}.:", label="mean")
     axes[3].set_title("error against ms", fontsize=10)
     axes[3].legend(fontsize=7)
-    figure.tight_layout()
-    figure.savefig(path, metadata={"Date": None})
+    save_figure(figure, path)
 
 
 def markdown(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:

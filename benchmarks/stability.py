@@ -22,6 +22,7 @@ import numba
 import torch
 from torch import Tensor
 
+from querysplat_cli.drawing import new_figure, save_figure
 from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.report import machine
 from querysplat_cli.scene.cameras import Cameras
@@ -328,13 +329,8 @@ def sweeps() -> dict[str, dict[str, list[float]]]:
 
 
 def plot(curves: dict[str, dict[str, list[float]]], path: Path) -> None:
-    import matplotlib
-
-    matplotlib.use("svg")
-    matplotlib.rcParams["svg.hashsalt"] = "querysplat"
-    from matplotlib import pyplot
-
-    figure, axes = pyplot.subplots(1, len(curves), figsize=(3.6 * len(curves), 3.4), sharey=True)
+    figure = new_figure(3.6 * len(curves), 3.4)
+    axes = figure.subplots(1, len(curves), sharey=True)
     for axis, (name, columns) in zip(axes, curves.items(), strict=True):
         for key, style in zip(SWEPT[1:], ("C0-", "C1-", "C0:", "C1:"), strict=True):
             finite = [value if math.isfinite(value) else math.nan for value in columns[key]]
@@ -344,8 +340,7 @@ def plot(curves: dict[str, dict[str, list[float]]], path: Path) -> None:
         axis.set_xlabel("κ")
     axes[0].set_ylabel("error against float64")
     axes[0].legend(fontsize=7)
-    figure.tight_layout()
-    figure.savefig(path, metadata={"Date": None})
+    save_figure(figure, path)
 
 
 def number(value: float | None) -> str:

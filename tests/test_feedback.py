@@ -5,9 +5,8 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from querysplat_cli.feedback import CHANNELS, GAINS, LARGEST, feedback
-from querysplat_cli.model.heads import SH_BAND_0
 from querysplat_cli.scene.cameras import Cameras
-from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.gaussians import SH_0, Gaussians
 from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.projection import rotation_matrices
 from querysplat_cli.splat.render import contributions, render
@@ -59,7 +58,7 @@ def test_it_is_the_descent_of_the_squared_error_by_the_reference() -> None:
         exact.quats,
         exact.scales * change["s"].exp(),
         torch.sigmoid(torch.logit(exact.opacities) + change["o"][:, 0]),
-        exact.sh + change["c"][:, None] / SH_BAND_0,
+        exact.sh + change["c"][:, None] / SH_0,
     )
     picture = render(moved, cameras.to(torch.float64), backend="reference").colour
     (-0.5 * (images.double() - picture).square().sum()).backward()

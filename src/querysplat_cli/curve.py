@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from querysplat_cli.drawing import new_figure
+from querysplat_cli.drawing import new_figure, save_figure
 
 SPAN = 7
 """Steps that the drawn line is a mean of, since each step looks at other views."""
@@ -29,7 +29,7 @@ def write_curve(path: Path, runs: Sequence[dict[str, Any]]) -> None:
         axes.set(xlabel="seconds of optimisation", ylabel=f"{name} of each step's views")
         axes.grid(alpha=0.3)
     axes.legend(fontsize=8)
-    figure.savefig(path, dpi=110, format="png")
+    save_figure(figure, path)
 
 
 def _means(seconds: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

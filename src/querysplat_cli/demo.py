@@ -8,6 +8,7 @@ from querysplat_cli.pipeline import ReconstructSettings, reconstruct
 from querysplat_cli.progress import Stages
 from querysplat_cli.report import Report
 from querysplat_cli.scene.files import atomic_folder, refuse_existing
+from querysplat_cli.scene.pictures import eight_bit, write_picture
 from querysplat_cli.training.procedural import cast, make_scene, walk
 
 
@@ -22,8 +23,7 @@ def run_demo(folder: Path, *, photos: int, seed: int, force: bool, stages: Stage
         cameras = walk(scene, photos, seed)
         for i in range(photos):
             image = cast(scene, cameras[[i]])[0][0]
-            pixels = (image.permute(1, 2, 0).numpy() * 255).round().astype("uint8")
-            cv2.imwrite(str(draft / f"photo_{i + 1:02d}.jpg"), pixels[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 95])
+            write_picture(draft / f"photo_{i + 1:02d}.jpg", eight_bit(image), [cv2.IMWRITE_JPEG_QUALITY, 95])
             progress("ray casting", (i + 1) / photos)
     settings = ReconstructSettings((folder / "photos",), folder / "scene.ply", seed=seed, force=True)
     return reconstruct(settings, stages)

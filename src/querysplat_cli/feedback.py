@@ -12,9 +12,8 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from querysplat_cli.model.anchors import Anchors
-from querysplat_cli.model.heads import SH_BAND_0
 from querysplat_cli.scene.cameras import Cameras
-from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.gaussians import SH_0, Gaussians
 from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.projection import rotation_matrices
 from querysplat_cli.splat.render import contributions, render
@@ -40,7 +39,7 @@ def prior_gaussians(anchors: Anchors) -> Gaussians:
         quats=anchors.quats.flatten(0, 1),
         scales=anchors.scales.flatten(0, 1),
         opacities=anchors.opacities.flatten(),
-        sh=((anchors.colours.flatten(0, 1) - 0.5) / SH_BAND_0)[:, None],
+        sh=((anchors.colours.flatten(0, 1) - 0.5) / SH_0)[:, None],
     )
 
 
@@ -69,5 +68,5 @@ def feedback(gaussians: Gaussians, views: Views, cameras: Cameras) -> Float[Tens
     pixels = contributions(gaussians, cameras)[:, None]
     given = [colour.grad, change["fade"].grad, change["move"].grad, change["grow"].grad]
     slopes = torch.cat([torch.zeros(0) if each is None else each.reshape(len(gaussians), -1) for each in given], 1)
-    slopes = torch.cat([slopes[:, :3] / SH_BAND_0, slopes[:, 3:]], 1) / (pixels + 1)
+    slopes = torch.cat([slopes[:, :3] / SH_0, slopes[:, 3:]], 1) / (pixels + 1)
     return torch.cat([(GAINS * slopes).clamp(-LARGEST, LARGEST), (pixels + 1).log() / 4], 1)

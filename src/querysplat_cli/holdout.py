@@ -9,7 +9,7 @@ import torch
 from querysplat_cli.encoders.base import Located
 from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
-from querysplat_cli.scene.sim3 import DegenerateAlignment, align_cameras
+from querysplat_cli.scene.sim3 import DegenerateAlignment, align_cameras, rotation_angles
 from querysplat_cli.scene.views import LeftOut, Photo, Views
 
 CameraSource = Literal["isolated", "joint"]
@@ -151,9 +151,7 @@ def _pose_difference(own: Located, rows: Sequence[int], others: Cameras) -> Pose
     degrees, pixels = [], []
     for row, w2c, K in zip(rows, others.w2c.double(), others.K.double(), strict=True):
         mine, lens = own.cameras.w2c[row].double(), own.cameras.K[row].double()
-        turn = w2c[:3, :3] @ mine[:3, :3].T
-        sine = torch.stack([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]]).norm() / 2
-        degrees.append(torch.rad2deg(torch.atan2(sine, (turn.trace() - 1) / 2)))
+        degrees.append(rotation_angles(w2c[:3, :3] @ mine[:3, :3].T))
         points = own.points[own.visibility[row]].double()
         if len(points):
             pixels.append((_project(points, mine, lens) - _project(points, w2c, K)).norm(dim=1).median())

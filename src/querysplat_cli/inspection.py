@@ -10,16 +10,16 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from querysplat_cli.drawing import new_figure
+from querysplat_cli.drawing import new_figure, save_figure
 from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.model.attention_maps import attention_of
 from querysplat_cli.pipeline import load_again
 from querysplat_cli.progress import Stages
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.files import atomic_folder, refuse_existing
-from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.gaussians import SH_0, Gaussians
+from querysplat_cli.scene.pictures import write_picture
 from querysplat_cli.scene.views import Views
-from querysplat_cli.splat.conventions import SH_0
 from querysplat_cli.store import MemoryMap, StoredScene, read_scene
 
 COLUMNS = 4
@@ -78,7 +78,7 @@ def inspect_scene(
         per_query = model.config.gaussians_per_query
         own = gaussians[slice(chosen * per_query, (chosen + 1) * per_query)]
         for branch, weight in maps.items():
-            cv2.imwrite(str(draft / f"attention_{branch}.png"), _overlays(scene.views, cameras, weight, own)[..., ::-1])
+            write_picture(draft / f"attention_{branch}.png", _overlays(scene.views, cameras, weight, own))
         _histograms(draft / "histograms.png", gaussians)
         _points(draft / "points.png", scene, scene.map, gaussians)
     return Inspected(
@@ -154,7 +154,7 @@ def _histograms(path: Path, gaussians: Gaussians) -> None:
         right.hist(values, bins=50, histtype="step", label=axis)
     right.set(xlabel="log₁₀ scale, scene units")
     right.legend()
-    figure.savefig(path, dpi=120)
+    save_figure(figure, path)
 
 
 def _points(path: Path, scene: StoredScene, found: MemoryMap, gaussians: Gaussians) -> None:
@@ -178,4 +178,4 @@ def _points(path: Path, scene: StoredScene, found: MemoryMap, gaussians: Gaussia
         axes.set(title=f"{name} ({len(points):,})", xlabel="x", ylabel="z", zlabel="−y")
         axes.set(xlim=(low[0], high[0]), ylim=(low[2], high[2]), zlim=(-high[1], -low[1]))
         axes.view_init(elev=25, azim=-70)
-    figure.savefig(path, dpi=120)
+    save_figure(figure, path)

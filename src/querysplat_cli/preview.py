@@ -8,6 +8,7 @@ import torch
 
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.pictures import eight_bit, write_picture
 from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.render import render
 
@@ -27,7 +28,7 @@ def preview(gaussians: Gaussians, groups: dict[str, tuple[Views, Cameras]]) -> n
             renders = render(gaussians, cameras[rows]).colour.clamp(0, 1)
         for row, picture in zip(rows, renders, strict=True):
             height, width = views.sizes[row]
-            pair = [_to_bytes(image[:, :height, :width]) for image in (views.images[row], picture)]
+            pair = [eight_bit(image[:, :height, :width]) for image in (views.images[row], picture)]
             gap = np.full((height, GAP, 3), 255, np.uint8)
             strips.append(_captioned(np.hstack([pair[0], gap, pair[1]]), f"{caption}: {views.names[row]}"))
     widest = max(strip.shape[1] for strip in strips)
@@ -36,11 +37,7 @@ def preview(gaussians: Gaussians, groups: dict[str, tuple[Views, Cameras]]) -> n
 
 
 def write_preview(path: Path, gaussians: Gaussians, groups: dict[str, tuple[Views, Cameras]]) -> None:
-    cv2.imwrite(str(path), preview(gaussians, groups)[..., ::-1])
-
-
-def _to_bytes(image: torch.Tensor) -> np.ndarray:
-    return (image.permute(1, 2, 0) * 255).round().to(torch.uint8).numpy()
+    write_picture(path, preview(gaussians, groups))
 
 
 def _captioned(picture: np.ndarray, caption: str) -> np.ndarray:

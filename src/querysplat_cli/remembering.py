@@ -77,7 +77,7 @@ def _memory_map(
 ) -> MemoryMap:
     grid = height // geometry.patch, width // geometry.patch
     special = geometry.features[-1].shape[1] - grid[0] * grid[1]
-    depth = torch.zeros(0, 0, 0) if geometry.depth is None else geometry.depth.clamp_max(FARTHEST)
+    depth = torch.zeros(0, 0, 0) if geometry.depth is None else geometry.depth
     return MemoryMap(
         rows[0].int(), rows[1].int(), torch.tensor([special, *grid]).int(), depth.clamp_max(FARTHEST).half()
     )

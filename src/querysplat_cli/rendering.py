@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import av
-import cv2
 import numpy as np
 import torch
 
@@ -18,6 +17,7 @@ from querysplat_cli.scene.formats.ply import read_ply
 from querysplat_cli.scene.formats.transforms import read_cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.paths import orbit, surround
+from querysplat_cli.scene.pictures import eight_bit, write_picture
 from querysplat_cli.splat.render import Rendering, render
 from querysplat_cli.store import scene_folder
 
@@ -116,24 +116,15 @@ def _render_each(
         progress("", (i + 1) / len(sizes))
 
 
-def _bytes(picture: Rendering) -> np.ndarray:
-    """[height, width, 3] 8-bit BGR, as OpenCV writes it."""
-    return (picture.colour[0].clamp(0, 1).permute(1, 2, 0) * 255).round().to(torch.uint8).numpy()[..., ::-1]
-
-
 def _write_frame(path: Path, picture: Rendering, request: RenderRequest) -> None:
-    _write_png(path.with_name(f"{path.name}.png"), _bytes(picture))
+    write_picture(path.with_name(f"{path.name}.png"), eight_bit(picture.colour[0].clamp(0, 1)))
     if request.depth:
         steps = (picture.depth[0] * DEPTH_UNITS).round().clamp(0, 65535)
-        _write_png(path.with_name(f"{path.name}_depth.png"), steps.numpy().astype(np.uint16))
+        write_picture(path.with_name(f"{path.name}_depth.png"), steps.numpy().astype(np.uint16))
     if request.alpha:
-        _write_png(path.with_name(f"{path.name}_alpha.png"), (picture.alpha[0] * 255).round().to(torch.uint8).numpy())
-
-
-def _write_png(path: Path, pixels: np.ndarray) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if not cv2.imwrite(str(path), pixels):
-        raise OSError(f"cannot write {path}")
+        write_picture(
+            path.with_name(f"{path.name}_alpha.png"), (picture.alpha[0] * 255).round().to(torch.uint8).numpy()
+        )
 
 
 def _write_film(path: Path, pictures: Iterator[Rendering], fps: int) -> None:
@@ -141,11 +132,11 @@ def _write_film(path: Path, pictures: Iterator[Rendering], fps: int) -> None:
     with av.open(str(path), "w") as film:
         stream = None
         for picture in pictures:
-            frame = _bytes(picture)
+            frame = eight_bit(picture.colour[0].clamp(0, 1))
             frame = frame[: frame.shape[0] // 2 * 2, : frame.shape[1] // 2 * 2]  # the codec wants even sizes
             if stream is None:
                 stream = film.add_stream("libx264", rate=fps, options={"crf": "18"})
                 stream.height, stream.width, stream.pix_fmt = frame.shape[0], frame.shape[1], "yuv420p"
-            film.mux(stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(frame), format="bgr24")))
+            film.mux(stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(frame), format="rgb24")))
         if stream is not None:
             film.mux(stream.encode())

@@ -33,6 +33,7 @@ from querysplat_cli.scene.files import atomic_folder, atomic_path
 from querysplat_cli.scene.formats.ply import write_ply
 from querysplat_cli.scene.formats.transforms import read_cameras, write_cameras
 from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.pictures import eight_bit, write_picture
 from querysplat_cli.scene.views import Views
 
 LOSSLESS_SUFFIXES = {".png", ".bmp", ".tif", ".tiff"}
@@ -95,7 +96,7 @@ def write_scene(ply: Path, scene: StoredScene, gaussians: Gaussians, report: dic
     with atomic_path(ply) as ply_draft, atomic_folder(folder) as draft:
         written = write_ply(ply_draft, gaussians)
         for views, _ in scene.groups.values():
-            _write_images(draft / "images", views)
+            write_images(draft / "images", views)
         write_cameras(draft / "cameras.json", scene.cameras, scene.views, heldout=scene.heldout)
         masks = torch.cat([views.masks for views, _ in scene.groups.values()])
         tensors = {"masks": masks, **_flatten("memories", scene.memories)}
@@ -112,6 +113,14 @@ def write_scene(ply: Path, scene: StoredScene, gaussians: Gaussians, report: dic
     return written
 
 
+def write_images(folder: Path, views: Views) -> None:
+    """The pictures, without what is only canvas, under the names of `views`; lossless, or JPEG at its best."""
+    for image, name, (height, width) in zip(views.images, views.names, views.sizes, strict=True):
+        path = folder / _stored_name(name)
+        settings = () if path.suffix.lower() in LOSSLESS_SUFFIXES else JPEG_SETTINGS
+        write_picture(path, eight_bit(image[:, :height, :width]), settings)
+
+
 def read_scene(path: Path) -> tuple[StoredScene, dict[str, Any]]:
     """The scene and the report in a folder that `write_scene` made; `path` is the folder or its .ply.
 
@@ -121,7 +130,7 @@ def read_scene(path: Path) -> tuple[StoredScene, dict[str, Any]]:
     memories = folder / "memories.safetensors"
     if not memories.is_file():
         raise QuerySplatError(
-            f"{folder} is not a scene folder: it has no memories.safetensors",
+            f"{folder} has no memories.safetensors: nothing was reconstructed there",
             "Give the folder (or the .ply beside it) that `querysplat reconstruct` wrote.",
         )
     try:
@@ -165,16 +174,6 @@ def _unflatten(kind: Any, name: str, tensors: dict[str, Tensor]) -> Any:
 def _stored_name(name: str) -> str:
     suffix = Path(name).suffix.lower()
     return name if suffix in LOSSLESS_SUFFIXES | {".jpg", ".jpeg"} else f"{name}.png"
-
-
-def _write_images(folder: Path, views: Views) -> None:
-    for image, name, (height, width) in zip(views.images, views.names, views.sizes, strict=True):
-        path = folder / _stored_name(name)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        pixels = (image[:, :height, :width].permute(1, 2, 0) * 255).round().to(torch.uint8).numpy()
-        settings = [] if path.suffix.lower() in LOSSLESS_SUFFIXES else list(JPEG_SETTINGS)
-        if not cv2.imwrite(str(path), pixels[..., ::-1], settings):
-            raise OSError(f"cannot write {path}")
 
 
 def _read_images(folder: Path, names: tuple[str, ...], sizes: tuple[tuple[int, int], ...], masks: Tensor) -> Views:

@@ -1,9 +1,12 @@
 """`querysplat convert` and `querysplat poses`, as they are typed."""
 
 import json
+import sys
 from itertools import pairwise
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pycolmap
 import pytest
 import torch
@@ -12,10 +15,14 @@ from scipy.spatial.transform import Rotation
 from querysplat_cli.cli import run
 from querysplat_cli.errors import ExitCode
 from querysplat_cli.scene.cameras import PhotoCamera
+from querysplat_cli.scene.formats.dataset import find_scenes
 from querysplat_cli.scene.formats.known import read_known_cameras
 from querysplat_cli.scene.formats.ply import read_ply, write_ply
-from querysplat_cli.scene.formats.transforms import write_transforms
+from querysplat_cli.scene.formats.transforms import read_cameras, write_transforms
 from querysplat_cli.scene.gaussians import Gaussians
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "evaluation"))
+from evaluation_scenes import write_room
 
 
 def cameras(count: int = 4) -> dict[str, PhotoCamera]:
@@ -63,6 +70,52 @@ def test_cameras_go_round(tmp_path: Path) -> None:
     assert len(pycolmap.Reconstruction(stations[1]).cameras) == 2  # equal lenses are one camera
 
 
+def test_photos_and_cameras_become_a_scene_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """In the cameras' own frame, straightened, and read by every verb; `tto` says what it lacks."""
+    room = tmp_path / "room"
+    write_room(room, 3)
+    content = json.loads((room / "transforms.json").read_text())
+    content["frames"].append({**content["frames"][0], "file_path": "images/lost.png"})
+    (room / "transforms.json").write_text(json.dumps({**content, "k1": 0.05}))
+    cv2.imwrite(str(room / "images_4" / "unplaced.png"), np.zeros((100, 100, 3), np.uint8))
+    assert run(["convert", str(room), str(tmp_path / "model"), "-q"]) == 0  # COLMAP with k1
+    scene = tmp_path / "scene"
+    arguments = ["convert", str(tmp_path / "model"), str(scene), "--photos", str(room)]
+    assert run([*arguments, "--json", "-q"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    names = [f"frame_{i:05d}.png" for i in (1, 2, 3)]
+    assert (said["cameras"], [each["name"] for each in said["left_out"]]) == (3, ["unplaced.png", "lost.png"])
+    assert sorted(path.name for path in scene.iterdir()) == ["cameras.json", "images"]
+    given, made = read_known_cameras(room), read_known_cameras(scene)
+    assert list(made) == names
+    for name in names:
+        assert made[name].w2c == pytest.approx(given[name].w2c, abs=1e-6)  # made a rotation again
+        assert made[name].focal[0] * 4 > 1.01 * given[name].focal[0]  # less is seen, at the picture's own size
+        assert made[name].distortion == (0, 0, 0, 0)
+        height, width = cv2.imread(str(scene / "images" / name)).shape[:2]
+        assert (made[name].height, made[name].width) == (height, width)
+    assert read_cameras(scene / "cameras.json")[0].names == tuple(names)
+    (found,) = find_scenes([scene])  # eval's door
+    assert [frame.name for frame in found.frames] == list(found.cameras) == names
+
+    write_gaussians(tmp_path / "scene.ply", [[0.0, 0.0, 3.0]])
+    assert run(["render", str(tmp_path / "scene.ply"), "-o", str(tmp_path / "frames"), "-q"]) == 0
+    assert sorted(path.name for path in (tmp_path / "frames").iterdir()) == names
+    assert run(["tto", str(scene)]) == ExitCode.BAD_INPUT
+    assert "has no memories" in capsys.readouterr().err
+    assert run([*arguments, "--text", "--force"]) == ExitCode.BAD_INPUT
+    assert "--photos" in capsys.readouterr().err
+    before = sorted(room.rglob("*"))
+    assert run(["convert", str(room), str(room), "--photos", str(room), "--force"]) == ExitCode.BAD_INPUT
+    assert "holds what is to be converted" in capsys.readouterr().err
+    write_transforms(tmp_path / "others.json", cameras())
+    strangers = ["convert", str(tmp_path / "others.json"), str(tmp_path / "none"), "--photos", str(room)]
+    assert run(strangers) == ExitCode.BAD_INPUT
+    assert "photo_0.jpg" in capsys.readouterr().err
+    assert not (tmp_path / "none").exists()
+    assert sorted(room.rglob("*")) == before
+
+
 def test_a_colmap_models_points_stay(tmp_path: Path) -> None:
     write_transforms(tmp_path / "a.json", cameras())
     assert run(["convert", str(tmp_path / "a.json"), str(tmp_path / "binary"), "-q"]) == 0
@@ -71,6 +124,16 @@ def test_a_colmap_models_points_stay(tmp_path: Path) -> None:
     model.write_binary(tmp_path / "binary")
     assert run(["convert", str(tmp_path / "binary"), str(tmp_path / "text"), "--text", "-q"]) == 0
     assert [list(point.xyz) for point in pycolmap.Reconstruction(tmp_path / "text").points3D.values()] == [[1, 2, 3]]
+
+
+def test_a_folder_that_holds_two_sets_of_cameras_means_one(tmp_path: Path) -> None:
+    """DL3DV's samples hold a transforms.json beside the model that it was made of."""
+    home = tmp_path / "colmap"
+    write_transforms(tmp_path / "few.json", cameras(2))
+    assert run(["convert", str(tmp_path / "few.json"), str(home / "sparse" / "0"), "-q"]) == 0
+    write_transforms(home / "transforms.json", cameras(4))
+    assert run(["convert", str(home), str(tmp_path / "model"), "-q"]) == 0
+    assert len(read_known_cameras(tmp_path / "model")) == len(read_known_cameras(home)) == 4
 
 
 @pytest.mark.parametrize(
@@ -119,6 +182,10 @@ def test_spz_is_turned_to_its_own_axes_and_back(tmp_path: Path) -> None:
         ["a.ply", "b.ply", "--crop", "1,2,3"],
         ["a.ply", "b.ply", "--crop", "1,0,0,0,1,1"],
         ["a.json", "b.txt"],
+        ["a.json", "b.json", "--photos", "."],
+        ["a.json", "b", "--photos", "nowhere"],
+        ["a.ply", "b.ply", "--photos", "."],
+        ["a.ply", "b.ply", "--text"],
         ["a.json", "b.json", "--up", "z"],
         ["nowhere.json", "b.json"],
     ],

@@ -14,9 +14,8 @@ from querysplat_cli.errors import ExitCode
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.formats.ply import write_ply
 from querysplat_cli.scene.formats.transforms import write_cameras
-from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.gaussians import SH_0, Gaussians
 from querysplat_cli.scene.views import Views
-from querysplat_cli.splat.conventions import SH_0
 
 SIZE = (48, 64)
 

@@ -90,7 +90,7 @@ def test_photos_without_a_usable_camera_are_named(photos: list[Photo]) -> None:
     whys = [left.why for left in found.left_out]
     assert "no camera" in whys[0]
     assert "300 × 400" in whys[1]
-    assert "rotation" in whys[2]
+    assert "rigid" in whys[2]
     assert len(found.points) == 0
 
 

@@ -18,6 +18,8 @@ from querysplat_cli.errors import ExitCode
 sys.path.insert(0, str(Path(__file__).parents[1] / "evaluation"))
 from evaluation_scenes import write_room
 
+from tiny_weights import write_weights
+
 FRAMES = 20
 OPTIONS = ["--views", "4", "--scales", "small", "--cases", "1", "--tto", "0,4", "--quiet"]
 ROWS = {f"{cameras}_{row}" for cameras in ("free", "posed") for row in ("depth", "tto=0", "tto=4")}
@@ -105,6 +107,23 @@ def test_our_renders_score_the_same_as_anybody_elses(evaluated: tuple[Path, dict
     assert [(failure["case"], failure["row"]) for failure in found["failures"]] == [("elsewhere_001", "rival")]
     ours = {row["group"]: row["psnr"] for row in summary["rows"] if row["row"] == "free_tto=4"}
     assert {row["group"]: row["psnr"] for row in found["rows"]} == pytest.approx(ours, abs=0.02)  # 8-bit pictures
+
+
+@pytest.mark.parametrize("protocol", ["release", "text"])
+def test_an_encoder_that_looks_at_squares_is_shown_whole_photos(
+    protocol: str, room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A network, with tiny random weights; it finds cameras itself, also in the posed rows."""
+    weights = ["--preset", "official-8192", "--weights", str(write_weights(tmp_path / "weights"))]
+    size = ["--max-size", "112", "--protocol", protocol, "--tto", "0", "--json"]
+    options = ["--views", "2", "--scales", "small", "--cases", "1", "--quiet"]
+    assert run(["eval", str(room), "-o", str(tmp_path / "out"), *options, *weights, *size]) == 0
+    summary = json.loads(capsys.readouterr().out)
+    assert summary["failures"] == []
+    assert {row["row"] for row in summary["rows"]} == {"free_depth", "free_tto=0", "posed_depth", "posed_tto=0"}
+    for row in summary["rows"]:
+        assert row["scored"] == row["asked"] > 0, row
+        assert row["psnr"] > 0
 
 
 @pytest.mark.slow

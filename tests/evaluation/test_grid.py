@@ -32,7 +32,7 @@ def test_other_values_are_refused(text: str) -> None:
 
 def test_every_setting_that_makes_a_scene_can_be_varied() -> None:
     assert {"tto", "queries", "max_size", "preset", "encoder"} <= axes().keys()
-    assert not {"inputs", "ply", "force", "poses"} & axes().keys()
+    assert not {"inputs", "ply", "force", "poses", "fit"} & axes().keys()
 
 
 def test_rows_are_the_product() -> None:

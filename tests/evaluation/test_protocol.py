@@ -8,11 +8,10 @@ import pytest
 import torch
 
 from querysplat_cli.errors import QuerySplatError
-from querysplat_cli.evaluation.protocol import Protocol, photograph, resized
+from querysplat_cli.evaluation.protocol import Protocol, photograph
 from querysplat_cli.scene.cameras import PhotoCamera
-from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.gaussians import SH_0, Gaussians
 from querysplat_cli.scene.views import Photo
-from querysplat_cli.splat.conventions import SH_0
 
 LENS = (0.12, -0.08, 0.004, -0.003)
 
@@ -96,14 +95,6 @@ def test_a_lens_without_distortion_changes_nothing() -> None:
     straight = photograph(scene, camera(96, 128, (0.0, 0.0, 0.0, 0.0)))
     nearly = photograph(scene, camera(96, 128, (1e-9, 0.0, 0.0, 0.0)))
     assert float((straight - nearly).abs().max()) < 1e-3
-
-
-def test_resizing_keeps_corners_and_means() -> None:
-    ramp = torch.linspace(0, 1, 512)[None, None].repeat(3, 64, 1)
-    small = resized(ramp, 32, 256)
-    assert small.shape == (3, 32, 256)
-    torch.testing.assert_close(small[:, 0, 1:-1], ramp.reshape(3, 64, 256, 2).mean(-1)[:, 0, 1:-1], atol=1e-5, rtol=0)
-    assert resized(ramp, 64, 512) is ramp
 
 
 def _seen(lens: PhotoCamera, points: np.ndarray) -> np.ndarray:

@@ -8,7 +8,6 @@ from model_scenes import anchors, compact
 
 from querysplat_cli.model.config import preset
 from querysplat_cli.model.heads import (
-    SH_BAND_0,
     activate_appearance,
     activate_geometry,
     assemble,
@@ -16,6 +15,7 @@ from querysplat_cli.model.heads import (
     quaternion_product,
     signed_exponential,
 )
+from querysplat_cli.scene.gaussians import SH_0
 from querysplat_cli.splat.projection import rotation_matrices
 
 OFFICIAL = preset("official-8192")
@@ -54,7 +54,7 @@ def test_scale_cap_and_colour_bounds() -> None:
     assert float(scale[0, 0]) == pytest.approx(0.075 * math.exp(-0.001), rel=1e-6)
     assert float(scale[1, 0]) == pytest.approx(0.075, rel=1e-6)
     sh, _ = activate_appearance(torch.full((1, 13), 50.0), OFFICIAL)
-    torch.testing.assert_close(0.5 + SH_BAND_0 * sh[0, 0], torch.ones(3))
+    torch.testing.assert_close(0.5 + SH_0 * sh[0, 0], torch.ones(3))
     torch.testing.assert_close(sh[0, 1:], torch.full((3, 3), 0.1))
 
 
@@ -91,7 +91,7 @@ def test_raw_zero_gives_the_prior_and_a_slope_to_every_raw_number() -> None:
     assert torch.equal(made.scales, scene.scales.flatten(0, 1))
     torch.testing.assert_close(made.quats, scene.quats.flatten(0, 1), rtol=1e-6, atol=1e-7)
     torch.testing.assert_close(made.opacities, scene.opacities.flatten(), rtol=1e-6, atol=1e-6)
-    torch.testing.assert_close(0.5 + SH_BAND_0 * made.sh[:, 0], scene.colours.flatten(0, 1), rtol=1e-6, atol=1e-6)
+    torch.testing.assert_close(0.5 + SH_0 * made.sh[:, 0], scene.colours.flatten(0, 1), rtol=1e-6, atol=1e-6)
     assert not made.sh[:, 1:].any()
     parts = list(made.__dict__.values())
     generator = torch.Generator().manual_seed(0)

@@ -8,10 +8,11 @@ from model_scenes import PATCHES, VIEWS, anchors, compact, memories, photos
 
 from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.model.config import ModelConfig, preset
-from querysplat_cli.model.heads import SH_BAND_0, assemble
+from querysplat_cli.model.heads import assemble
 from querysplat_cli.model.initialise import initial_model
 from querysplat_cli.model.memories import Memories, attended_rows, plucker_rays
 from querysplat_cli.model.querysplat import QuerySplat
+from querysplat_cli.scene.gaussians import SH_0
 from tiny_weights import MODEL as TINY
 
 
@@ -35,7 +36,7 @@ def test_initial_model_gives_the_prior() -> None:
     assert torch.equal(made.scales, scene.scales.flatten(0, 1))
     torch.testing.assert_close(made.quats, scene.quats.flatten(0, 1), rtol=1e-6, atol=1e-7)
     torch.testing.assert_close(made.opacities, scene.opacities.flatten(), rtol=1e-6, atol=1e-6)
-    torch.testing.assert_close(0.5 + SH_BAND_0 * made.sh[:, 0], scene.colours.flatten(0, 1), rtol=1e-6, atol=1e-6)
+    torch.testing.assert_close(0.5 + SH_0 * made.sh[:, 0], scene.colours.flatten(0, 1), rtol=1e-6, atol=1e-6)
 
 
 def test_values_drive_every_property_of_every_gaussian_from_the_start() -> None:

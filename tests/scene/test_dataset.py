@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.scene.formats.colmap import write_colmap
 from querysplat_cli.scene.formats.dataset import ZipMember, fetch, find_scenes
 
 FRAMES = 5
@@ -67,6 +68,46 @@ def test_a_zip_is_read_like_its_folder(tmp_path: Path) -> None:
     for copy, original in zip(copies, fetch(plain.frames[1:3], tmp_path), strict=True):
         assert copy.name == original.name
         assert copy.read_bytes() == original.read_bytes()
+
+
+@pytest.mark.parametrize("home", [".", "gaussian_splat"])
+@pytest.mark.parametrize("text", [False, True])
+def test_a_colmap_project(tmp_path: Path, home: str, text: bool) -> None:
+    """As COLMAP's users keep it, and in DL3DV's Benchmark; a folder or a zip."""
+    write_scene(tmp_path / "dl3dv")
+    (known,) = find_scenes([tmp_path / "dl3dv"])
+    model = tmp_path / "in" / "scene1" / home / "sparse" / "0"
+    write_pictures(tmp_path / "in" / "scene1" / home / "images_4", list(range(1, FRAMES + 1)))
+    model.mkdir(parents=True)
+    write_colmap(model, known.cameras, text=text)
+    packed = Path(shutil.make_archive(str(tmp_path / "archive"), "zip", tmp_path / "in"))
+    for place in (tmp_path / "in", packed):
+        (scene,) = find_scenes([place])
+        assert [frame.name for frame in scene.frames] == list(scene.cameras) == list(known.cameras)
+        assert scene.cameras["frame_00003.png"].w2c == pytest.approx(known.cameras["frame_00003.png"].w2c)
+        assert scene.cameras["frame_00003.png"].distortion[0] == pytest.approx(0.01)
+        assert scene.notes == ()
+    (tmp_path / "in" / "scene1" / home / "cameras.json").write_text("[]")  # as the original 3DGS writes it
+    assert find_scenes([tmp_path / "in"])[0].cameras.keys() == known.cameras.keys()
+
+
+def test_a_damaged_listing_is_named(tmp_path: Path) -> None:
+    write_scene(tmp_path / "scene1")
+    (tmp_path / "scene1" / "transforms.json").write_text("{")
+    with pytest.raises(QuerySplatError, match=r"transforms\.json"):
+        find_scenes([tmp_path])
+
+
+def test_our_scene_folder_with_its_held_out_photos(tmp_path: Path) -> None:
+    numbers = list(range(1, FRAMES + 1))
+    write_pictures(tmp_path / "scene" / "images", numbers)
+    content = listing(numbers)
+    content["heldout_frames"] = [content["frames"].pop(1)]
+    (tmp_path / "scene" / "cameras.json").write_text(json.dumps(content))
+    (scene,) = find_scenes([tmp_path / "scene"])
+    assert [frame.name for frame in scene.frames] == [f"frame_{i:05d}.png" for i in numbers]
+    assert scene.cameras["frame_00002.png"].w2c[0, 3] == -2
+    assert len(scene.cameras) == FRAMES
 
 
 def test_a_zip_cannot_write_outside(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from querysplat_cli.scene.fit import centred_crop, network_views
+from querysplat_cli.scene.fit import centred_crop, network_views, resized
 from querysplat_cli.scene.views import Photo
 
 SIDES = st.integers(64, 900)
@@ -51,3 +51,11 @@ def test_squares_lose_the_ends_of_the_longer_side() -> None:
     assert views.masks.all()
     left = float(views.images[0, 1, :, 0].mean())
     assert abs(left - (480 - 270) / 2 / 480) < 0.01
+
+
+def test_resizing_keeps_corners_and_means() -> None:
+    ramp = torch.linspace(0, 1, 512)[None, None].repeat(3, 64, 1)
+    small = resized(ramp, (32, 256))
+    assert small.shape == (3, 32, 256)
+    torch.testing.assert_close(small[:, 0, 1:-1], ramp.reshape(3, 64, 256, 2).mean(-1)[:, 0, 1:-1], atol=1e-5, rtol=0)
+    assert resized(ramp, (64, 512)) is ramp

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from querysplat_cli.scene.cameras import Cameras
-from querysplat_cli.scene.sim3 import DegenerateAlignment, Sim3, align_cameras, align_sim3
+from querysplat_cli.scene.sim3 import DegenerateAlignment, Sim3, align_cameras, align_sim3, rotation_angles
 
 
 def similarity(seed: int) -> Sim3:
@@ -136,3 +136,10 @@ def test_cameras_that_disagree_altogether_are_refused() -> None:
     same[:, :3, :3] = torch.eye(3, dtype=torch.float64)
     with pytest.raises(DegenerateAlignment, match="no positive scale"):
         align_cameras(same, after)
+
+
+@pytest.mark.parametrize("degrees", [0, 1e-6, 1e-3, 1, 90, 179.999, 180])
+def test_angles_near_their_ends(degrees: float) -> None:
+    turn = Rotation.from_rotvec(np.radians(degrees) * np.array([0.6, 0, 0.8])).as_matrix()
+    assert float(rotation_angles(torch.from_numpy(turn))) == pytest.approx(degrees, abs=1e-9)
+    assert rotation_angles(torch.from_numpy(turn).expand(2, 1, 3, 3)).shape == (2, 1)

@@ -259,6 +259,8 @@ def print_conversion(result: dict[str, Any], *, quiet: bool, as_json: bool) -> N
         return
     if "cameras" in result:
         console.print(f"{result['cameras']} cameras: {result['target']}")
+        for each in result.get("left_out", ()):
+            console.print(f"left out: {each['name']}, {each['why']}")
         return
     sizes = result["bytes"]
     left_out = f", {result['left_out']:,} left out" if result["left_out"] else ""

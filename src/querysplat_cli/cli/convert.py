@@ -24,6 +24,9 @@ def convert(
         Path, typer.Argument(help="A .ply, .spz or .sog; or cameras: transforms.json, COLMAP model, scene folder.")
     ],
     target: Annotated[Path, typer.Argument(help="A .ply or .spz; or a .json, or a folder for a COLMAP model.")],
+    photos: Annotated[
+        Path | None, typer.Option(help="The folder of the cameras' photos: TARGET becomes a scene folder of both.")
+    ] = None,
     text: Annotated[bool, typer.Option(help="Write the COLMAP model as text.")] = False,
     up: Annotated[Axis | None, typer.Option(help="The axis that points up in the source; becomes -y.")] = None,
     scale: Annotated[float, typer.Option(help="Multiply all lengths.")] = 1.0,
@@ -34,7 +37,7 @@ def convert(
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
-    """Convert Gaussians (.ply, .spz, from .sog; turned, scaled, cropped) or cameras (transforms.json, COLMAP)."""
+    """Convert Gaussians (.ply, .spz, from .sog; turned, scaled, cropped), or cameras between all that hold them."""
     box = _box(crop)
     if not scale > 0:
         raise QuerySplatError(f"--scale {scale}: lengths must stay positive", "Give a number above 0.")
@@ -42,7 +45,9 @@ def convert(
     from querysplat_cli.convert import Conversion
     from querysplat_cli.convert import convert as run
 
-    request = Conversion(source, target, text=text, up=up and up.value, scale=scale, crop=box, force=force)
+    request = Conversion(
+        source, target, text=text, photos=photos, up=up and up.value, scale=scale, crop=box, force=force
+    )
     print_conversion(run(request), quiet=quiet, as_json=json)
 
 

@@ -6,8 +6,20 @@ from typing import Annotated
 
 import typer
 
-from querysplat_cli.cli.options import Device, Force, Json, Quiet, Seed, number_or_auto
-from querysplat_cli.cli.reconstruct import NetworkPrecision
+from querysplat_cli.cli.options import (
+    Device,
+    Encoder,
+    Force,
+    Json,
+    NetworkPrecision,
+    Precision,
+    Preset,
+    Queries,
+    Quiet,
+    Seed,
+    Weights,
+    number_or_auto,
+)
 from querysplat_cli.errors import QuerySplatError
 
 
@@ -53,15 +65,11 @@ def evaluate(
     max_size: Annotated[
         int | None, typer.Option(min=96, help="Longer side that is worked at; the protocol's by default.")
     ] = None,
-    queries: Annotated[str, typer.Option(metavar="N|auto", help="At most this many queries.")] = "auto",
-    preset: Annotated[str, typer.Option(help="The model: a preset, or a checkpoint file.")] = "compact",
-    encoder: Annotated[str | None, typer.Option(help="The vision geometric model; the preset's own.")] = None,
-    weights: Annotated[
-        Path | None, typer.Option(help="The folder of downloaded weights; the Hugging Face cache by default.")
-    ] = None,
-    precision: Annotated[
-        NetworkPrecision, typer.Option(help="Of the networks' matrix products.")
-    ] = NetworkPrecision.fp32,
+    queries: Queries = "auto",
+    preset: Preset = "compact",
+    encoder: Encoder = None,
+    weights: Weights = None,
+    precision: Precision = NetworkPrecision.fp32,
     pictures: Annotated[
         str, typer.Option(help="The folder of pictures to take where a scene has several.")
     ] = "images_4",
@@ -80,10 +88,9 @@ def evaluate(
 ) -> None:
     """Score scenes by the paper's protocol: input, interpolation and extrapolation views, apart."""
     numbers = tuple(_whole(part, "--views") for part in views.split(","))
-    chosen, limit = _chosen("--scales", scales, ("small", "medium", "large")), number_or_auto(1)(queries)
-    sources, part = _chosen("--cameras", cameras, ("free", "posed")), _shard(shard)
+    limit, sources, part = number_or_auto(1)(queries), _chosen("--cameras", cameras, ("free", "posed")), _shard(shard)
     from querysplat_cli.cli.console import console, print_evaluation, showing_stages
-    from querysplat_cli.evaluation.generate import INTERVALS
+    from querysplat_cli.evaluation.generate import INTERVALS, SCALES
     from querysplat_cli.evaluation.grid import read_axis
     from querysplat_cli.evaluation.plan import EvalRequest
     from querysplat_cli.evaluation.protocol import Protocol
@@ -105,6 +112,7 @@ def evaluate(
         ply=Path("scene.ply"),
         queries=limit,
         max_size=max_size,
+        fit="pad",  # the protocol has cut the photos where it wants to
         preset=preset,
         encoder=encoder,
         weights=weights,
@@ -117,7 +125,7 @@ def evaluate(
         out=output,
         splits=tuple(splits or ()),
         views=numbers,
-        scales=chosen,
+        scales=_chosen("--scales", scales, SCALES),
         cases=cases,
         protocol=rules,
         cameras=sources,  # type: ignore[arg-type]  # two of the names above

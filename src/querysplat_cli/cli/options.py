@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from enum import StrEnum
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -11,6 +12,23 @@ Json = Annotated[bool, typer.Option("--json", help="Print the result as one JSON
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say nothing but errors.")]
 Seed = Annotated[int, typer.Option(help="The same seed on the same machine gives the same file.")]
 Device = Annotated[str, typer.Option(help="auto, cpu, or cuda.")]
+Queries = Annotated[str, typer.Option(metavar="N|auto", help="At most this many queries; of learned ones the first N.")]
+Preset = Annotated[str, typer.Option(help="The model: a preset, or a checkpoint file.")]
+Encoder = Annotated[
+    str | None, typer.Option(help="The vision geometric model: classical, vggt or vggt_omega; the preset's own.")
+]
+Weights = Annotated[
+    Path | None, typer.Option(help="The folder of downloaded weights; the Hugging Face cache by default.")
+]
+
+
+class NetworkPrecision(StrEnum):
+    fp32 = "fp32"
+    tf32 = "tf32"
+    bf16 = "bf16"
+
+
+Precision = Annotated[NetworkPrecision, typer.Option(help="Of the networks' matrix products.")]
 
 
 class TtoSpace(StrEnum):

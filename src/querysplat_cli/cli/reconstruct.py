@@ -6,7 +6,21 @@ from typing import Annotated
 
 import typer
 
-from querysplat_cli.cli.options import Device, Force, Json, Quiet, Seed, TtoSpace, number_or_auto
+from querysplat_cli.cli.options import (
+    Device,
+    Encoder,
+    Force,
+    Json,
+    NetworkPrecision,
+    Precision,
+    Preset,
+    Queries,
+    Quiet,
+    Seed,
+    TtoSpace,
+    Weights,
+    number_or_auto,
+)
 
 
 class TtoTarget(StrEnum):
@@ -17,12 +31,6 @@ class TtoTarget(StrEnum):
 class PhotoFit(StrEnum):
     crop = "crop"
     pad = "pad"
-
-
-class NetworkPrecision(StrEnum):
-    fp32 = "fp32"
-    tf32 = "tf32"
-    bf16 = "bf16"
 
 
 class HeldOutCameras(StrEnum):
@@ -51,9 +59,7 @@ def reconstruct(
     tto_space: Annotated[
         TtoSpace, typer.Option(help="Optimise the memories, the Gaussians themselves, or both in turn.")
     ] = TtoSpace.features,
-    queries: Annotated[
-        str, typer.Option(metavar="N|auto", help="At most this many queries; of learned ones the first N.")
-    ] = "auto",
+    queries: Queries = "auto",
     max_size: Annotated[
         str, typer.Option(metavar="PX|auto", help="Longer side of the working pictures; auto: the encoder's own.")
     ] = "auto",
@@ -61,16 +67,10 @@ def reconstruct(
         str, typer.Option(metavar="N|auto", help="Use N photos, evenly spaced; auto: as many as fit into memory.")
     ] = "auto",
     fit: Annotated[PhotoFit, typer.Option(help="Photos for a network: a centred square, or whole.")] = PhotoFit.crop,
-    preset: Annotated[str, typer.Option(help="The model: a preset, or a checkpoint file.")] = "compact",
-    encoder: Annotated[
-        str | None, typer.Option(help="The vision geometric model: classical, vggt or vggt_omega; the preset's own.")
-    ] = None,
-    weights: Annotated[
-        Path | None, typer.Option(help="The folder of downloaded weights; the Hugging Face cache by default.")
-    ] = None,
-    precision: Annotated[
-        NetworkPrecision, typer.Option(help="Of the networks' matrix products.")
-    ] = NetworkPrecision.fp32,
+    preset: Preset = "compact",
+    encoder: Encoder = None,
+    weights: Weights = None,
+    precision: Precision = NetworkPrecision.fp32,
     depth: Annotated[bool, typer.Option(help="Find depth as well, where the model does not need it.")] = False,
     poses: Annotated[
         Path | None, typer.Option(help="Known cameras, instead of SfM: transforms.json or a COLMAP model folder.")

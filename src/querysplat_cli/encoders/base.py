@@ -39,7 +39,7 @@ class Located:
     The first camera is the origin. `points` are sparse scene points [n, 3] (may be empty), `visibility`
     is for each view the row numbers of the points that it saw. `doubts` are sentences that say why the
     cameras may be wrong; empty when nothing speaks against them. `lenses` are the photos' own cameras, as
-    they were taken, in the same frame; None where the views are the photos as they are.
+    they were taken, in the same frame; None where the views' masks hold the photos as they are.
     """
 
     views: Views

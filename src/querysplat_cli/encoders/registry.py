@@ -1,5 +1,7 @@
 """Encoders by name. Each one is imported when it is first asked for."""
 
+import signal
+import threading
 from importlib import import_module
 
 from querysplat_cli.encoders.base import Encoder, EncoderOptions
@@ -19,5 +21,9 @@ def find_encoder(name: str, options: EncoderOptions = DEFAULTS) -> Encoder:
     """
     if name not in ENCODERS:
         raise QuerySplatError(f"there is no encoder named '{name}'", f"Choose one of: {', '.join(ENCODERS)}.")
+    # pycolmap takes SIGTERM when it is imported, and dies of it with a dump of the stack.
+    before = signal.getsignal(signal.SIGTERM)
     encoder: Encoder = import_module(f"querysplat_cli.encoders.{name}.encoder").make(options)
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, before or signal.SIG_DFL)
     return encoder

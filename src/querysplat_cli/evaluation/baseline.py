@@ -5,9 +5,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from querysplat_cli.scene.cameras import Cameras
-from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.gaussians import SH_0, Gaussians
 from querysplat_cli.scene.views import Views
-from querysplat_cli.splat.conventions import SH_0
 
 
 def back_project(

@@ -7,6 +7,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Literal
 
+import numpy as np
 import torch
 
 from querysplat_cli.device import find_device
@@ -18,28 +19,27 @@ from querysplat_cli.evaluation.costs import Cost, measured
 from querysplat_cli.evaluation.lpips import Lpips
 from querysplat_cli.evaluation.memoised import MemoisedEncoder
 from querysplat_cli.evaluation.metrics import Scores, compare
-from querysplat_cli.evaluation.protocol import SHAPE, Protocol
+from querysplat_cli.evaluation.protocol import Protocol
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.pipeline import ReconstructSettings, build_scene, load_parts
 from querysplat_cli.precision import check_precision, matrix_products
 from querysplat_cli.progress import Stages
-from querysplat_cli.scene.cameras import Cameras, PhotoCamera
+from querysplat_cli.scene.cameras import Cameras, PhotoCamera, same_shape
 from querysplat_cli.scene.formats.dataset import Frame, fetch
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.scene.photos import load_photos
+from querysplat_cli.scene.photos import WHOLE, load_photos
 from querysplat_cli.scene.sim3 import DegenerateAlignment, Sim3, align_cameras
 from querysplat_cli.scene.views import Photo
 
 CameraSource = Literal["free", "posed"]
-LARGEST_SIDE = 1 << 16
-"""Photos are read as they are: the protocol says what size counts."""
 
 
 @dataclass(frozen=True)
 class Row:
     """One line of the table. `overrides` are fields of ReconstructSettings; `method` "depth" splats the VGM's depth.
 
-    Cameras are found (`free`) or the dataset's (`posed`).
+    Cameras are found (`free`) or the dataset's (`posed`). An encoder that can take none finds those of the inputs in
+    both, and the dataset's are those of the targets.
     """
 
     name: str
@@ -89,7 +89,7 @@ class CaseRunner:
         self._settings, self._lpips = settings, lpips
         frames = list({frame.name: frame for group in groups.values() for frame in group}.values())
         with TemporaryDirectory() as scratch:
-            loaded, unread = load_photos(fetch(frames, Path(scratch)), LARGEST_SIDE)
+            loaded, unread = load_photos(fetch(frames, Path(scratch)), WHOLE)
         if unread:
             raise QuerySplatError(f"{unread[0].name}: {unread[0].why}", "Download the scene again.")
         self.photos = {}
@@ -115,10 +115,11 @@ class CaseRunner:
         encoder = self._encoders.setdefault(key, MemoisedEncoder(own))
         if row.cameras == "posed" and not self.known:
             raise QuerySplatError("the dataset has no cameras of these photos", "Leave the posed rows out.")
-        located = self._locate(encoder, settings, self._names("input"), posed=row.cameras == "posed")
+        posed = row.cameras == "posed" and not encoder.own_frame
+        located = self._locate(encoder, settings, self._names("input"), posed=posed)
         gaussians, costs, doubts = self._build(row, model, encoder, located, settings)
         if row.cameras == "posed":
-            result = self.judge(gaussians, joined(self.known, _lenses(located)), "the dataset has no camera of it")
+            result = self.judge(gaussians, joined(self.known, lenses_of(located)), "the dataset has no camera of it")
         else:
             lenses, why = self._free_targets(encoder, located, settings)
             result = self.judge(gaussians, lenses, "it was not located", why)
@@ -138,7 +139,7 @@ class CaseRunner:
         """
         for name, lens in lenses.items():
             height, width = _size(self.photos[name][1])
-            if abs(lens.width * height / (lens.height * width) - 1) > SHAPE:
+            if not same_shape((lens.height, lens.width), (height, width)):
                 raise QuerySplatError(
                     f"the encoder saw only {lens.width} × {lens.height} of {name}, shown as {width} × {height}",
                     "Use --protocol release, which shows squares.",
@@ -207,7 +208,7 @@ class CaseRunner:
         Targets are located together with the inputs (`release`: each group by itself), and come to the scene by the
         similarity of the inputs' cameras. The inputs keep those that the scene was made with.
         """
-        inputs, input_names = _lenses(located), self._names("input")
+        inputs, input_names = lenses_of(located), self._names("input")
         lenses = dict(inputs)
         why: dict[str, str] = {}
         targets = [self._names(group) - input_names for group in self.groups if group != "input"]
@@ -215,7 +216,7 @@ class CaseRunner:
             if not names:
                 continue
             try:
-                everything = _lenses(self._locate(encoder, settings, input_names | names, posed=False))
+                everything = lenses_of(self._locate(encoder, settings, input_names | names, posed=False))
                 moved = joined(everything, inputs)
             except QuerySplatError as error:
                 why |= dict.fromkeys(names, error.message)
@@ -247,14 +248,18 @@ def same_parts(settings: ReconstructSettings) -> ReconstructSettings:
     return replace(settings, tto=None, tto_target="kv", max_size=None, max_views=None)
 
 
-def _lenses(located: Located) -> dict[str, PhotoCamera]:
+def lenses_of(located: Located) -> dict[str, PhotoCamera]:
     """Each view's camera with its lens, for the photo as it was taken."""
     views, cameras = located.views, located.cameras
-    lenses = located.lenses or tuple(
-        PhotoCamera(w2c, (K[0, 0], K[1, 1]), (K[0, 2], K[1, 2]), (0.0, 0.0, 0.0, 0.0), *size)
-        for w2c, K, size in zip(cameras.w2c.double().numpy(), cameras.K.double().numpy(), views.sizes, strict=True)
-    )
+    lenses = located.lenses or map(_pinhole, cameras.w2c.double(), cameras.K.double(), views.masks)
     return dict(zip(views.names, lenses, strict=True))
+
+
+def _pinhole(w2c: torch.Tensor, K: torch.Tensor, mask: torch.Tensor) -> PhotoCamera:
+    """The camera of a photo that lies where `mask` is True."""
+    rows, columns = (mask.any(axis).nonzero()[:, 0].tolist() for axis in (1, 0))
+    cut = K.numpy() - np.array([[0, 0, columns[0]], [0, 0, rows[0]], [0, 0, 0]])
+    return PhotoCamera.pinhole(w2c.numpy(), cut, rows[-1] + 1 - rows[0], columns[-1] + 1 - columns[0])
 
 
 def joined(everything: Mapping[str, PhotoCamera], inputs: Mapping[str, PhotoCamera]) -> dict[str, PhotoCamera]:

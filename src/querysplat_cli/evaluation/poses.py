@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import torch
 
-from querysplat_cli.drawing import new_figure
+from querysplat_cli.drawing import new_figure, save_figure
 from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.files import atomic_path
-from querysplat_cli.scene.sim3 import Sim3, align_cameras
+from querysplat_cli.scene.sim3 import Sim3, align_cameras, rotation_angles
 
 THRESHOLDS = (5, 15, 30)
 """Degrees of RRA, RTA and AUC."""
@@ -94,7 +94,7 @@ def compare_cameras(a: Mapping[str, PhotoCamera], b: Mapping[str, PhotoCamera]) 
         only_a=tuple(name for stem, name in names_a.items() if stem not in names_b),
         only_b=tuple(name for stem, name in names_b.items() if stem not in names_a),
         scale=similarity.scale,
-        rotation=angles(turned @ w2c_b[:, :3, :3].swapaxes(1, 2)),
+        rotation=_angles(turned @ w2c_b[:, :3, :3].swapaxes(1, 2)),
         centre=distance,
         ate=float(np.sqrt(np.mean(distance**2))),
         extent=float(apart.max()),
@@ -108,13 +108,6 @@ def compare_cameras(a: Mapping[str, PhotoCamera], b: Mapping[str, PhotoCamera]) 
 def area_under_recall(errors: np.ndarray, threshold: float) -> float:
     """The mean, over thresholds from 0 to `threshold`, of the share of errors below them; exact, without bins."""
     return float(np.clip(1 - errors / threshold, 0, None).mean())
-
-
-def angles(rotations: np.ndarray) -> np.ndarray:
-    """Angles of rotations [n, 3, 3] in degrees; accurate near 0 and near 180."""
-    skew = rotations - rotations.swapaxes(1, 2)
-    sine = np.linalg.norm(np.stack([skew[:, 2, 1], skew[:, 0, 2], skew[:, 1, 0]]), axis=0) / 2
-    return np.degrees(np.arctan2(sine, (np.trace(rotations, axis1=1, axis2=2) - 1) / 2))
 
 
 def draw_trajectories(errors: PoseErrors, file: Path, titles: Sequence[str]) -> None:
@@ -142,7 +135,7 @@ def draw_trajectories(errors: PoseErrors, file: Path, titles: Sequence[str]) -> 
     side.set_ylim(bottom=0)
     side.legend(fontsize=8)
     with atomic_path(file) as draft:
-        figure.savefig(draft, dpi=130, format=file.suffix[1:].lower())
+        save_figure(figure, draft)
 
 
 def _recall(errors: np.ndarray, threshold: float) -> float:
@@ -157,9 +150,13 @@ def _moved(points: np.ndarray, similarity: Sim3) -> np.ndarray:
     return np.asarray(similarity.apply(torch.from_numpy(points)).numpy())
 
 
+def _angles(rotations: np.ndarray) -> np.ndarray:
+    return np.asarray(rotation_angles(torch.from_numpy(rotations)).numpy())
+
+
 def _pair_rotation(a: np.ndarray, b: np.ndarray, pairs: np.ndarray) -> np.ndarray:
     relative = [side[pairs[:, 1], :3, :3] @ side[pairs[:, 0], :3, :3].swapaxes(1, 2) for side in (a, b)]
-    return angles(relative[0] @ relative[1].swapaxes(1, 2))
+    return _angles(relative[0] @ relative[1].swapaxes(1, 2))
 
 
 def _pair_direction(w2c: np.ndarray, pairs: np.ndarray) -> np.ndarray:

@@ -14,16 +14,14 @@ import torch
 
 from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.evaluation.case import CaseRunner, RowResult, joined
-from querysplat_cli.evaluation.protocol import resized
-from querysplat_cli.scene.cameras import PhotoCamera
+from querysplat_cli.scene.cameras import PhotoCamera, same_shape
+from querysplat_cli.scene.fit import resized
 from querysplat_cli.scene.formats.dataset import Frame
 from querysplat_cli.scene.formats.known import JSON_NAMES
 from querysplat_cli.scene.formats.ply import read_ply
 from querysplat_cli.scene.formats.transforms import read_transforms
-from querysplat_cli.scene.photos import SUFFIXES, load_photos
-
-SHAPE = 0.02
-"""Relative difference in shape beyond which a picture is not one of the target."""
+from querysplat_cli.scene.photos import SUFFIXES, WHOLE, load_photo
+from querysplat_cli.scene.views import LeftOut
 
 
 def score_prediction(runner: CaseRunner, root: Path, split: str, case: str) -> RowResult:
@@ -58,7 +56,7 @@ def _cameras(runner: CaseRunner, folder: Path) -> dict[str, PhotoCamera]:
         camera = by_stem.get(Path(name).stem)
         if camera is None:
             continue
-        of_shown = abs(camera.width * shown.height / (camera.height * shown.width) - 1) <= SHAPE
+        of_shown = same_shape((camera.height, camera.width), (shown.height, shown.width))
         given[name] = camera if of_shown else runner.protocol.shown_camera(camera, photo)
     return _completed(given, runner.known)
 
@@ -78,14 +76,14 @@ def _picture_file(files: list[Path], group: str, frame: Frame) -> Path | None:
 def _read(file: Path | None, truth: torch.Tensor) -> torch.Tensor | None:
     if file is None:
         return None
-    (photo, *_), unread = load_photos([file], 1 << 16)
-    if unread:
-        raise QuerySplatError(f"{file}: {unread[0].why}", "Write it again.")
+    photo = load_photo(file, file.name, WHOLE)
+    if isinstance(photo, LeftOut):
+        raise QuerySplatError(f"{file}: {photo.why}", "Write it again.")
     height, width = truth.shape[1:]
-    if abs(photo.width * height / (photo.height * width) - 1) > SHAPE:
+    if not same_shape((photo.height, photo.width), (height, width)):
         raise QuerySplatError(
             f"{file} is {photo.width} × {photo.height}, the target {width} × {height}",
             "Pictures must show what the protocol scores; they may only be larger or smaller.",
         )
     image = torch.from_numpy(photo.pixels).permute(2, 0, 1).float() / 255
-    return resized(image, height, width)
+    return resized(image, (height, width))

@@ -14,19 +14,18 @@ import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
-from torch.nn import functional as F
 
 from querysplat_cli.encoders.classical.sparse_model import rescaled
 from querysplat_cli.errors import QuerySplatError
-from querysplat_cli.scene.cameras import Cameras, PhotoCamera
+from querysplat_cli.scene.cameras import Cameras, PhotoCamera, same_shape
+from querysplat_cli.scene.fit import resized
 from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.pictures import eight_bit
 from querysplat_cli.scene.views import Photo
 from querysplat_cli.splat.render import render
 
 ProtocolName = Literal["release", "text"]
 RELEASE_SIDE, RELEASE_SCORED, TEXT_SIDE = 512, 256, 256
-SHAPE = 0.02
-"""Relative difference in shape beyond which a camera is not that of the photo."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +45,7 @@ class Protocol:
         scale = min(1.0, limit / min(pixels.shape[:2]))
         height, width = (round(size * scale) for size in pixels.shape[:2])
         if scale < 1:
-            pixels = _bytes(resized(_tensor(pixels), height, width))
+            pixels = eight_bit(resized(_tensor(pixels), (height, width)))
         focal = photo.focal and photo.focal * scale
         return replace(photo, pixels=np.ascontiguousarray(pixels), focal=focal)
 
@@ -55,7 +54,7 @@ class Protocol:
 
         Raises QuerySplatError when the camera is of a picture of another shape.
         """
-        if abs(photo.width / photo.height / (camera.width / camera.height) - 1) > SHAPE:
+        if not same_shape((photo.height, photo.width), (camera.height, camera.width)):
             raise QuerySplatError(
                 f"{photo.name} is {photo.width} × {photo.height}, its camera {camera.width} × {camera.height}",
                 "Give the cameras of these pictures.",
@@ -74,12 +73,12 @@ class Protocol:
         """What renders are held against, in [0, 1]."""
         if self.name == "text":
             return _tensor(photo.pixels)
-        return resized(_tensor(self.shown(photo).pixels), RELEASE_SCORED, RELEASE_SCORED)
+        return resized(_tensor(self.shown(photo).pixels), (RELEASE_SCORED, RELEASE_SCORED))
 
     def picture(self, gaussians: Gaussians, camera: PhotoCamera, photo: Photo) -> Float[Tensor, "3 height width"]:
         """The render that `truth(photo)` is compared with; `camera` is that of `shown(photo)`, in the scene's frame."""
         if self.name == "text":
-            return resized(photograph(gaussians, camera), photo.height, photo.width)
+            return resized(photograph(gaussians, camera), (photo.height, photo.width))
         return photograph(gaussians, rescaled(camera, RELEASE_SCORED, RELEASE_SCORED))
 
 
@@ -108,13 +107,6 @@ def photograph(gaussians: Gaussians, camera: PhotoCamera) -> Float[Tensor, "3 he
     return torch.from_numpy(seen).permute(2, 0, 1).clamp(0, 1)
 
 
-def resized(image: Float[Tensor, "3 h w"], height: int, width: int) -> Float[Tensor, "3 height width"]:
-    """Bilinear, antialiased where it gets smaller; corners stay corners."""
-    if image.shape[1:] == (height, width):
-        return image
-    return F.interpolate(image[None], (height, width), mode="bilinear", antialias=True, align_corners=False)[0]
-
-
 def _render(gaussians: Gaussians, w2c: np.ndarray, K: np.ndarray, height: int, width: int) -> Tensor:
     cameras = Cameras(torch.from_numpy(w2c).float()[None], torch.from_numpy(K).float()[None], height, width)
     with torch.no_grad():
@@ -123,7 +115,3 @@ def _render(gaussians: Gaussians, w2c: np.ndarray, K: np.ndarray, height: int, w
 
 def _tensor(pixels: np.ndarray) -> Tensor:
     return torch.from_numpy(np.ascontiguousarray(pixels)).permute(2, 0, 1).float() / 255
-
-
-def _bytes(image: Tensor) -> np.ndarray:
-    return (image.permute(1, 2, 0) * 255).round().to(torch.uint8).numpy()

@@ -21,7 +21,6 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import torch
 
@@ -31,6 +30,7 @@ from querysplat_cli.evaluation.metrics import METRICS
 from querysplat_cli.evaluation.splits import GROUPS, Split
 from querysplat_cli.report import machine
 from querysplat_cli.scene.files import atomic_folder, atomic_path
+from querysplat_cli.scene.pictures import eight_bit, write_picture
 
 NOT_COMPARED = ("machine", "torch", "querysplat")
 """What may differ between shards of one run."""
@@ -131,7 +131,7 @@ def write_case(folder: Path, scene: str, result: RowResult, *, pictures: bool) -
             for group, views in result.views.items():
                 for view in views:
                     name = Path(view.frame.name).with_suffix(".png")
-                    _write_picture(draft / "rendered" / group / name, view.picture)
+                    write_picture(draft / "rendered" / group / name, eight_bit(view.picture))
 
 
 def write_failure(folder: Path, scene: str, message: str, hint: str = "") -> None:
@@ -211,10 +211,3 @@ def _write_cameras(path: Path, result: RowResult) -> None:
         distortion=np.array([lens.distortion for lens in lenses]).reshape(-1, 4),
         size=np.array([(lens.height, lens.width) for lens in lenses]).reshape(-1, 2),
     )
-
-
-def _write_picture(path: Path, picture: torch.Tensor) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    pixels = (picture.permute(1, 2, 0) * 255).round().to(torch.uint8).numpy()
-    if not cv2.imwrite(str(path), pixels[..., ::-1]):
-        raise OSError(f"cannot write {path}")

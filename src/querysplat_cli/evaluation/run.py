@@ -95,7 +95,7 @@ def handler(setup: Setup) -> Callable[[Job], None]:
     """What a worker does with each job."""
     lpips = load_lpips(setup.lpips) if setup.lpips else None
     if find_device(setup.settings.device).type == "cpu" and not setup.predictions:
-        compile_ahead()
+        compile_ahead().join()  # or the first case's seconds would hold it
     return partial(_work, setup, lpips)
 
 

@@ -8,6 +8,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+from querysplat_cli.evaluation.generate import SCALES
 from querysplat_cli.evaluation.metrics import METRICS
 from querysplat_cli.evaluation.results import Place, mean, places, read_json, write_json
 from querysplat_cli.evaluation.splits import GROUPS
@@ -19,7 +20,6 @@ COLUMNS = (
 )  # fmt: skip
 TITLES = {"input": "input views", "interp": "interpolation", "extrap": "extrapolation"}
 DIGITS = {"psnr": 2, "ssim": 3, "lpips": 3}
-SCALE_ORDER = {"small": 0, "medium": 1, "large": 2}
 
 
 def summarise(out: Path) -> dict[str, Any]:
@@ -135,7 +135,7 @@ def markdown(summary: dict[str, Any]) -> str:
             parts += ["", f"*Quoted, not measured here ({summary['quoted']['note']}):*", ""]
             parts += ["| method | views | PSNR / SSIM / LPIPS | where |", "| --- | --- | --- | --- |"]
             parts += [f"| {row['method']} | {TITLES[row['group']]} | {cell(row)} | {row['where']} |" for row in quoted]
-    by_split = sorted(summary["rows"], key=lambda row: (row["views"], SCALE_ORDER.get(row["scale"], 9), row["split"]))
+    by_split = sorted(summary["rows"], key=lambda row: (row["views"], _rank(row["scale"]), row["split"]))
     for split in dict.fromkeys(row["split"] for row in by_split):
         rows = [row for row in by_split if row["split"] == split]
         parts += ["", f"## {split}", "", *_table(rows)]
@@ -196,6 +196,10 @@ def _table(rows: Sequence[dict[str, Any]]) -> list[str]:
         ]
         lines.append(f"| {name} | {' | '.join(numbers)} |")
     return lines
+
+
+def _rank(scale: str) -> int:
+    return SCALES.index(scale) if scale in SCALES else len(SCALES)
 
 
 def known(values: Iterable[float | None]) -> list[float]:

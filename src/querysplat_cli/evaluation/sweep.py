@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from querysplat_cli.drawing import new_figure
+from querysplat_cli.drawing import new_figure, save_figure
 from querysplat_cli.evaluation.metrics import METRICS
 from querysplat_cli.evaluation.results import Place, places, read_json, write_json
 from querysplat_cli.evaluation.summary import TITLES, known, spread, write_table
@@ -125,7 +125,7 @@ def draw(points: Sequence[Point], files: Sequence[Path]) -> None:
         figure.legend([Line2D([], [])] * len(rows), rows, handlelength=0, fontsize=7, loc="outside right upper")
     for file in files:
         with atomic_path(file) as draft:
-            figure.savefig(draft, dpi=130, format=file.suffix[1:])
+            save_figure(figure, draft)
 
 
 def _curve(axes: Any, points: Sequence[Point], metric: str, cost: str) -> None:

@@ -5,8 +5,7 @@ import queue
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from typing import Any, Generic, TypeVar
@@ -36,7 +35,7 @@ class Workers(Generic[Job]):
         `done` is never called twice at a time. On an exception, all processes are stopped; Ctrl-C and a scheduler's
         SIGTERM are one. Call it from the main thread.
         """
-        before = _on_termination(_interrupt)
+        before = signal.signal(signal.SIGTERM, _interrupt)
         waiting: queue.SimpleQueue[Job] = queue.SimpleQueue()
         for job in jobs:
             waiting.put(job)
@@ -111,9 +110,8 @@ class Workers(Generic[Job]):
 def _serve(pipe: Connection, handler: Callable[[Any], Callable[[Any], None]], setup: Any) -> None:
     # Ctrl-C reaches every process of a terminal; the first one decides, and files are put away on its word.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    with _termination_held_back():
-        handle = handler(setup)
-        _on_termination(lambda *_: sys.exit(128 + signal.SIGTERM))
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    handle = handler(setup)
     while True:
         try:
             job = pipe.recv()
@@ -121,29 +119,6 @@ def _serve(pipe: Connection, handler: Callable[[Any], Callable[[Any], None]], se
             return
         handle(job)
         pipe.send(None)
-
-
-def _on_termination(action: Callable[..., None]) -> Any:
-    """Take SIGTERM, also from pycolmap, which takes it when it is imported, and dies of it with a dump of the stack.
-
-    Returns what was there before.
-    """
-    import pycolmap  # noqa: F401
-
-    return signal.signal(signal.SIGTERM, action)
-
-
-@contextmanager
-def _termination_held_back() -> Iterator[None]:
-    """A SIGTERM that comes meanwhile is delivered at the end."""
-    if not hasattr(signal, "pthread_sigmask"):  # Windows
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTERM})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _interrupt(*_: object) -> None:

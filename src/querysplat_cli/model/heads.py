@@ -9,11 +9,10 @@ from torch.nn import functional as F
 
 from querysplat_cli.model.anchors import Anchors
 from querysplat_cli.model.config import ModelConfig
-from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.gaussians import SH_0, Gaussians
 
 GEOMETRY_CHANNELS = 10
 """Centre 3, scale 3, quaternion 4."""
-SH_BAND_0 = 0.28209479177387814
 OPACITY_BIAS = 2.0
 LARGEST_EXPONENT = 40.0
 """exp is linear beyond this: a raw number of 1e4 stays finite, and so does the square of its gradient."""
@@ -47,7 +46,7 @@ def activate_appearance(
 ) -> tuple[Float[Tensor, "*n bands 3"], Float[Tensor, "*n"]]:
     """SH and opacity (spec, section 6)."""
     bands = raw[..., :-1].unflatten(-1, (config.sh_bands, 3))
-    first = 0.5 * torch.tanh(bands[..., :1, :]) / SH_BAND_0
+    first = 0.5 * torch.tanh(bands[..., :1, :]) / SH_0
     rest = config.sh_rest_scale * torch.tanh(bands[..., 1:, :])
     return torch.cat([first, rest], -2), torch.sigmoid(raw[..., -1] - OPACITY_BIAS)
 
@@ -76,7 +75,7 @@ def assemble_anchored(
     # What F.normalize does, in a third of the time for rows of four.
     turn = turn * turn.square().sum(1, keepdim=True).clamp_min(1e-24).rsqrt()
     bands = appearance[:, :-1].unflatten(-1, (config.sh_bands, 3))
-    first = (anchors.colours.flatten(0, 1)[:, None] - 0.5) / SH_BAND_0 + bands[:, :1]
+    first = (anchors.colours.flatten(0, 1)[:, None] - 0.5) / SH_0 + bands[:, :1]
     rest = torch.tanh(bands[:, 1:])
     quats = anchors.quats.flatten(0, 1)
     return Gaussians(

@@ -10,6 +10,14 @@ from torch import Tensor
 
 from querysplat_cli.scene.sim3 import Sim3
 
+SHAPE = 0.02
+"""What rounding their sizes may do to the shapes of pictures."""
+
+
+def same_shape(one: tuple[int, int], other: tuple[int, int]) -> bool:
+    """Whether pictures of these (height, width) can show the same, one larger than the other."""
+    return abs(one[1] * other[0] / (one[0] * other[1]) - 1) <= SHAPE
+
 
 @dataclass(frozen=True)
 class PhotoCamera:
@@ -25,6 +33,12 @@ class PhotoCamera:
     distortion: tuple[float, float, float, float]
     height: int
     width: int
+
+    @staticmethod
+    def pinhole(w2c: np.ndarray, K: np.ndarray, height: int, width: int) -> "PhotoCamera":
+        """The camera of a picture without distortion, from its matrices [4, 4] and [3, 3]."""
+        (fx, _, cx), (_, fy, cy), _ = K.tolist()
+        return PhotoCamera(w2c, (fx, fy), (cx, cy), (0.0, 0.0, 0.0, 0.0), height, width)
 
 
 @dataclass(frozen=True)

@@ -70,7 +70,7 @@ def centred_crop(photo: tuple[int, int], size: tuple[int, int]) -> Crop:
 
 
 def resized(picture: Float[Tensor, "3 rows columns"], size: tuple[int, int]) -> Float[Tensor, "3 height width"]:
-    """Bilinear, antialiased."""
+    """Bilinear, antialiased where it gets smaller; corners stay corners."""
     if picture.shape[-2:] == size:
         return picture
     return F.interpolate(picture[None], size, mode="bilinear", align_corners=False, antialias=True)[0]

@@ -8,6 +8,20 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+SH_0 = 0.28209479177387814
+SH_1 = 0.4886025119029199
+SH_2 = (1.0925484305920792, -1.0925484305920792, 0.31539156525252005, -1.0925484305920792, 0.5462742152960396)
+SH_3 = (
+    -0.5900435899266435,
+    2.890611442640554,
+    -0.4570457994644658,
+    0.3731763325901154,
+    -0.4570457994644658,
+    1.445305721320277,
+    -0.5900435899266435,
+)
+"""Factors of the real spherical harmonics, degree by degree, in the order and with the signs of 3DGS."""
+
 
 @dataclass(frozen=True)
 class Gaussians:

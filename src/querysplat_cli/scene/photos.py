@@ -23,6 +23,8 @@ PICTURE_FOLDERS = ("images", "images_2", "images_4", "images_8")
 SCENE_FOLDERS = ("", "nerfstudio", "colmap")
 """Where in a scene's folder DL3DV's releases keep those."""
 SMALLEST_SIDE = 64
+WHOLE = 1 << 16
+"""A longest side that reduces no photo."""
 FULL_FRAME_DIAGONAL = 43.2666
 """Millimetres: FocalLengthIn35mmFilm is the focal length that has the same diagonal field of view on 36 × 24."""
 SENSIBLE_FOCAL = (0.3, 20.0)
@@ -62,7 +64,7 @@ def load_photos(
     photos: list[Photo] = []
     left_out: list[LeftOut] = []
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        results = pool.map(lambda path, name: _load(path, name, max_side), paths, short_names(paths))
+        results = pool.map(lambda path, name: load_photo(path, name, max_side), paths, short_names(paths))
         for number, result in enumerate(results, start=1):
             if isinstance(result, Photo):
                 photos.append(result)
@@ -77,6 +79,24 @@ def load_photos(
             "Give JPEG, PNG, TIFF, WebP or BMP pictures.",
         )
     return photos, left_out
+
+
+def load_photo(path: Path, name: str, max_side: int) -> Photo | LeftOut:
+    """One photo, as `load_photos` decodes it, or why it is none."""
+    try:
+        if not path.stat().st_size:
+            return LeftOut(name, "the file is empty")
+        pixels, focal = _decode(path, max_side)
+    except UnidentifiedImageError:
+        return LeftOut(name, _why_not_a_picture(path))
+    except Image.DecompressionBombError:
+        return LeftOut(name, "far too many pixels for a photo")
+    # Pillow raises many kinds of error for damaged files.
+    except (OSError, SyntaxError, ValueError, EOFError, IndexError, TypeError) as error:
+        return LeftOut(name, f"it cannot be decoded: {error}")
+    if min(pixels.shape[:2]) < SMALLEST_SIDE:
+        return LeftOut(name, f"{pixels.shape[1]} × {pixels.shape[0]} pixels are too few")
+    return Photo(name, path, pixels, focal)
 
 
 def short_names(paths: Sequence[PurePath]) -> list[str]:
@@ -117,23 +137,6 @@ def _visible_files(folder: Path) -> list[Path]:
 
 def _is_picture(path: Path) -> bool:
     return path.suffix.lower() in SUFFIXES
-
-
-def _load(path: Path, name: str, max_side: int) -> Photo | LeftOut:
-    try:
-        if not path.stat().st_size:
-            return LeftOut(name, "the file is empty")
-        pixels, focal = _decode(path, max_side)
-    except UnidentifiedImageError:
-        return LeftOut(name, _why_not_a_picture(path))
-    except Image.DecompressionBombError:
-        return LeftOut(name, "far too many pixels for a photo")
-    # Pillow raises many kinds of error for damaged files.
-    except (OSError, SyntaxError, ValueError, EOFError, IndexError, TypeError) as error:
-        return LeftOut(name, f"it cannot be decoded: {error}")
-    if min(pixels.shape[:2]) < SMALLEST_SIDE:
-        return LeftOut(name, f"{pixels.shape[1]} × {pixels.shape[0]} pixels are too few")
-    return Photo(name, path, pixels, focal)
 
 
 def _decode(path: Path, max_side: int) -> tuple[np.ndarray, float | None]:

@@ -50,6 +50,14 @@ class Sim3:
         )
 
 
+def rotation_angles(rotations: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch"]:
+    """Angles of rotations in degrees; accurate near 0 and near 180."""
+    skew = rotations - rotations.mT
+    sine = torch.stack([skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0]]).norm(dim=0) / 2
+    cosine = (rotations.diagonal(dim1=-2, dim2=-1).sum(-1) - 1) / 2
+    return torch.rad2deg(torch.atan2(sine, cosine))
+
+
 def align_sim3(source: Float[Tensor, "n 3"], target: Float[Tensor, "n 3"]) -> Sim3:
     """Least-squares similarity with target ≈ s·R·source + t (Umeyama 1991, eq. 40–43).
 

@@ -100,7 +100,7 @@ def _alpha(across, s, alpha_max, alpha_min):
     return alpha if alpha >= alpha_min else ZERO
 
 
-@nb.njit(cache=True, error_model="numpy", fastmath={"contract"})
+@nb.njit(cache=True, error_model="numpy", fastmath={"contract"}, forceinline=True)
 def _blend_tile(rows, members, left, top, width, height, limits, planes):
     alpha_max, alpha_min, least = limits[0], limits[1], limits[2]
     # How much light still comes through each pixel; negative once the pixel has stopped.
@@ -156,7 +156,7 @@ def _blend_tile(rows, members, left, top, width, height, limits, planes):
             planes[4, top + r, left + c] = depth[r, c]
 
 
-@nb.njit(cache=True, error_model="numpy", fastmath={"contract"})
+@nb.njit(cache=True, error_model="numpy", fastmath={"contract"}, forceinline=True)
 def _blend_tile_backward(rows, members, left, top, width, height, limits, planes, given, out):
     alpha_max, alpha_min, least = limits[0], limits[1], limits[2]
     through = nb.carray(_scratch(PIXELS), (HIGH, WIDE))
@@ -221,7 +221,7 @@ def _blend_tile_backward(rows, members, left, top, width, height, limits, planes
             break
 
 
-@nb.njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc"})
+@nb.njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc"}, forceinline=True)
 def _add_moments(lanes, dx, row, out):
     """Add the gradient of one projected row, from the column sums of −∂loss/∂σ and of the blended values."""
     m, mx, my, mxx, mxy, myy = ZERO, ZERO, ZERO, ZERO, ZERO, ZERO
@@ -260,7 +260,7 @@ def _rows_met(row, top, used):
     return int(first), int(last)
 
 
-@nb.njit(cache=True, error_model="numpy", fastmath=True)
+@nb.njit(cache=True, error_model="numpy", fastmath=True, forceinline=True)
 def _any_open(through):
     most = -ONE
     for r in range(HIGH):

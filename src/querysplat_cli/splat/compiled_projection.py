@@ -9,14 +9,11 @@ low_pass, alpha_min.
 import numba as nb
 import numpy as np
 
+from querysplat_cli.scene.gaussians import SH_0, SH_1, SH_2, SH_3
 from querysplat_cli.splat.conventions import (
     CLAMP_MARGIN,
     COLOUR_LIMIT,
     SCALE_LIMIT,
-    SH_0,
-    SH_1,
-    SH_2,
-    SH_3,
     SHORTEST_QUATERNION,
 )
 

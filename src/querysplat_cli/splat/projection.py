@@ -6,15 +6,11 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.gaussians import SH_0, SH_1, SH_2, SH_3, Gaussians
 from querysplat_cli.splat.conventions import (
     CLAMP_MARGIN,
     COLOUR_LIMIT,
     SCALE_LIMIT,
-    SH_0,
-    SH_1,
-    SH_2,
-    SH_3,
     SHORTEST_QUATERNION,
     RenderSettings,
 )

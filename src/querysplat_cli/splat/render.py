@@ -10,8 +10,8 @@ from torch import Tensor
 
 from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
-from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.splat.conventions import SH_0, RenderSettings
+from querysplat_cli.scene.gaussians import SH_0, Gaussians
+from querysplat_cli.splat.conventions import RenderSettings
 
 __all__ = ["RenderSettings", "Rendering", "contributions", "render"]
 

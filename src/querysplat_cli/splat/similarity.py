@@ -128,7 +128,7 @@ def loss_and_gradient(
         )
 
 
-@nb.njit(cache=True, error_model="numpy", fastmath={"contract"})
+@nb.njit(cache=True, error_model="numpy", fastmath={"contract"}, forceinline=True)
 def _plane(
     a: np.ndarray, b: np.ndarray, mask: np.ndarray, share: float, weights: np.ndarray, gradient: np.ndarray
 ) -> float:
@@ -180,7 +180,7 @@ def _plane(
     return total
 
 
-@nb.njit(cache=True, error_model="numpy", fastmath={"contract"})
+@nb.njit(cache=True, error_model="numpy", fastmath={"contract"}, forceinline=True)
 def _blur(plane: np.ndarray, scratch: np.ndarray, weights: np.ndarray) -> None:
     """Blur `plane` in place with the separable window, zeros beyond the border."""
     height, width = plane.shape

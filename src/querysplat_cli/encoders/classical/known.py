@@ -11,13 +11,9 @@ import pycolmap
 from querysplat_cli.encoders.classical.mapping import from_colmap
 from querysplat_cli.encoders.classical.matches import Matches
 from querysplat_cli.encoders.classical.sparse_model import SparseModel, rescaled
-from querysplat_cli.scene.cameras import PhotoCamera
+from querysplat_cli.scene.cameras import PhotoCamera, same_shape
+from querysplat_cli.scene.formats.transforms import is_rigid
 from querysplat_cli.scene.views import LeftOut, Photo
-
-ASPECT = 0.02
-"""Relative difference in shape beyond which a camera is not that of the photo."""
-ORTHONORMAL = 1e-3
-"""What rounding in a file may do to a rotation."""
 
 
 def match_cameras(
@@ -64,11 +60,8 @@ def triangulated(cameras: Sequence[PhotoCamera], matches: Matches, *, seed: int)
 
 
 def _fault(photo: Photo, camera: PhotoCamera) -> str:
-    rotation = np.asarray(camera.w2c[:3, :3], dtype=np.float64)
-    if not np.isfinite(camera.w2c).all():
-        return "its given camera is not finite"
-    if np.abs(rotation @ rotation.T - np.eye(3)).max() > ORTHONORMAL or np.linalg.det(rotation) < 0:
-        return "its given camera's rotation is not a rotation"
-    if abs(photo.width / photo.height / (camera.width / camera.height) - 1) > ASPECT:
+    if not is_rigid(camera.w2c):
+        return "its given camera is no rigid motion"
+    if not same_shape((photo.height, photo.width), (camera.height, camera.width)):
         return f"it is {photo.width} × {photo.height}, its given camera {camera.width} × {camera.height}"
     return ""

@@ -142,7 +142,7 @@ def _noise(x, y, turn, which):
     return np.float32((bits ^ (bits >> np.uint32(16))) & np.uint32(0xFFFF)) / np.float32(32768) - np.float32(1)
 
 
-@nb.njit(cache=True, error_model="numpy", fastmath=True)
+@nb.njit(cache=True, error_model="numpy", fastmath=True, forceinline=True)
 def _window(grey, x, y, samples, weights):
     """Fill the reference samples and their weights (which sum to one); return their mean and variance."""
     height, width = grey.shape
@@ -163,7 +163,7 @@ def _window(grey, x, y, samples, weights):
     return mean, max(square / total - mean * mean, np.float32(0)) + np.float32(FLAT)
 
 
-@nb.njit(cache=True, error_model="numpy", fastmath=True)
+@nb.njit(cache=True, error_model="numpy", fastmath=True, forceinline=True)
 def _cost(x, y, inverse, slope_x, slope_y, samples, weights, mean, spread, leads, shifts, pictures, known, prior):
     """One minus the correlation, averaged over the two best sources, and what the plane pays besides."""
     count, height, width = pictures.shape

@@ -89,7 +89,7 @@ def _sweep(reference, pictures, homographies, costs):
                 costs[plane, y, x] = np.uint8(max(cost, np.float32(0)))
 
 
-@nb.njit(cache=True, error_model="numpy", fastmath=True)
+@nb.njit(cache=True, error_model="numpy", fastmath=True, forceinline=True)
 def _warp(picture, homography, warped):
     """Bilinear samples of `picture` at the mapped pixel centres; −1 where there is none."""
     height, width = picture.shape
@@ -114,7 +114,7 @@ def _warp(picture, homography, warped):
             warped[y, x] = top + fy * (low - top)
 
 
-@nb.njit(cache=True, error_model="numpy", fastmath=True)
+@nb.njit(cache=True, error_model="numpy", fastmath=True, forceinline=True)
 def _box(image, sums, rows):
     """Sums over the window around each pixel, the border repeated; `rows` is scratch."""
     height, width = image.shape

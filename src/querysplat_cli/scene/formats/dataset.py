@@ -1,4 +1,4 @@
-"""Captured scenes as datasets keep them: DL3DV, nerfstudio, COLMAP, plain photos; folders and zips."""
+"""Captured scenes as datasets keep them: DL3DV, nerfstudio, COLMAP, our scene folder, plain photos; folders, zips."""
 
 import json
 import shutil
@@ -169,10 +169,8 @@ def _frame(index: int, name: str, folder: str | None, file: Traversable) -> Fram
 def _cameras(home: Traversable) -> tuple[dict[str, PhotoCamera], list[str]]:
     """The dataset's cameras by short name, in its order, and the paths that it gives for the pictures."""
     with TemporaryDirectory() as scratch:
-        listing = home / "transforms.json"
-        if listing.is_file():
-            copy = _copied(listing, Path(scratch))
-            return read_transforms(copy), [frame["file_path"] for frame in json.loads(copy.read_bytes())["frames"]]
+        if (home / "transforms.json").is_file():
+            return _listed(_copied(home / "transforms.json", Path(scratch)))
         for part in MODEL_FOLDERS:
             model = _inside(home, part)
             files = [model / file for file in MODEL_FILES if (model / file).is_file()] if model.is_dir() else []
@@ -181,7 +179,14 @@ def _cameras(home: Traversable) -> tuple[dict[str, PhotoCamera], list[str]]:
                     _copied(file, Path(scratch))
                 cameras = read_colmap(Path(scratch))
                 return cameras, list(cameras)
+        if (home / "cameras.json").is_file():  # our scene folder's; the original 3DGS writes another one beside a model
+            return _listed(_copied(home / "cameras.json", Path(scratch)))
     return {}, []
+
+
+def _listed(listing: Path) -> tuple[dict[str, PhotoCamera], list[str]]:
+    cameras, content = read_transforms(listing), json.loads(listing.read_bytes())
+    return cameras, [frame["file_path"] for frame in [*content["frames"], *content.get("heldout_frames", [])]]
 
 
 def _copied(file: Traversable, folder: Path) -> Path:

@@ -16,17 +16,21 @@ def read_known_cameras(path: Path) -> dict[str, PhotoCamera]:
 
     Raises QuerySplatError when there are none, or they cannot be read.
     """
+    source = find_known_cameras(path)
+    return read_colmap(source) if source.is_dir() else read_transforms(source)
+
+
+def find_known_cameras(path: Path) -> Path:
+    """What `read_known_cameras` reads: a .json file, or the folder of a COLMAP model. Raises like it."""
     if not path.exists():
         raise QuerySplatError(f"{path}: no such file or folder", "Give a transforms.json or a COLMAP folder.")
     if path.is_file():
-        return read_transforms(path) if path.suffix.lower() == ".json" else read_known_cameras(path.parent)
-    for name in JSON_NAMES:
-        if (path / name).is_file():
-            return read_transforms(path / name)
-    model = find_model(path)
-    if model is None:
+        return path if path.suffix.lower() == ".json" else find_known_cameras(path.parent)
+    listing = next((path / name for name in JSON_NAMES if (path / name).is_file()), None)
+    found = listing or find_model(path)
+    if found is None:
         raise QuerySplatError(
             f"{path}: neither a transforms.json nor a COLMAP model in it",
             "Give a transforms.json, or the folder with COLMAP's cameras and images files.",
         )
-    return read_colmap(model)
+    return found

@@ -1,0 +1,25 @@
+"""From colours in [0, 1] to the 8 bits of a picture, and to its file."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+
+def eight_bit(image: Float[Tensor, "3 height width"]) -> np.ndarray:
+    """RGB [height, width, 3], rounded, of colours in [0, 1]."""
+    return (image.permute(1, 2, 0) * 255).round().to(torch.uint8).numpy()
+
+
+def write_picture(path: Path, pixels: np.ndarray, settings: Sequence[int] = ()) -> None:
+    """Write RGB [height, width, 3], or grey [height, width] of 8 or 16 bits, as what `path`'s suffix says.
+
+    Makes the folder if it is missing; `settings` are OpenCV's. Raises OSError when the file cannot be written.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if not cv2.imwrite(str(path), pixels[..., ::-1] if pixels.ndim == 3 else pixels, settings):
+        raise OSError(f"cannot write {path}")
