@@ -48,10 +48,8 @@ def initial_model(config: ModelConfig, seed: int) -> QuerySplat:
                 block.mlp_scale.gamma.fill_(1.0 if i == 0 else 0.0)
                 torch.nn.init.eye_(block.cross.out_proj.weight)
                 block.cross.out_proj.bias.zero_()
-                if i == 0:
-                    # Elsewhere the gain is zero; with both at zero neither would ever learn.
-                    block.mlp.fc2.weight.zero_()
-                    block.mlp.fc2.bias.zero_()
+                block.mlp.fc2.weight.zero_()
+                block.mlp.fc2.bias.zero_()
         geometry = [GAINS["centre"]] * 3 + [GAINS["scale"]] * 3 + [GAINS["quaternion"]] * 4
         appearance = [GAINS["sh_0"]] * 3 + [GAINS["sh_rest"]] * 3 * (config.sh_bands - 1) + [GAINS["opacity"]]
         for head, gains in ((model.geometry_head, geometry), (model.appearance_head, appearance)):
