@@ -16,21 +16,10 @@ LAYERS = [
     {"scene"},
     {"model", "encoders", "splat"},
     {"prune"},
+    {"holdout", "feedback"},
     {"tto", "training"},
-    {
-        "holdout",
-        "quality",
-        "report",
-        "preview",
-        "curve",
-        "store",
-        "memory",
-        "weight_files",
-        "remembering",
-        "savings",
-        "budget",
-    }
-    | {"pipeline", "rendering", "inspection", "demo", "convert"},
+    {"quality", "report", "preview", "curve", "store", "memory", "weight_files", "remembering"}
+    | {"savings", "budget", "pipeline", "rendering", "inspection", "demo", "convert"},
     {"evaluation"},
     {"cli", "__main__"},
 ]

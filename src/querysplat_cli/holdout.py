@@ -93,7 +93,7 @@ def locate_passes(
     if poses_known:
         return Passes(joint, None, None, everything.left_out, everything.doubts)
     own = locate(inputs)
-    isolated, difference, doubts = _isolated_pass(own, everything, names)
+    isolated, difference, doubts = isolated_pass(own, everything, names)
     chosen, other = (isolated, joint) if source == "isolated" else (joint, isolated)
     second = None if own_frame else other
     left_out = tuple(dict.fromkeys((*own.left_out, *everything.left_out)))
@@ -128,9 +128,13 @@ def _joint_pass(everything: Located, names: Sequence[str]) -> CameraPass:
     return CameraPass("joint", take(everything, rows), _heldout(everything, everything.cameras, names))
 
 
-def _isolated_pass(
+def isolated_pass(
     own: Located, everything: Located, names: Sequence[str]
 ) -> tuple[CameraPass, PoseDifference | None, tuple[str, ...]]:
+    """The scene of the pass `own` over the photos `names` alone, with the other views of `everything` brought to it.
+
+    Where no similarity joins the two there are no held-out views, and a sentence says why.
+    """
     shared = [name for name in own.views.names if name in everything.views.names]
     mine = [own.views.names.index(name) for name in shared]
     theirs = [everything.views.names.index(name) for name in shared]

@@ -10,6 +10,7 @@ from torch import Tensor
 from querysplat_cli.device import moved
 from querysplat_cli.encoders.base import Geometry, Located
 from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.feedback import with_feedback
 from querysplat_cli.model.anchors import AnchorReport, Anchors, build_anchors
 from querysplat_cli.model.memories import Features, Memories, attended_rows
 from querysplat_cli.model.querysplat import QuerySplat
@@ -66,6 +67,7 @@ def remember(
             queries=queries,
             everything=everything,
         )
+        anchors = with_feedback(anchors, views, cameras)
         rows = anchors.geometry.index.unique(), anchors.appearance.index.unique()
         memories, anchors = attended_rows(memories, anchors)
     variables: Memories | Features = memories

@@ -6,8 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from querysplat_cli.model.anchors import FILL, AnchorReport, Anchors, build_anchors, quaternions
+from querysplat_cli.model.anchors import FEATURES, FILL, AnchorReport, Anchors, build_anchors, quaternions
 from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.sim3 import Sim3
 from querysplat_cli.scene.views import Views
 
 HEIGHT, WIDTH, FOCAL, DEPTH = 36, 48, 40.0, 2.0
@@ -105,3 +106,24 @@ def test_quaternions_are_scipy_s(parts: list[float]) -> None:
     found = quaternions(torch.from_numpy(rotation.as_matrix()))
     again = Rotation.from_quat(found.roll(-1, -1).numpy())
     assert (again.inv() * rotation).magnitude() < 1e-7
+
+
+def test_what_is_known_of_an_anchor_does_not_depend_on_the_frame() -> None:
+    views, cameras, depth, confidence = plane([0.0, 0.317])
+    # Off the pixels' edges, where rounding would decide which pixel a point falls into.
+    cameras.w2c[1, 1, 3] = 0.113
+    depth[0, 10:] *= 1.2
+    turn = torch.from_numpy(Rotation.from_rotvec([0.3, -0.8, 0.5]).as_matrix())
+    moved = cameras.transformed(Sim3(1.0, turn, torch.tensor([3.0, -1, 2], dtype=torch.float64)))
+    before, _ = build(views, cameras, depth, confidence)
+    after, _ = build(views, moved, depth, confidence)
+    assert before.features.shape == (len(before), FEATURES)
+    assert before.features.std(0).gt(0).sum() > FEATURES // 2
+    torch.testing.assert_close(after.features, before.features, rtol=1e-4, atol=2e-4)
+
+
+def test_an_anchor_knows_the_borders_of_its_picture() -> None:
+    anchors, _ = build(*plane([0.0]))
+    near = anchors.features[:, 6:10].reshape(HEIGHT // 6, WIDTH // 6, 4)
+    assert near[0, 0].tolist() == [0, 1, 0, 1]
+    assert near[-1, 1].tolist() == [1, 0, 0.25, 1]

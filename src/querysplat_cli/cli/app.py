@@ -2,7 +2,7 @@
 
 import typer
 
-from querysplat_cli.cli import convert, demo, evaluate, inspect, poses, reconstruct, render, tto, weights
+from querysplat_cli.cli import convert, demo, evaluate, inspect, poses, reconstruct, render, train, tto, weights
 
 app = typer.Typer(
     name="querysplat",
@@ -19,4 +19,5 @@ app.command("poses")(poses.poses)
 app.command("convert")(convert.convert)
 app.command("inspect")(inspect.inspect)
 app.command("demo")(demo.demo)
+app.command("train")(train.train)
 app.command("weights")(weights.weights)

@@ -33,6 +33,10 @@ THICKNESS = 0.2
 """Extent along the normal in the same units."""
 DISTANCE_PENALTY = 2.0
 """Attention logit lost per squared distance, in spacings, between a query and a memory row."""
+FEATURES = 10 + 10 * CELLS**2
+"""Numbers that describe an anchor as it is built: those of its block, then those of its cells."""
+BORDER = 4
+"""Blocks from the picture's border within which an anchor knows how near it is."""
 
 
 @dataclass(frozen=True)
@@ -51,9 +55,9 @@ class Anchors:
     """Q anchored queries of G Gaussians each, in world coordinates.
 
     The prior (`means`, `scales`, `quats` w x y z, `opacities`, `colours` in [0, 1]) is the scene before any
-    decoder has spoken; heads predict changes to it, lengths in units of `spacing`. `features` feed the
-    query embedding. `geometry`, `appearance` and `queries` say which rows of the two memories, and which
-    other queries, each query attends to.
+    decoder has spoken; heads predict changes to it, lengths in units of `spacing`. `features` feed the query
+    embedding; none of them depends on the scene's frame. `geometry`, `appearance` and `queries` say which rows
+    of the two memories, and which other queries, each query attends to.
     """
 
     means: Float[Tensor, "queries gaussians 3"]
@@ -117,19 +121,6 @@ def build_anchors(
     centres = means[:, CELLS**2 // 2]
     tokens = _patch_positions(cameras, depth, patch)
     memory = _neighbours(centres, spacing, tokens, near)
-    normals = cells.normal.reshape(-1, CELLS**2, 3)[keep].mean(1)
-    rays = torch.nn.functional.normalize(centres - cells.origin.reshape(-1, CELLS**2, 3)[keep][:, 0], dim=1)
-    features = torch.cat(
-        [
-            colours.mean(1) - 0.5,
-            colours.std(1),
-            normals,
-            rays,
-            trusted.mean(1, keepdim=True),
-            spacing.log()[:, None],
-        ],
-        dim=1,
-    )
     anchors = Anchors(
         means=means,
         scales=scales,
@@ -137,7 +128,7 @@ def build_anchors(
         opacities=opacities,
         colours=colours,
         spacing=spacing,
-        features=features,
+        features=_features(cells, seen)[keep],
         geometry=memory,
         appearance=memory,
         queries=_neighbours(centres, spacing, centres, near),
@@ -167,6 +158,8 @@ class _Seen:
 
     hiding: Bool[Tensor, "views rows columns cells"]
     colour: Float[Tensor, "views rows columns cells 3"]
+    supporters: Float[Tensor, "views rows columns cells"]
+    hidden: Float[Tensor, "views rows columns cells"]
 
 
 def _to_blocks(grid: Tensor) -> Tensor:
@@ -215,6 +208,35 @@ def _cells(views: Views, cameras: Cameras, depth: Tensor, confidence: Tensor, ce
     return _Cells(
         *map(_to_blocks, (point, z, footprint, trust, colour, valid, along_x, along_y, normal, origin)),
     )
+
+
+def _features(cells: _Cells, seen: _Seen) -> Float[Tensor, "blocks channels"]:
+    """What is known of each block before anything is read or rendered, each number about 1 in size.
+
+    Of the block: mean colour, confidence, size, slant, and how near the picture's four borders are. Of its cells:
+    colour and what the other views add to it, confidence, depth, how many views agree with it and how many it hides.
+    """
+    views, rows, columns, _ = cells.depth.shape
+    mean = seen.colour.mean(3, keepdim=True)
+    spacing = CELLS * cells.footprint.mean(3, keepdim=True)
+    ray = torch.nn.functional.normalize(cells.point - cells.origin, dim=-1)
+    slant = (cells.normal * ray).sum(-1).abs().mean(3, keepdim=True)
+    row, column = torch.arange(rows).float(), torch.arange(columns).float()
+    sides = torch.broadcast_tensors(
+        row[:, None], rows - 1 - row[:, None], column.expand(rows, columns), columns - 1 - column.expand(rows, columns)
+    )
+    border = (torch.stack(sides, -1) / BORDER).clamp_max(1).expand(views, rows, columns, 4)
+    whole = (mean[..., 0, :] - 0.5, cells.confidence.mean(3, keepdim=True), spacing.log(), slant, border)
+    relative = (cells.depth - cells.depth.median(3, keepdim=True).values) / spacing
+    apart = (
+        4 * (seen.colour - mean).flatten(3),
+        4 * (cells.colour - seen.colour).flatten(3),
+        cells.confidence,
+        relative.clamp(-2, 2),
+        (seen.supporters / 2).clamp_max(2),
+        (seen.hidden / 2).clamp_max(2),
+    )
+    return torch.cat([*whole, *apart], -1).flatten(0, 2)
 
 
 def _tangents(point: Tensor, ray: Tensor, footprint: Tensor, c2w: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -273,7 +295,7 @@ def _compare_views(cells: _Cells, views: Views, cameras: Cameras, depth: Tensor,
             colour[own] += share[..., None] * sample
             weight[own] += share
     hiding = hidden > supporters + cells.confidence
-    return _Seen(hiding, colour / weight[..., None])
+    return _Seen(hiding, colour / weight[..., None], supporters, hidden)
 
 
 def _choose_blocks(

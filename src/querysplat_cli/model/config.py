@@ -14,7 +14,8 @@ class ModelConfig:
 
     `queries` "learned" takes `query_count` learned tokens and predicts positions in the VGM's frame;
     "anchored" makes a token for each anchor from its `anchor_features` numbers and predicts changes to the
-    anchor's prior, whose colour was projected from the photos (`colour_prior`). `special_tokens` are the
+    anchor's prior, whose colour was projected from the photos (`colour_prior`). With `branches` "one", a single
+    decoder reads both memories; it and `appearance_blocks` 0 are the paper's ablations. `special_tokens` are the
     camera and register tokens before a view's patches; `vgm_width` is the width of the VGM's tokens.
     """
 
@@ -23,6 +24,7 @@ class ModelConfig:
     mlp_ratio: float = 4.0
     geometry_blocks: int = 12
     appearance_blocks: int = 6
+    branches: Literal["two", "one"] = "two"
     queries: Literal["learned", "anchored"] = "learned"
     colour_prior: Literal["none", "projected"] = "none"
     query_count: int = 8192
@@ -40,7 +42,7 @@ class ModelConfig:
     def __post_init__(self) -> None:
         """Raises QuerySplatError when a size is not positive, or the heads do not share the width evenly."""
         sizes = {field.name: getattr(self, field.name) for field in fields(self) if field.type is int}
-        may_be_zero = {"anchor_features", "special_tokens", "sh_degree"}
+        may_be_zero = {"appearance_blocks", "anchor_features", "special_tokens", "sh_degree"}
         wrong = [
             name
             for name, size in sizes.items()
@@ -50,7 +52,14 @@ class ModelConfig:
             raise QuerySplatError(f"model sizes must be positive: {', '.join(wrong)}", "See docs/method.md.")
         if self.width % self.heads:
             raise QuerySplatError(f"{self.heads} heads cannot share a width of {self.width}", "Choose a divisor.")
-        for name, known in (("queries", ("learned", "anchored")), ("colour_prior", ("none", "projected"))):
+        if self.branches == "one" and self.appearance_blocks:
+            raise QuerySplatError("one branch has no appearance_blocks", "Give them to geometry_blocks.")
+        choices = {
+            "queries": ("learned", "anchored"),
+            "colour_prior": ("none", "projected"),
+            "branches": ("two", "one"),
+        }
+        for name, known in choices.items():
             if getattr(self, name) not in known:
                 raise QuerySplatError(
                     f"{name} cannot be '{getattr(self, name)}'", f"Choose one of: {', '.join(known)}."

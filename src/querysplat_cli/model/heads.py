@@ -66,22 +66,32 @@ def assemble_anchored(
 ) -> Gaussians:
     """Changes to the anchors' priors; raw numbers of 0 give exactly the prior.
 
-    Centres move in units of the anchor's spacing, log-scales add, quaternions multiply, colours add in SH
-    units, opacities add in logits.
+    Centres move along the prior's own axes in units of the anchor's spacing, log-scales add, quaternions
+    multiply, colours add in SH units, opacities add in logits.
     """
     per_query = anchors.means.shape[1]
     spacing = anchors.spacing.repeat_interleave(per_query)[:, None]
-    turn = F.normalize(geometry[:, 6:] + geometry.new_tensor([1.0, 0, 0, 0]), dim=1)
+    turn = geometry[:, 6:] + geometry.new_tensor([1.0, 0, 0, 0])
+    # What F.normalize does, in a third of the time for rows of four.
+    turn = turn * turn.square().sum(1, keepdim=True).clamp_min(1e-24).rsqrt()
     bands = appearance[:, :-1].unflatten(-1, (config.sh_bands, 3))
     first = (anchors.colours.flatten(0, 1)[:, None] - 0.5) / SH_0 + bands[:, :1]
     rest = torch.tanh(bands[:, 1:])
+    quats = anchors.quats.flatten(0, 1)
     return Gaussians(
-        means=anchors.means.flatten(0, 1) + spacing * signed_exponential(geometry[:, :3]),
-        quats=quaternion_product(anchors.quats.flatten(0, 1), turn),
+        means=anchors.means.flatten(0, 1) + rotated(quats, spacing * signed_exponential(geometry[:, :3])),
+        quats=quaternion_product(quats, turn),
         scales=anchors.scales.flatten(0, 1) * torch.exp(geometry[:, 3:6].clamp(SHRINK, GROW)),
         opacities=torch.sigmoid(torch.logit(anchors.opacities.flatten(), eps=1e-6) + appearance[:, -1]),
         sh=torch.cat([first, rest], 1),
     )
+
+
+def rotated(quats: Float[Tensor, "n 4"], vectors: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
+    """`vectors` turned by unit quaternions w, x, y, z."""
+    axis = quats[:, 1:]
+    cross = torch.linalg.cross(axis, vectors)
+    return vectors + 2 * (quats[:, :1] * cross + torch.linalg.cross(axis, cross))
 
 
 def quaternion_product(left: Float[Tensor, "n 4"], right: Float[Tensor, "n 4"]) -> Float[Tensor, "n 4"]:

@@ -2,9 +2,10 @@
 
     python -m querysplat_cli.model.initialise compact.safetensors --seed 0
 
-Values start at zero, so the decoders add nothing. Attention, output projection and heads are laid out so
-that a value channel of a memory token drives one raw number of the Gaussians near that token. Test-time
-optimisation of the memories then starts well conditioned, and training starts from a sensible scene.
+Values and the last layers of the MLPs start at zero, so the decoders add nothing. Attention, output projection
+and heads are laid out so that a value channel of a memory token drives one raw number of the Gaussians near
+that token. Test-time optimisation of the memories then starts well conditioned, and training, which leaves that
+layout alone, starts from a sensible scene.
 """
 
 import argparse
@@ -40,11 +41,15 @@ def initial_model(config: ModelConfig, seed: int) -> QuerySplat:
         for decoder in (model.geometry_decoder, model.appearance_decoder):
             for i, block in enumerate(decoder.blocks):
                 assert isinstance(block, DecoderBlock)
-                block.cross_scale.gamma.fill_(1.0 if i == 0 else 0.0)
+                # The last block reads the memory and the first one thinks: in a decoder of two, what is thought
+                # does not depend on the memory, and test-time optimisation need not go through it.
+                block.cross_scale.gamma.fill_(1.0 if i == len(decoder.blocks) - 1 else 0.0)
                 block.among_scale.gamma.zero_()
-                block.mlp_scale.gamma.zero_()
+                block.mlp_scale.gamma.fill_(1.0 if i == 0 else 0.0)
                 torch.nn.init.eye_(block.cross.out_proj.weight)
                 block.cross.out_proj.bias.zero_()
+                block.mlp.fc2.weight.zero_()
+                block.mlp.fc2.bias.zero_()
         geometry = [GAINS["centre"]] * 3 + [GAINS["scale"]] * 3 + [GAINS["quaternion"]] * 4
         appearance = [GAINS["sh_0"]] * 3 + [GAINS["sh_rest"]] * 3 * (config.sh_bands - 1) + [GAINS["opacity"]]
         for head, gains in ((model.geometry_head, geometry), (model.appearance_head, appearance)):

@@ -145,6 +145,11 @@ class PhotoEmbedding(nn.Module):
 
 def plucker_rays(cameras: Cameras) -> Float[Tensor, "views 6 height width"]:
     """Moment o × d and unit world direction d of the ray through every pixel centre."""
+    with torch.autocast(cameras.w2c.device.type, enabled=False):
+        return _plucker_rays(cameras)
+
+
+def _plucker_rays(cameras: Cameras) -> Float[Tensor, "views 6 height width"]:
     fx, fy, cx, cy = (cameras.K[:, i, j, None, None] for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
     columns, rows = (torch.arange(size).to(cameras.K) + 0.5 for size in (cameras.width, cameras.height))
     x = (columns - cx) / fx

@@ -14,7 +14,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from querysplat_cli.errors import QuerySplatError
-from querysplat_cli.model.anchors import Anchors
+from querysplat_cli.model.anchors import Anchors, Neighbours
 from querysplat_cli.model.config import ModelConfig
 from querysplat_cli.model.decoders import Decoder
 from querysplat_cli.model.heads import GEOMETRY_CHANNELS, assemble, assemble_anchored
@@ -138,21 +138,20 @@ class QuerySplat(nn.Module):
             after = self.appearance_tokens(tokens, memories)
             return assemble(*self._raw(tokens, after), self.config)
         before = self.geometry_queries + self.anchor_embedding(anchors.features)
-        tokens = self.geometry_decoder(
-            before, memories.geometry_keys, memories.geometry_values, anchors.geometry, anchors.queries
-        )
+        tokens = self.geometry_decoder(before, *self._read_first(memories, anchors), anchors.queries)
         start = tokens + self.appearance_queries
         after = self.appearance_decoder(
             start, memories.appearance_keys, memories.appearance_values, anchors.appearance, anchors.queries
         )
         # What a query knew beforehand is in its anchor's prior; the heads read what the decoders added.
-        return assemble_anchored(*self._raw(tokens - before, after - start), anchors, self.config)
+        told = after - start if self.config.appearance_blocks else tokens - before
+        return assemble_anchored(*self._raw(tokens - before, told), anchors, self.config)
 
     def geometry_tokens(self, memories: Memories) -> Float[Tensor, "queries width"]:
         """Learned queries after the geometry decoder. The eye token takes part as one more query."""
         assert self.eye_token is not None
         tokens = torch.cat([self.eye_token, self.geometry_queries])
-        return self.geometry_decoder(tokens, memories.geometry_keys, memories.geometry_values)[1:]
+        return self.geometry_decoder(tokens, *self._read_first(memories, None)[:2])[1:]
 
     def appearance_tokens(
         self, geometry: Float[Tensor, "queries width"], memories: Memories
@@ -161,10 +160,25 @@ class QuerySplat(nn.Module):
         start = geometry + self.appearance_queries
         return self.appearance_decoder(start, memories.appearance_keys, memories.appearance_values)
 
-    def _raw(self, geometry: Tensor, appearance: Tensor) -> tuple[Tensor, Tensor]:
-        """Raw numbers of both heads, a row for each Gaussian."""
-        per_query = self.config.gaussians_per_query
+    def _read_first(self, memories: Memories, anchors: Anchors | None) -> tuple[Tensor, Tensor, Neighbours | None]:
+        """Keys, values and neighbours of the first decoder: the geometry memory, or both where there is one branch."""
+        near = None if anchors is None else anchors.geometry
+        keys, values = memories.geometry_keys, memories.geometry_values
+        if self.config.branches == "two":
+            return keys, values, near
+        if anchors is not None:
+            index = torch.cat([anchors.geometry.index, anchors.appearance.index + len(keys)], 1)
+            near = Neighbours(index, torch.cat([anchors.geometry.bias, anchors.appearance.bias], 1))
         return (
-            self.geometry_head(geometry).unflatten(-1, (per_query, -1)).flatten(0, 1),
-            self.appearance_head(appearance).unflatten(-1, (per_query, -1)).flatten(0, 1),
+            torch.cat([keys, memories.appearance_keys]),
+            torch.cat([values, memories.appearance_values]),
+            near,
+        )
+
+    def _raw(self, geometry: Tensor, appearance: Tensor) -> tuple[Tensor, Tensor]:
+        """Raw numbers of both heads, a row for each Gaussian, in the type of the queries whatever autocast says."""
+        per_query, dtype = self.config.gaussians_per_query, self.geometry_queries.dtype
+        return (
+            self.geometry_head(geometry).to(dtype).unflatten(-1, (per_query, -1)).flatten(0, 1),
+            self.appearance_head(appearance).to(dtype).unflatten(-1, (per_query, -1)).flatten(0, 1),
         )

@@ -146,13 +146,13 @@ def _decode(path: Path, max_side: int) -> tuple[np.ndarray, float | None]:
     try:
         image = Image.open(path)
     except UnidentifiedImageError:
-        return _reduced(_decode_deep_tiff(path), max_side), None
+        return reduced(_decode_deep_tiff(path), max_side), None
     with image:
         focal = _focal(image)
         width, height = image.size
         scale = min(1.0, max_side / max(width, height))
         image.draft("RGB", (round(width * scale), round(height * scale)))
-        pixels = _reduced(_rgb(ImageOps.exif_transpose(image)), max_side)
+        pixels = reduced(_rgb(ImageOps.exif_transpose(image)), max_side)
     return pixels, focal and focal * max(pixels.shape) / max(width, height)
 
 
@@ -176,7 +176,8 @@ def _decode_deep_tiff(path: Path) -> np.ndarray:
     return np.ascontiguousarray(pixels[..., ::-1])
 
 
-def _reduced(pixels: np.ndarray, max_side: int) -> np.ndarray:
+def reduced(pixels: np.ndarray, max_side: int) -> np.ndarray:
+    """Pixels [height, width, 3] whose longer side is at most `max_side` (area filter)."""
     height, width = pixels.shape[:2]
     scale = max_side / max(height, width)
     if scale >= 1:

@@ -8,13 +8,18 @@ from querysplat_cli.scene.cameras import Cameras
 
 FAR_AWAY = 1e6
 """Pixels: where a point in the plane of a camera is taken to be."""
+FLAT = 1e-12
+"""Camera z below which a point counts as in the plane."""
 
 
 def projected(centres: Float[Tensor, "n 3"], cameras: Cameras) -> Float[Tensor, "views n 2"]:
     """Pixels of every centre in every view. Points behind a camera are projected as they are."""
     local = torch.einsum("vij,nj->vni", cameras.w2c[:, :3, :3], centres) + cameras.w2c[:, None, :3, 3]
     image = torch.einsum("vij,vnj->vni", cameras.K, local)
-    return torch.nan_to_num(image[..., :2] / image[..., 2:], nan=0.0, posinf=FAR_AWAY, neginf=-FAR_AWAY)
+    # A division by (nearly) nothing would send NaN back, whatever becomes of its result.
+    flat = image[..., 2:].abs() < FLAT
+    pixels = image[..., :2] / torch.where(flat, 1.0, image[..., 2:])
+    return torch.where(flat, FAR_AWAY * image[..., :2].detach().sign(), pixels)
 
 
 def visibility_loss(centres: Float[Tensor, "n 3"], cameras: Cameras, threshold: float = 1.0) -> Float[Tensor, ""]:

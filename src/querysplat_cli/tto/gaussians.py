@@ -13,6 +13,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional as F
 
+from querysplat_cli.model.heads import rotated
 from querysplat_cli.prune.gaussians import Pruned
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.tto.optimise import TtoResult, TtoSettings, TtoStep, optimise
@@ -83,16 +84,9 @@ def changed(gaussians: Gaussians, changes: Changes) -> Gaussians:
     sizes = gaussians.scales.clamp_min(0.1 * gaussians.scales.amax(1, keepdim=True))
     logits = torch.logit(gaussians.opacities, eps=1e-6)
     return Gaussians(
-        means=gaussians.means + _rotated(quats, moves * sizes),
+        means=gaussians.means + rotated(quats, moves * sizes),
         quats=F.normalize(quats + changes.turns, dim=1),
         scales=gaussians.scales * torch.exp(changes.log_scales.clamp(-LARGEST, LARGEST)),
         opacities=torch.sigmoid(logits + changes.logits),
         sh=gaussians.sh + torch.cat([changes.colours, changes.bands], 1),
     )
-
-
-def _rotated(quats: Float[Tensor, "n 4"], vectors: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
-    """`vectors` turned by unit quaternions w, x, y, z."""
-    axis = quats[:, 1:]
-    cross = torch.linalg.cross(axis, vectors)
-    return vectors + 2 * (quats[:, :1] * cross + torch.linalg.cross(axis, cross))

@@ -1,0 +1,93 @@
+"""What a training reports: a line for every few steps, curves, and TensorBoard where it is asked for."""
+
+import json
+from collections.abc import Callable, Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from querysplat_cli.drawing import new_figure
+from querysplat_cli.errors import MissingPart
+from querysplat_cli.scene.files import atomic_path
+
+SPAN = 25
+"""Lines that the drawn curve is a mean of: each looks at other scenes."""
+
+
+class Journal:
+    """`log.jsonl` in the training's folder. A line stands for the steps since the one before."""
+
+    def __init__(self, folder: Path, step: int, *, tensorboard: bool) -> None:
+        """Lines beyond `step`, of a training that went further before it was killed, are dropped."""
+        self._path = folder / "log.jsonl"
+        self._write = _tensorboard(folder) if tensorboard else None
+        lines = self._path.read_text().splitlines() if self._path.is_file() else []
+        rows = [row for row in map(_parsed, lines) if row and row["step"] <= step]
+        with atomic_path(self._path) as draft:
+            draft.write_text("".join(json.dumps(row) + "\n" for row in rows))
+
+    def add(self, row: dict[str, Any]) -> None:
+        """Append a line."""
+        with self._path.open("a") as file:
+            file.write(json.dumps(row) + "\n")
+        if self._write:
+            self._write(row)
+
+    def rows(self) -> list[dict[str, Any]]:
+        return [row for row in map(_parsed, self._path.read_text().splitlines()) if row]
+
+    def draw(self) -> None:
+        """`curve.png` beside the log."""
+        rows = self.rows()
+        if rows:
+            with atomic_path(self._path.with_name("curve.png")) as draft:
+                draw_curves(draft, rows)
+
+
+def draw_curves(path: Path, rows: Sequence[dict[str, Any]]) -> None:
+    """Loss, PSNR and learning rate against steps."""
+    figure = new_figure(11.0, 3.4)
+    steps = np.array([row["step"] for row in rows], dtype=float)
+    for axes, key, label in zip(
+        figure.subplots(1, 3), ("loss", "psnr", "lr"), ("loss", "PSNR of targets, dB", "learning rate"), strict=True
+    ):
+        values = np.array([row[key] for row in rows], dtype=float)
+        axes.plot(steps, values, ".", ms=3, alpha=0.3 if key != "lr" else 1.0)
+        span = min(SPAN, len(values))
+        if key != "lr" and span > 1:
+            window = np.full(span, 1 / span)
+            axes.plot(np.convolve(steps, window, "valid"), np.convolve(values, window, "valid"))
+        axes.set(xlabel="step", ylabel=label)
+        axes.grid(alpha=0.3)
+    figure.savefig(path, dpi=110, format="png")
+
+
+def _parsed(line: str) -> dict[str, Any] | None:
+    """None for a line that a killed process did not finish."""
+    try:
+        row: dict[str, Any] = json.loads(line)
+    except ValueError:
+        return None
+    return row
+
+
+def check_tensorboard() -> None:
+    """Raises MissingPart where the package is not installed."""
+    if not find_spec("tensorboard"):
+        raise MissingPart("--tensorboard needs the package tensorboard", "pip install 'querysplat[tensorboard]'")
+
+
+def _tensorboard(folder: Path) -> Callable[[dict[str, Any]], None]:
+    from torch.utils.tensorboard import SummaryWriter
+
+    writer = SummaryWriter(str(folder / "tensorboard"))
+
+    def write(row: dict[str, Any]) -> None:
+        for name, value in row.items():
+            if isinstance(value, int | float) and name != "step":
+                writer.add_scalar(name, value, row["step"])
+        writer.flush()
+
+    return write

@@ -1,0 +1,92 @@
+"""The losses of training (paper, section 3.3), each a function of Gaussians and cameras, or of pictures."""
+
+from collections.abc import Callable
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.views import Views
+from querysplat_cli.splat.similarity import photometric_loss
+from querysplat_cli.training.visibility import visibility_loss
+
+Perceptual = Callable[[Float[Tensor, "n 3 h w"], Float[Tensor, "n 3 h w"]], Float[Tensor, ""]]
+"""LPIPS, or anything else that compares pictures in [0, 1]."""
+EPSILON = 1e-6
+"""Added to an opacity before its logarithm."""
+PAIRS = 1 << 24
+"""Distances that the Chamfer loss holds at once."""
+
+
+def picture_loss(
+    picture: Float[Tensor, "views 3 height width"],
+    photo: Float[Tensor, "views 3 height width"],
+    mask: Tensor,
+    perceptual: Perceptual | None = None,
+    weight: float = 0.0,
+) -> Float[Tensor, ""]:
+    """L1 + 0.2·(1 − SSIM)/2 over the mask, and `weight` times `perceptual` in float32 (paper, section 3.3)."""
+    loss = photometric_loss(picture.float(), photo, mask)
+    if perceptual is not None and weight:
+        inside = torch.where(mask[:, None], picture.float(), photo)
+        with torch.autocast(picture.device.type, enabled=False):
+            loss = loss + weight * perceptual(inside, photo)
+    return loss
+
+
+def unseen_loss(centres: Float[Tensor, "n 3"], cameras: Cameras, near: float) -> Float[Tensor, ""]:
+    """Visibility over the frusta (TokenGS), and for centres behind every camera how far they are from its near plane.
+
+    The first alone takes a centre behind a camera for visible where its mirrored projection is (paper: "outside all
+    frusta or behind cameras"). Both count at most 1 a centre; lengths of the second are in scene units.
+    """
+    axis, offset = cameras.w2c[:, 2, :3], cameras.w2c[:, 2, 3:]
+    z = centres @ axis.T + offset.T
+    behind = (near - z).amin(1).clamp(0, 1)
+    return visibility_loss(centres, cameras) + behind.mean()
+
+
+def opacity_floor(opacities: Float[Tensor, "n"], alpha_min: float) -> Float[Tensor, ""]:
+    """Mean of max(0, ln(α_min + ε) − ln(α + ε)): opacities below `alpha_min` are drawn up to it."""
+    floor = torch.log(opacities.new_tensor(alpha_min + EPSILON))
+    return (floor - torch.log(opacities + EPSILON)).clamp_min(0).mean()
+
+
+def chamfer(a: Float[Tensor, "n 3"], b: Float[Tensor, "m 3"]) -> Float[Tensor, ""]:
+    """Mean squared distance from each point to the nearest of the other set, both ways; memory by chunks.
+
+    The neighbours are found without a gradient; coincident points have gradient zero. Two empty sets give zero.
+    """
+    if not len(a) or not len(b):
+        return a.sum() * 0
+    forth = (a - b[nearest(a, b)]).square().sum(1).mean()
+    back = (b - a[nearest(b, a)]).square().sum(1).mean()
+    return forth + back
+
+
+@torch.no_grad()
+def nearest(points: Float[Tensor, "n 3"], among: Float[Tensor, "m 3"]) -> Int[Tensor, "n"]:
+    """The number of the nearest of `among` for each point."""
+    # Differences rather than products: those lose everything where points are far from the origin.
+    at_once = max(1, PAIRS // len(among))
+    return torch.cat(
+        [
+            torch.cdist(some, among, compute_mode="donot_use_mm_for_euclid_dist").argmin(1)
+            for some in points.split(at_once)
+        ]
+    )
+
+
+def depth_points(
+    views: Views, cameras: Cameras, depth: Float[Tensor, "views height width"], count: int, generator: torch.Generator
+) -> Float[Tensor, "n 3"]:
+    """At most `count` world points of the input-only depth, drawn evenly from the pixels inside the masks."""
+    rows, columns = (torch.arange(size, device=depth.device) + 0.5 for size in depth.shape[1:])
+    points = cameras.unproject(depth, columns, rows)[views.masks]
+    return points[drawn(len(points), count, generator)]
+
+
+def drawn(total: int, count: int, generator: torch.Generator) -> Int[Tensor, "n"]:
+    """At most `count` of `total` numbers, each at most once."""
+    return torch.randperm(total, generator=generator)[:count]

@@ -1,0 +1,116 @@
+"""One training sample: what the frozen VGM says of the inputs alone, and targets in the same frame; and its file."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+from torch import Tensor
+
+from querysplat_cli.encoders.base import Encoder, Geometry
+from querysplat_cli.errors import ImpossibleScene, QuerySplatError
+from querysplat_cli.holdout import isolated_pass
+from querysplat_cli.progress import Progress
+from querysplat_cli.scene.cameras import Cameras, PhotoCamera
+from querysplat_cli.scene.files import atomic_path
+from querysplat_cli.scene.views import Photo, Views
+
+
+@dataclass(frozen=True)
+class Sample:
+    """The VGM's pass over the inputs, and the targets with cameras in its frame. Targets enter the losses only."""
+
+    views: Views
+    cameras: Cameras
+    geometry: Geometry
+    targets: Views
+    target_cameras: Cameras
+
+
+def prepare(
+    photos: Sequence[Photo],
+    inputs: Sequence[str],
+    encoder: Encoder,
+    *,
+    known: Mapping[str, PhotoCamera] | None,
+    max_size: int,
+    seed: int,
+    progress: Progress = lambda text, fraction: None,
+) -> Sample:
+    """Two isolated passes, over everything and over the photos named `inputs`, joined by the inputs' cameras.
+
+    Raises ImpossibleScene when an input or every target is lost on the way.
+    """
+    # The inputs come last: some encoders keep the pass that they located last for their depth and features.
+    everything = encoder.locate(photos, max_size=max_size, seed=seed, progress=progress, known=known)
+    chosen = [photo for photo in photos if photo.name in inputs]
+    own = encoder.locate(chosen, max_size=max_size, seed=seed, progress=progress, known=known)
+    if len(own.views) < len(chosen):
+        raise ImpossibleScene(f"{len(chosen) - len(own.views)} of {len(chosen)} inputs were not located")
+    heldout = isolated_pass(own, everything, inputs)[0].heldout
+    if heldout is None:
+        raise ImpossibleScene("no target can be brought to the inputs' frame")
+    return Sample(own.views, own.cameras, encoder.perceive(own, seed=seed, progress=progress), *heldout)
+
+
+def write_sample(path: Path, sample: Sample) -> None:
+    """Pictures in 8 bits and depth in 16; features in 16 where they come from a network (more than 64 channels)."""
+    geometry = sample.geometry
+    tensors = {
+        "views.images": _bytes(sample.views.images),
+        "views.masks": sample.views.masks,
+        "views.w2c": sample.cameras.w2c,
+        "views.K": sample.cameras.K,
+        "targets.images": _bytes(sample.targets.images),
+        "targets.masks": sample.targets.masks,
+        "targets.w2c": sample.target_cameras.w2c,
+        "targets.K": sample.target_cameras.K,
+    }
+    if geometry.depth is not None and geometry.confidence is not None:
+        # Half precision ends at 65,504, and its relative error of 0.05 % is far below that of any estimate.
+        tensors |= {"depth": geometry.depth.clamp(1e-4, 6e4).half(), "confidence": geometry.confidence.half()}
+    for i, layer in enumerate(geometry.features):
+        tensors[f"features.{i}"] = layer.bfloat16() if layer.shape[-1] > 64 else layer
+    metadata = {
+        "patch": geometry.patch,
+        "names": [sample.views.names, sample.targets.names],
+        "sizes": [sample.views.sizes, sample.targets.sizes],
+    }
+    with atomic_path(path) as draft:
+        kept = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
+        draft.write_bytes(save(kept, metadata={"sample": json.dumps(metadata)}))
+
+
+def read_sample(path: Path) -> Sample:
+    """The sample that `write_sample` wrote; raises QuerySplatError when the file is damaged."""
+    try:
+        with safe_open(path, framework="pt") as file:
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a mapping
+            metadata = json.loads(file.metadata()["sample"])
+        count = sum(name.startswith("features.") for name in tensors)
+        geometry = Geometry(
+            tensors["depth"].float() if "depth" in tensors else None,
+            tensors["confidence"].float() if "confidence" in tensors else None,
+            tuple(tensors[f"features.{i}"].float() for i in range(count)),
+            metadata["patch"],
+        )
+        views, cameras = _read_views("views", 0, tensors, metadata)
+        return Sample(views, cameras, geometry, *_read_views("targets", 1, tensors, metadata))
+    except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
+        raise QuerySplatError(f"{path} is damaged: {error}", "Delete it, and it is made again.") from error
+
+
+def _read_views(part: str, row: int, tensors: Mapping[str, Tensor], metadata: dict[str, Any]) -> tuple[Views, Cameras]:
+    images = tensors[f"{part}.images"].float() / 255
+    sizes = tuple((height, width) for height, width in metadata["sizes"][row])
+    views = Views(images, tensors[f"{part}.masks"], tuple(metadata["names"][row]), sizes)
+    return views, Cameras(tensors[f"{part}.w2c"], tensors[f"{part}.K"], images.shape[2], images.shape[3])
+
+
+def _bytes(images: Tensor) -> Tensor:
+    return torch.from_numpy(np.rint(images.clamp(0, 1).cpu().numpy() * 255).astype(np.uint8))

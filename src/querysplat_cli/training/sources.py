@@ -1,0 +1,218 @@
+"""Where training scenes come from: made up, or photographed; each is drawn as photos, of which some are inputs."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Protocol, runtime_checkable
+
+import av
+import cv2
+import numpy as np
+
+from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.scene.cameras import PhotoCamera
+from querysplat_cli.scene.formats.dataset import CapturedScene, fetch, find_scenes
+from querysplat_cli.scene.photos import load_photos, reduced
+from querysplat_cli.scene.views import Photo
+from querysplat_cli.training.config import SourceSettings
+from querysplat_cli.training.outdoors import make_outdoors, wander
+from querysplat_cli.training.procedural import cast, make_scene
+
+VIDEOS = {".mp4", ".mov", ".mkv", ".avi", ".webm", ".m4v"}
+FRAMES = 150
+"""Of a video at most so many frames are used, evenly spaced."""
+LARGEST_SIDE = 1600
+ROOMS = 0.5
+"""Share of the procedural scenes that are rooms."""
+CLUTTER = 50
+"""Draws of a procedural scene until one has room for a photographer."""
+
+
+@dataclass(frozen=True)
+class Capture:
+    """Photos of one scene in the order in which they were taken, the names of the inputs, and cameras where known."""
+
+    name: str
+    photos: tuple[Photo, ...]
+    inputs: tuple[str, ...]
+    known: Mapping[str, PhotoCamera] | None
+
+
+@runtime_checkable
+class Source(Protocol):
+    """Scenes by number; a capture depends on the seed, the scene and the draw alone."""
+
+    def __len__(self) -> int: ...
+
+    def capture(self, scene: int, draw: int) -> Capture:
+        """Raises QuerySplatError when the scene cannot be used."""
+        ...
+
+
+def open_source(settings: SourceSettings) -> Source:
+    """Raises QuerySplatError when a place is missing or holds nothing."""
+    return Procedural(settings) if settings.kind == "procedural" else Captured(settings)
+
+
+def drawn_views(
+    chance: np.random.Generator, settings: SourceSettings, frames: int
+) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """Ascending numbers of the inputs and of the targets among `frames` frames.
+
+    Inputs are an interval apart; targets lie between the first and the last of them, and up to an interval beyond.
+    Raises QuerySplatError when there are too few frames.
+    """
+    fewest, most = settings.inputs
+    fitting = [n for n in range(fewest, most + 1) if n < frames]
+    if not fitting:
+        raise QuerySplatError(f"{frames} frames are too few for {fewest} inputs and a target")
+    count = int(chance.choice(fitting))
+    widest = max(1, (frames - 1) // max(count - 1, 1))
+    low = min(settings.interval[0], widest)
+    interval = int(chance.integers(low, min(settings.interval[1], widest) + 1))
+    start = int(chance.integers(0, frames - (count - 1) * interval))
+    inputs = tuple(start + i * interval for i in range(count))
+    around = range(max(0, start - interval), min(frames, inputs[-1] + interval + 1))
+    others = [frame for frame in around if frame not in inputs] or [i for i in range(frames) if i not in inputs]
+    picked = chance.choice(others, min(settings.targets, len(others)), replace=False)
+    return inputs, tuple(sorted(int(frame) for frame in picked))
+
+
+class Procedural:
+    """Ray-cast scenes with true cameras, photographed as a person with a phone would: noise, exposure, blur, JPEG."""
+
+    def __init__(self, settings: SourceSettings) -> None:
+        self._settings = settings
+
+    def __len__(self) -> int:
+        return self._settings.scenes
+
+    def capture(self, scene: int, draw: int) -> Capture:
+        settings = self._settings
+        chance = np.random.default_rng([settings.seed, scene, draw])
+        # Twice as many places as photos, so that inputs may stand next to one another or apart.
+        frames = 2 * (settings.inputs[1] + settings.targets)
+        inputs, targets = drawn_views(chance, settings, frames)
+        side = int(chance.integers(settings.size[0], settings.size[1] + 1))
+        height, width = round(side * chance.uniform(0.6, 0.8)), side
+        if chance.random() < 0.25:
+            height, width = width, height
+        for _ in range(CLUTTER):
+            seed = int(chance.integers(2**31))
+            made = make_scene(seed) if chance.random() < ROOMS else make_outdoors(seed)
+            try:
+                cameras = wander(made, frames, seed, height, width)
+                break
+            except ValueError:
+                continue
+        else:
+            raise QuerySplatError(f"no scene of seed {settings.seed} has room for a photographer")
+        chosen = sorted({*inputs, *targets})
+        photos, known = [], {}
+        look = _Look.drawn(chance)
+        for frame in chosen:
+            pixels = look.photograph(cast(made, cameras[[frame]])[0][0].permute(1, 2, 0).numpy(), chance)
+            name = f"{frame:03d}.jpg"
+            photos.append(Photo(name, Path(name), pixels))
+            lens = cameras.K[frame].double().numpy()
+            w2c = cameras.w2c[frame].double().numpy()
+            known[name] = PhotoCamera(
+                w2c, (lens[0, 0], lens[1, 1]), (lens[0, 2], lens[1, 2]), (0.0, 0.0, 0.0, 0.0), height, width
+            )
+        names = tuple(f"{frame:03d}.jpg" for frame in inputs)
+        return Capture(f"procedural {scene}", tuple(photos), names, known if settings.cameras == "posed" else None)
+
+
+@dataclass(frozen=True)
+class _Look:
+    """How much a camera changes what it sees, from photo to photo and from pixel to pixel."""
+
+    exposure: float
+    noise: float
+    blur: float
+    quality: int
+
+    @staticmethod
+    def drawn(chance: np.random.Generator) -> "_Look":
+        exposure = float(chance.choice([0.0, 0.02, 0.08]))
+        return _Look(
+            exposure, float(chance.uniform(0, 0.02)), float(chance.uniform(0.3, 0.8)), int(chance.integers(80, 98))
+        )
+
+    def photograph(self, picture: np.ndarray, chance: np.random.Generator) -> np.ndarray:
+        """8-bit RGB [height, width, 3] of a picture in [0, 1]."""
+        gain = np.exp(self.exposure * (chance.normal() + 0.3 * chance.normal(size=3)))
+        soft = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), self.blur)
+        grainy = soft * gain + chance.normal(0, 1, picture.shape) * self.noise * np.sqrt(np.clip(soft, 0.02, 1))
+        pixels = np.rint(np.clip(grainy, 0, 1) * 255).astype(np.uint8)
+        quality = [cv2.IMWRITE_JPEG_QUALITY, self.quality]
+        packed = cv2.imencode(".jpg", np.ascontiguousarray(pixels[..., ::-1]), quality)[1]
+        found = cv2.imdecode(packed, cv2.IMREAD_COLOR)
+        assert found is not None
+        return np.ascontiguousarray(found[..., ::-1])
+
+
+class Captured:
+    """DL3DV, nerfstudio and COLMAP scenes, folders of photos, zips of those, and videos."""
+
+    def __init__(self, settings: SourceSettings) -> None:
+        self._settings = settings
+        places = [Path(place).expanduser() for place in settings.places]
+        films = [place for place in places if place.suffix.lower() in VIDEOS]
+        if missing := [film for film in films if not film.is_file()]:
+            raise QuerySplatError(f"{missing[0]}: no such file", "Give a video, a scene, or a folder of scenes.")
+        folders = [place for place in places if place not in films]
+        scenes = find_scenes(folders, settings.pictures) if folders else []
+        self._scenes: list[CapturedScene | Path] = [*scenes, *films]
+
+    def __len__(self) -> int:
+        return len(self._scenes)
+
+    def capture(self, scene: int, draw: int) -> Capture:
+        settings, place = self._settings, self._scenes[scene]
+        chance = np.random.default_rng([settings.seed, scene, draw])
+        if isinstance(place, Path):
+            film = _film(place)
+            inputs, targets = drawn_views(chance, settings, len(film))
+            photos = {frame: film[frame] for frame in sorted({*inputs, *targets})}
+            return Capture(place.name, tuple(photos.values()), tuple(photos[frame].name for frame in inputs), None)
+        inputs, targets = drawn_views(chance, settings, len(place.frames))
+        chosen = sorted({*inputs, *targets})
+        frames = [place.frames[i] for i in chosen]
+        with TemporaryDirectory() as scratch:
+            loaded, unread = load_photos(fetch(frames, Path(scratch)), LARGEST_SIDE)
+        if unread:
+            raise QuerySplatError(f"{place.name}: {unread[0].name}: {unread[0].why}", "Download the scene again.")
+        named = [
+            Photo(frame.name, photo.path, photo.pixels, photo.focal)
+            for frame, photo in zip(frames, loaded, strict=True)
+        ]
+        if settings.cameras == "posed" and not place.cameras:
+            raise QuerySplatError(f"{place.name} has no cameras", 'Use cameras = "free" for it.')
+        known = place.cameras if settings.cameras == "posed" else None
+        return Capture(place.name, tuple(named), tuple(place.frames[i].name for i in inputs), known)
+
+
+@lru_cache(maxsize=1)
+def _film(path: Path) -> tuple[Photo, ...]:
+    """At most `FRAMES` frames of a video, evenly spaced."""
+    try:
+        with av.open(str(path)) as container:
+            total = sum(1 for _ in container.decode(video=0))
+        step = max(1, -(-total // FRAMES))
+        with av.open(str(path)) as container:
+            frames = tuple(_frames(container, step))
+    except (av.FFmpegError, OSError, IndexError) as error:
+        raise QuerySplatError(f"{path}: not a video that can be read: {error}", "Give an MP4 or MOV file.") from error
+    if not frames:
+        raise QuerySplatError(f"{path}: a video without a picture", "Give an MP4 or MOV file.")
+    return frames
+
+
+def _frames(container: "av.container.InputContainer", step: int) -> Iterator[Photo]:
+    for number, frame in enumerate(container.decode(video=0)):
+        if number % step == 0:
+            pixels = reduced(frame.to_ndarray(format="rgb24"), LARGEST_SIDE)
+            yield Photo(f"{number:06d}.png", Path(f"{number:06d}.png"), pixels)

@@ -1,0 +1,132 @@
+"""One sample's part of a training step: photos in, gradients of the weights out, in the memory of a few views."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from querysplat_cli.feedback import with_feedback
+from querysplat_cli.model.anchors import Anchors, build_anchors
+from querysplat_cli.model.memories import attended_rows
+from querysplat_cli.model.querysplat import QuerySplat
+from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.splat.render import RenderSettings, render
+from querysplat_cli.training.config import TrainConfig
+from querysplat_cli.training.losses import (
+    Perceptual,
+    chamfer,
+    depth_points,
+    drawn,
+    opacity_floor,
+    picture_loss,
+    unseen_loss,
+)
+from querysplat_cli.training.passes import Sample
+from querysplat_cli.training.schedule import Weights
+from querysplat_cli.tto.optimise import tensors
+
+
+@dataclass(frozen=True)
+class SampleLoss:
+    """`parts` are the losses before their weights; `skipped` says why the sample gave no gradient, if it did not."""
+
+    total: float
+    parts: dict[str, float]
+    psnr: float
+    gaussians: int
+    skipped: str = ""
+
+
+def anchored(sample: Sample) -> Anchors:
+    """The anchors of the inputs, and what the inputs say against their prior."""
+    depth, confidence = sample.geometry.depth, sample.geometry.confidence
+    assert depth is not None
+    assert confidence is not None
+    anchors, _ = build_anchors(sample.views, sample.cameras, depth, confidence, patch=sample.geometry.patch)
+    return with_feedback(anchors, sample.views, sample.cameras)
+
+
+def decoded(model: QuerySplat, sample: Sample, anchors: Anchors | None, precision: str) -> Gaussians:
+    """Gaussians of the inputs alone, in float32, with a way back to the weights."""
+    geometry, device = sample.geometry, sample.views.images.device
+    with torch.autocast(device.type, torch.bfloat16, enabled=precision == "bf16"):
+        memories = model.remember(geometry.features, sample.views.images, sample.cameras)
+        if anchors is not None:
+            memories, anchors = attended_rows(memories, anchors)
+        return model.decode(memories, anchors).map(Tensor.float)
+
+
+def add_gradient(
+    model: QuerySplat,
+    sample: Sample,
+    anchors: Anchors | None,
+    weights: Weights,
+    config: TrainConfig,
+    *,
+    share: float,
+    generator: torch.Generator,
+    counts: Callable[[float], bool] = lambda loss: True,
+    perceptual: Perceptual | None = None,
+) -> SampleLoss:
+    """Add `share` times the gradient of the sample's loss to the weights'.
+
+    Views are rendered a few at once; what they send to the Gaussians is summed and goes back together. Nothing is
+    added where anything is not finite, or where `counts(loss)` says no.
+    """
+    gaussians = decoded(model, sample, anchors, config.optimiser.precision)
+    leaves = gaussians.map(lambda field: field.detach().requires_grad_())
+    if not all(bool(field.isfinite().all()) for field in tensors(leaves)):
+        return SampleLoss(math.nan, {}, math.nan, len(gaussians), "Gaussians are not finite")
+    pictures, psnr = _pictures(leaves, sample, weights, config, perceptual)
+    parts = {"pictures": pictures, **_regularise(leaves, sample, weights, config, generator)}
+    total = sum(getattr(weights, name, 1.0) * value for name, value in parts.items())
+    gradients = [torch.zeros_like(leaf) if leaf.grad is None else leaf.grad for leaf in tensors(leaves)]
+    result = SampleLoss(total, parts, psnr, len(gaussians))
+    if not math.isfinite(total) or not all(bool(gradient.isfinite().all()) for gradient in gradients):
+        return SampleLoss(total, parts, psnr, len(gaussians), "the loss or its gradient is not finite")
+    if not counts(total):
+        return SampleLoss(total, parts, psnr, len(gaussians), "its loss ranks too high")
+    torch.autograd.backward(tensors(gaussians), [share * gradient for gradient in gradients])
+    return result
+
+
+def _pictures(
+    leaves: Gaussians, sample: Sample, weights: Weights, config: TrainConfig, perceptual: Perceptual | None
+) -> tuple[float, float]:
+    """Mean picture loss and PSNR (dB) of the targets; the gradient goes to `leaves`."""
+    count, at_once = len(sample.targets), config.optimiser.views_at_once
+    background = torch.full((3,), config.losses.background)
+    total, decibels = 0.0, 0.0
+    for start in range(0, count, at_once):
+        rows = list(range(start, min(start + at_once, count)))
+        photos, cameras = sample.targets[rows], sample.target_cameras[rows]
+        picture = render(leaves, cameras, background=background).colour
+        loss = picture_loss(picture, photos.images, photos.masks, perceptual, weights.perceptual)
+        loss = loss * len(rows) / count
+        loss.backward()
+        total += float(loss.detach())
+        with torch.no_grad():
+            for image, photo, mask in zip(picture.clamp(0, 1), photos.images, photos.masks, strict=True):
+                error = (image - photo).square().mean(0)[mask].mean()
+                decibels -= 10 * math.log10(max(float(error), 1e-10)) / count
+    return total, decibels
+
+
+def _regularise(
+    leaves: Gaussians, sample: Sample, weights: Weights, config: TrainConfig, generator: torch.Generator
+) -> dict[str, float]:
+    """The losses of the Gaussians themselves; those without weight are left out. The gradient goes to `leaves`."""
+    losses: dict[str, Tensor] = {}
+    if weights.visibility:
+        losses["visibility"] = unseen_loss(leaves.means, sample.target_cameras, RenderSettings().near)
+    if weights.opacity_floor:
+        losses["opacity_floor"] = opacity_floor(leaves.opacities, config.losses.alpha_min)
+    if weights.chamfer and sample.geometry.depth is not None:
+        count = config.losses.chamfer_points
+        points = depth_points(sample.views, sample.cameras, sample.geometry.depth, count, generator)
+        losses["chamfer"] = chamfer(leaves.means[drawn(len(leaves), count, generator)], points)
+    for name, loss in losses.items():
+        (getattr(weights, name) * loss).backward()
+    return {name: float(loss.detach()) for name, loss in losses.items()}

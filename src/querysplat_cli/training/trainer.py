@@ -1,0 +1,284 @@
+"""The training itself: samples, gradients, steps, and a state from which it goes on exactly."""
+
+import math
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import nn
+
+from querysplat_cli.device import moved
+from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.model.anchors import Anchors
+from querysplat_cli.model.checkpoints import load, save
+from querysplat_cli.model.initialise import initial_model
+from querysplat_cli.model.querysplat import QuerySplat
+from querysplat_cli.progress import Progress
+from querysplat_cli.training.config import TrainConfig, as_table, from_table, with_queries
+from querysplat_cli.training.data import Kept, Samples
+from querysplat_cli.training.journal import Journal
+from querysplat_cli.training.losses import Perceptual
+from querysplat_cli.training.processes import Processes
+from querysplat_cli.training.schedule import Average, RankFilter, grow_queries, rate, trained, weights
+from querysplat_cli.training.state import TrainState, moments, read_state, restore_moments, write_state
+from querysplat_cli.training.step import SampleLoss, add_gradient, anchored
+
+STATE, MODEL = "state.safetensors", "model.safetensors"
+ANCHORS_KEPT = 256
+"""Samples whose anchors stay in memory: they depend on no weight."""
+IDLE = ("save_every", "log_every")
+"""Settings that change nothing about the weights."""
+
+
+@dataclass(frozen=True)
+class TrainReport:
+    """What a run did. `skipped` counts samples without a gradient by reason; seconds are this run's."""
+
+    model: str
+    steps: int
+    loss: float
+    psnr: float
+    skipped: dict[str, int]
+    seconds: float
+    steps_per_second: float
+    waiting: float
+    peak_memory_gib: float
+
+
+class Trainer:
+    """A model on its way. All processes hold the same weights, average and moments at every step."""
+
+    def __init__(
+        self,
+        config: TrainConfig,
+        folder: Path,
+        processes: Processes,
+        device: torch.device,
+        *,
+        resume: bool,
+        perceptual: Perceptual | None = None,
+    ) -> None:
+        """Raises QuerySplatError when another training is in `folder`, or its state is damaged."""
+        self.config, self.folder, self.processes, self.device = config, folder, processes, device
+        self._perceptual = perceptual
+        state = read_state(folder / STATE) if resume else None
+        if state:
+            _check_same(config, from_table(state.facts["config"]), folder)
+        self.step = state.step if state else 0
+        # At the end of a stage its own tensors are in the state; the next one begins with the next step.
+        self._stage, _ = config.at(max(0, self.step - 1))
+        self.model = starting_model(config).to(device)
+        if state:
+            self._grow(config.stages[self._stage].queries)
+            self.model.load_state_dict({name: tensor.to(device) for name, tensor in state.part("model").items()})
+        freeze(self.model, config)
+        self._filter = RankFilter(config.optimiser, state.facts["window"] if state else ())
+        self._average = Average(self.model, config.optimiser.ema, state.part("average") if state else None)
+        self.skipped: dict[str, int] = dict(state.facts["skipped"]) if state else {}
+        self._seconds: float = state.facts["seconds"] if state else 0.0
+        if not state:
+            self._enter(0)
+        self._optimiser = self._new_optimiser()
+        if state:
+            restore_moments(self._optimiser, dict(trained(self.model)), state.part("moments"))
+        processes.spread(list(self.model.state_dict().values()))
+        if config.optimiser.compile:
+            self.model.decode = torch.compile(self.model.decode)  # type: ignore[method-assign]
+
+    def run(self, samples: Samples, *, progress: Progress, tensorboard: bool = False) -> TrainReport:
+        """Train to the end, saving on the way; only the first process writes."""
+        journal = Journal(self.folder, self.step, tensorboard=tensorboard) if self.processes.first else None
+        kept: Kept[Anchors] = Kept(ANCHORS_KEPT)
+        begun, first, waited = time.perf_counter(), self.step, 0.0
+        recent: list[SampleLoss] = []
+        lines: list[dict[str, Any]] = []
+        mark, mark_step, mark_waited = begun, self.step, 0.0
+        while self.step < self.config.steps:
+            number, before = self.config.at(self.step)
+            if number != self._stage:
+                self._enter(number)
+                self._optimiser = self._new_optimiser()
+            losses, spent = self._step(samples, kept, before)
+            recent, waited = recent + losses, waited + spent
+            self.step += 1
+            last = self.step == self.config.steps
+            if self.step % self.config.log_every == 0 or last:
+                now = time.perf_counter()
+                row = self._row(recent, now - mark, self.step - mark_step, waited - mark_waited)
+                recent, mark, mark_step, mark_waited = [], now, self.step, waited
+                lines.append(row)
+                if journal:
+                    journal.add(row)
+            if self.step % self.config.save_every == 0 or last:
+                self._save(journal, time.perf_counter() - begun)
+            if lines and lines[-1]["step"] == self.step:
+                row, done = lines[-1], self.step / self.config.steps
+                progress(f"loss {row['loss']:.4f}, {row['psnr']:.2f} dB, {row['seconds_per_step']:.2f} s a step", done)
+        seconds = time.perf_counter() - begun
+        final = lines[-1] if lines else {"loss": math.nan, "psnr": math.nan}
+        return TrainReport(
+            model=str(self.folder / MODEL),
+            steps=self.step,
+            loss=final["loss"],
+            psnr=final["psnr"],
+            skipped=self.skipped,
+            seconds=seconds,
+            steps_per_second=(self.step - first) / max(seconds, 1e-9),
+            waiting=waited / max(seconds, 1e-9),
+            peak_memory_gib=peak_gib(self.device),
+        )
+
+    def _step(self, samples: Samples, kept: Kept[Anchors], before: int) -> tuple[list[SampleLoss], float]:
+        """One step of the optimiser; the samples' losses, and the seconds that were spent waiting for data."""
+        config, stage = self.config, self.config.stages[self._stage]
+        each = config.optimiser.accumulate
+        share = 1 / (each * self.processes.world)
+        rank, waited, results = self.processes.rank, 0.0, []
+        for number in range(each):
+            path = samples.path(self.step, number, rank, stage.inputs)
+            after = (self.step, number + 1) if number + 1 < each else (self.step + 1, 0)
+            start = time.perf_counter()
+            sample = samples.read(path, samples.path(*after, rank, stage.inputs))
+            waited += time.perf_counter() - start
+            anchors = None
+            if self.model.config.queries == "anchored":
+                # Made where the sample is: the renderer's compiled code cannot run in two threads at once.
+                anchors = kept.get(path, lambda sample=sample: anchored(sample))  # type: ignore[misc]
+            results.append(self._add(moved(sample, self.device), moved(anchors, self.device), number, share))
+        self._advance(results, rate(self.step - before, stage))
+        return results, waited
+
+    def _add(self, sample: Any, anchors: Anchors | None, number: int, share: float) -> SampleLoss:
+        seeds = np.random.SeedSequence([self.config.seed, self.step, number, self.processes.rank])
+        return add_gradient(
+            self.model,
+            sample,
+            anchors,
+            weights(self.step, self.config.losses),
+            self.config,
+            share=share,
+            generator=torch.Generator().manual_seed(int(seeds.generate_state(1)[0])),
+            counts=lambda loss: self._filter.keeps(loss, self.step / self.config.steps),
+            perceptual=self._perceptual,
+        )
+
+    def _advance(self, results: list[SampleLoss], lr: float) -> None:
+        """Join the processes' gradients and take a step, unless nothing or nothing finite came."""
+        parameters = [parameter for _, parameter in trained(self.model)]
+        self.processes.sum_gradients(parameters)
+        told = self.processes.gather([part for each in results for part in (each.total, float(not each.skipped))])
+        self._filter.add(told[::2])
+        for each in results:
+            if each.skipped:
+                self.skipped[each.skipped] = self.skipped.get(each.skipped, 0) + 1
+        norm = nn.utils.clip_grad_norm_(parameters, self.config.optimiser.clip)
+        if any(told[1::2]) and bool(norm.isfinite()):
+            for group in self._optimiser.param_groups:
+                group["lr"] = lr
+            self._optimiser.step()
+            self._average.update(self.model, self.step)
+        self._optimiser.zero_grad(set_to_none=True)
+
+    def _row(self, recent: list[SampleLoss], seconds: float, steps: int, waited: float) -> dict[str, Any]:
+        sound = [each for each in recent if not each.skipped] or recent
+        names = sorted({name for each in sound for name in each.parts})
+        mean = {name: sum(each.parts.get(name, 0.0) for each in sound) / len(sound) for name in names}
+        return {
+            "step": self.step,
+            "loss": sum(each.total for each in sound) / len(sound),
+            "psnr": sum(each.psnr for each in sound) / len(sound),
+            **mean,
+            "lr": self._optimiser.param_groups[0]["lr"],
+            "gaussians": sum(each.gaussians for each in sound) // len(sound),
+            "skipped": sum(self.skipped.values()),
+            "seconds_per_step": seconds / max(1, steps),
+            "waiting": waited / max(seconds, 1e-9),
+            "peak_memory_gib": round(peak_gib(self.device), 3),
+        }
+
+    def _save(self, journal: Journal | None, seconds: float) -> None:
+        if journal is None:
+            return
+        named = dict(trained(self.model))
+        tensors = {f"model.{name}": tensor for name, tensor in self.model.state_dict().items()}
+        tensors |= {f"average.{name}": tensor for name, tensor in self._average.values.items()}
+        tensors |= {f"moments.{name}": tensor for name, tensor in moments(self._optimiser, named).items()}
+        facts = {
+            "config": as_table(self.config),
+            "window": self._filter.window,
+            "skipped": self.skipped,
+            "seconds": self._seconds + seconds,
+        }
+        save(self.averaged(), self.folder / MODEL)
+        journal.draw()
+        write_state(self.folder / STATE, TrainState(self.step, tensors, facts))
+
+    def averaged(self) -> QuerySplat:
+        """A copy of the model with the averaged weights."""
+        with torch.device("meta"):
+            copy = QuerySplat(self.model.config)
+        tensors = {name: tensor.detach().float() for name, tensor in self.model.state_dict().items()}
+        copy.load_state_dict(tensors | self._average.values, assign=True)
+        return copy
+
+    def _enter(self, stage: int) -> None:
+        self._stage = stage
+        before = self.model.config.query_count
+        self._grow(self.config.stages[stage].queries)
+        if self.model.config.query_count != before:
+            freeze(self.model, self.config)
+
+    def _grow(self, queries: int) -> None:
+        if queries and queries != self.model.config.query_count:
+            grow_queries(self.model, queries, torch.Generator().manual_seed(self.config.seed))
+
+    def _new_optimiser(self) -> torch.optim.AdamW:
+        settings = self.config.optimiser
+        return torch.optim.AdamW(
+            [parameter for _, parameter in trained(self.model)],
+            lr=0.0,
+            betas=settings.betas,
+            weight_decay=settings.weight_decay,
+        )
+
+
+def starting_model(config: TrainConfig) -> QuerySplat:
+    """The model before the first step, the same for the same seed; raises QuerySplatError where it cannot be had."""
+    wanted = with_queries(config.model, config.stages[0].queries)
+    if config.start == "prior":
+        return initial_model(wanted, config.seed)
+    if config.start == "scratch":
+        with torch.random.fork_rng():
+            torch.manual_seed(config.seed)
+            return QuerySplat(wanted)
+    model = load(config.start)
+    if with_queries(model.config, wanted.query_count) != wanted:
+        raise QuerySplatError(f"{config.start}: a model of another configuration", "Give its own [model] table.")
+    return model
+
+
+def peak_gib(device: torch.device) -> float:
+    """Of this process, or on its GPU."""
+    if device.type == "cuda":
+        return torch.cuda.max_memory_allocated(device) / 2**30
+    import resource
+
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+
+
+def freeze(model: QuerySplat, config: TrainConfig) -> None:
+    """Have everything learn but the tensors whose names begin as `optimiser.frozen` says."""
+    model.train()
+    for name, parameter in model.named_parameters():
+        parameter.requires_grad_(not name.startswith(config.optimiser.frozen))
+
+
+def _check_same(wanted: TrainConfig, found: TrainConfig, folder: Path) -> None:
+    idle = {name: getattr(wanted, name) for name in IDLE}
+    if replace(found, **idle) != wanted:
+        raise QuerySplatError(
+            f"{folder}: the training there has other settings", "Resume with its own, or choose another --output."
+        )

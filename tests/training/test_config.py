@@ -1,0 +1,106 @@
+"""Trainings from TOML: presets, changes, and what is refused."""
+
+import json
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.model.config import preset
+from querysplat_cli.model.initialise import initial_model
+from querysplat_cli.training.config import as_table, from_table, load_config, training_presets
+
+
+@pytest.mark.parametrize("name", training_presets())
+def test_presets_load_and_survive_json(name: str) -> None:
+    config = load_config(name)
+    assert from_table(json.loads(json.dumps(as_table(config)))) == config
+
+
+def test_the_compact_training_is_of_the_compact_model_and_trains_something() -> None:
+    config = load_config("compact")
+    assert config.model == preset("compact")
+    names = [name for name, _ in initial_model(config.model, 0).named_parameters()]
+    frozen = [name for name in names if name.startswith(config.optimiser.frozen)]
+    assert frozen
+    assert len(frozen) < len(names)
+    unused = [start for start in config.optimiser.frozen if not any(name.startswith(start) for name in names)]
+    assert not unused, "names of no tensor"
+
+
+def test_a_file_changes_a_preset_and_set_changes_both(tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text('base = "paper"\nseed = 3\n[losses]\nchamfer = 0.5\n')
+    config = load_config(
+        str(path), ["losses.chamfer=0.25", "stages.0.steps=7", "data.cache=there", "optimiser.clip = 2"]
+    )
+    assert (config.seed, config.losses.chamfer, config.losses.visibility) == (3, 0.25, 1.0)
+    assert (config.stages[0].steps, config.stages[1].steps) == (7, 30_000)
+    assert config.data.cache == "there"
+    assert config.optimiser.clip == 2.0
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        "nothing",
+        "unknown=1",
+        "losses.unknown=1",
+        "losses.chamfer=-1",
+        "losses.chamfer=much",
+        "optimiser.clip=0",
+        "optimiser.precision=fp8",
+        "optimiser.compile=1",
+        "stages.9.steps=1",
+        "stages.0.steps=0",
+        "stages.0.steps=1.5",
+        "stages.0.queries=9000",
+        "stages=[]",
+        "data.sources.0.inputs=[1, 4]",
+        "data.sources.0.inputs=[4, 2]",
+        "data.sources.0.inputs=[4]",
+        "data.sources.0.kind=film",
+        "seed.more=1",
+        "model.width=-1",
+        "model.branches=one",
+    ],
+)
+def test_wrong_changes_are_refused_in_words(change: str) -> None:
+    with pytest.raises(QuerySplatError) as error:
+        load_config("paper", [change])
+    assert error.value.hint
+    assert "\n" not in error.value.message
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "a = ",
+        'base = "nobody"',
+        "data = 3",
+        "[data]\nsources = []\n",
+        "\x00",
+        'stages = [{lr = 1.0}]\nbase = "paper"',
+    ],
+)
+def test_wrong_files_are_refused_in_words(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "wrong.toml"
+    path.write_text(text)
+    with pytest.raises(QuerySplatError):
+        load_config(str(path))
+
+
+@given(st.text(max_size=30), st.text(max_size=30))
+def test_no_change_crashes(name: str, value: str) -> None:
+    with suppress(QuerySplatError):
+        load_config("compact", [f"{name}={value}"])
+
+
+def test_missing_files_and_presets_are_refused(tmp_path: Path) -> None:
+    for source in (str(tmp_path / "no.toml"), "nobody"):
+        with pytest.raises(QuerySplatError):
+            load_config(source)

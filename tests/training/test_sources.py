@@ -1,0 +1,142 @@
+"""Captures: the same for the same draw, inputs and targets apart; scenes, films and made-up places."""
+
+import zipfile
+from pathlib import Path
+
+import av
+import cv2
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.training.config import SourceSettings
+from querysplat_cli.training.outdoors import CLEARANCE, _distance, make_outdoors, wander
+from querysplat_cli.training.procedural import Solid, make_scene
+from querysplat_cli.training.raycast import BALL, BOX, CYLINDER
+from querysplat_cli.training.sources import drawn_views, open_source
+
+WHITE = (1.0, 1.0, 1.0)
+
+
+@given(
+    frames=st.integers(1, 60),
+    fewest=st.integers(2, 6),
+    more=st.integers(0, 6),
+    targets=st.integers(1, 6),
+    interval=st.tuples(st.integers(1, 5), st.integers(0, 9)),
+    seed=st.integers(0, 2**31),
+)
+def test_inputs_and_targets_are_apart_and_on_the_reel(
+    frames: int, fewest: int, more: int, targets: int, interval: tuple[int, int], seed: int
+) -> None:
+    low, extra = interval
+    settings = SourceSettings("captured", inputs=(fewest, fewest + more), targets=targets, interval=(low, low + extra))
+    chance = np.random.default_rng(seed)
+    if frames <= fewest:
+        with pytest.raises(QuerySplatError):
+            drawn_views(chance, settings, frames)
+        return
+    inputs, others = drawn_views(chance, settings, frames)
+    assert fewest <= len(inputs) <= fewest + more
+    steps = np.diff(inputs)
+    assert (steps == steps[0]).all()
+    assert 1 <= steps[0] <= low + extra
+    assert 1 <= len(others) <= targets
+    assert not set(inputs) & set(others)
+    assert all(0 <= frame < frames for frame in (*inputs, *others))
+    assert list(others) == sorted(set(others))
+
+
+def test_a_procedural_capture_depends_on_seed_scene_and_draw_alone() -> None:
+    settings = SourceSettings("procedural", size=(48, 64), inputs=(2, 3), targets=1, cameras="posed")
+    source = open_source(settings)
+    first, again, other = source.capture(3, 0), open_source(settings).capture(3, 0), source.capture(3, 1)
+    assert [photo.name for photo in first.photos] == [photo.name for photo in again.photos]
+    assert all(np.array_equal(a.pixels, b.pixels) for a, b in zip(first.photos, again.photos, strict=True))
+    assert first.photos[0].pixels.tobytes() != other.photos[0].pixels.tobytes()
+    assert first.known is not None
+    assert set(first.inputs) < set(first.known)
+    assert {photo.name for photo in first.photos} == set(first.known)
+    photo, camera = first.photos[0], first.known[first.photos[0].name]
+    assert (photo.height, photo.width) == (camera.height, camera.width)
+    assert photo.pixels.dtype == np.uint8
+    assert len(source) == settings.scenes
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_no_photographer_stands_in_a_solid(seed: int) -> None:
+    made = make_outdoors(seed) if seed % 2 else make_scene(seed)
+    try:
+        cameras = wander(made, 9, seed, 60, 80)
+    except ValueError:
+        pytest.skip("this scene has no room")
+    eyes = cameras.to(torch.float64).centres.numpy()
+    assert min(_distance(solid, eyes).min() for solid in made.solids) > CLEARANCE
+    rotation = cameras.w2c[:, :3, :3]
+    torch.testing.assert_close(rotation @ rotation.mT, torch.eye(3).expand(9, 3, 3), rtol=0, atol=1e-5)
+    assert (rotation[:, 1, 2] < 0.2).all(), "the world's up is the picture's up"
+
+
+@pytest.mark.parametrize("shape", [BOX, BALL, CYLINDER])
+def test_distances_are_zero_on_surfaces_and_negative_inside(shape: int) -> None:
+    solid = Solid(shape, (1, 2, 3), (0.5, 0.5, 0.5), "plain", WHITE, WHITE, turn=0.4)
+    points = np.array([[1.0, 2, 3.5], [1, 2, 3], [1, 2, 4.5]])
+    np.testing.assert_allclose(_distance(solid, points), [0, -0.5, 1], atol=1e-12)
+
+
+@pytest.fixture
+def pictures(tmp_path: Path) -> Path:
+    folder = tmp_path / "place"
+    folder.mkdir()
+    for i in range(6):
+        pixels = np.random.default_rng(i).integers(0, 255, (70, 90, 3)).astype(np.uint8)
+        cv2.imwrite(str(folder / f"{i}.png"), pixels)
+    return folder
+
+
+@pytest.mark.parametrize("kind", ["folder", "zip"])
+def test_photos_of_folders_and_zips(pictures: Path, kind: str) -> None:
+    place = pictures
+    if kind == "zip":
+        place = pictures.with_suffix(".zip")
+        with zipfile.ZipFile(place, "w") as archive:
+            for file in pictures.iterdir():
+                archive.write(file, f"place/{file.name}")
+    source = open_source(SourceSettings("captured", (str(place),), inputs=(2, 2), targets=2, interval=(1, 2)))
+    assert len(source) == 1
+    capture = source.capture(0, 0)
+    assert capture.known is None
+    assert set(capture.inputs) < {photo.name for photo in capture.photos}
+    posed = SourceSettings("captured", (str(place),), inputs=(2, 2), targets=2, cameras="posed")
+    with pytest.raises(QuerySplatError, match="no cameras"):
+        open_source(posed).capture(0, 0)
+
+
+def test_frames_of_a_film(tmp_path: Path) -> None:
+    path = tmp_path / "walk.mp4"
+    with av.open(str(path), "w") as film:
+        stream = film.add_stream("h264", rate=10)
+        stream.width, stream.height, stream.pix_fmt = 96, 64, "yuv420p"
+        for i in range(12):
+            pixels = np.full((64, 96, 3), 20 * i, np.uint8)
+            film.mux(stream.encode(av.VideoFrame.from_ndarray(pixels, format="rgb24")))
+        film.mux(stream.encode())
+    source = open_source(SourceSettings("captured", (str(path),), inputs=(3, 3), targets=2, interval=(1, 2)))
+    capture = source.capture(0, 0)
+    numbers = [int(photo.name[:6]) for photo in capture.photos]
+    assert numbers == sorted(numbers)
+    for number, photo in zip(numbers, capture.photos, strict=True):
+        assert abs(float(photo.pixels.mean()) - 20 * number) < 6
+    other = tmp_path / "other.mp4"
+    other.write_bytes(b"no film")
+    with pytest.raises(QuerySplatError, match="not a video"):
+        open_source(SourceSettings("captured", (str(other),))).capture(0, 0)
+
+
+def test_missing_places_are_refused(tmp_path: Path) -> None:
+    for place in ("nowhere", "nowhere.mp4"):
+        with pytest.raises(QuerySplatError):
+            open_source(SourceSettings("captured", (str(tmp_path / place),)))

@@ -1,0 +1,245 @@
+"""A training goes on exactly where it was killed, alone and on two processes, and survives what is not finite."""
+
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.model.checkpoints import load_file as load_model
+from querysplat_cli.training.config import LossSettings, OptimiserSettings, StageSettings, TrainConfig
+from querysplat_cli.training.data import Samples
+from querysplat_cli.training.journal import Journal
+from querysplat_cli.training.processes import Processes
+from querysplat_cli.training.schedule import weights
+from querysplat_cli.training.step import add_gradient, anchored, decoded
+from querysplat_cli.training.trainer import MODEL, STATE, Trainer, TrainReport, starting_model
+from training_scenes import TINY, sample, toml, training
+
+CPU = torch.device("cpu")
+
+
+def silent(text: str, fraction: float) -> None:
+    pass
+
+
+def run(config: TrainConfig, folder: Path, *, resume: bool = False) -> TrainReport:
+    folder.mkdir(exist_ok=True)
+    trainer = Trainer(config, folder, Processes(), CPU, resume=resume)
+    return trainer.run(Samples(config.data, config.seed), progress=silent)
+
+
+class Stop(Exception):
+    pass
+
+
+def stopped(config: TrainConfig, folder: Path, after: int) -> None:
+    """The same training, ended by an exception once `after` steps are done."""
+
+    def stop(text: str, fraction: float) -> None:
+        if round(fraction * config.steps) == after:
+            raise Stop
+
+    folder.mkdir()
+    with pytest.raises(Stop):
+        Trainer(config, folder, Processes(), CPU, resume=False).run(Samples(config.data, config.seed), progress=stop)
+
+
+def assert_same_weights(one: Path, other: Path) -> None:
+    for name in (STATE, MODEL):
+        first, second = load_file(one / name), load_file(other / name)
+        assert first.keys() == second.keys()
+        assert all(torch.equal(first[key], second[key]) for key in first), name
+
+
+@pytest.mark.parametrize("after", [3, 5])
+def test_stopped_and_resumed_gives_the_same_bits(tmp_path: Path, after: int) -> None:
+    config = training(tmp_path / "cache")
+    run(config, tmp_path / "whole")
+    stopped(config, tmp_path / "parts", after)
+    report = run(config, tmp_path / "parts", resume=True)
+    assert report.steps == 6
+    assert_same_weights(tmp_path / "whole", tmp_path / "parts")
+    steps = [json.loads(line)["step"] for line in (tmp_path / "parts" / "log.jsonl").read_text().splitlines()]
+    assert steps == [1, 2, 3, 4, 5, 6]
+    assert (tmp_path / "parts" / "curve.png").stat().st_size > 5000
+
+
+def test_training_changes_what_is_not_frozen_and_nothing_else(tmp_path: Path) -> None:
+    config = training(tmp_path / "cache")
+    config = replace(config, optimiser=replace(config.optimiser, frozen=("geometry_head", "photo_embedding")))
+    run(config, tmp_path / "run")
+    before, after = starting_model(config).state_dict(), load_file(tmp_path / "run" / STATE)
+    for name, tensor in before.items():
+        same = torch.equal(tensor, after[f"model.{name}"])
+        assert same or not name.startswith(config.optimiser.frozen), name
+    assert not torch.equal(before["appearance_head.weight"], after["model.appearance_head.weight"])
+    load_model(tmp_path / "run" / MODEL)
+
+
+def test_resuming_another_training_or_none_is_refused(tmp_path: Path) -> None:
+    config = training(tmp_path / "cache", stages=(StageSettings(steps=2, lr=1e-3),))
+    with pytest.raises(QuerySplatError, match="no training"):
+        run(config, tmp_path / "run", resume=True)
+    run(config, tmp_path / "run")
+    with pytest.raises(QuerySplatError, match="other settings"):
+        run(replace(config, seed=9), tmp_path / "run", resume=True)
+    run(replace(config, save_every=5), tmp_path / "run", resume=True)
+    (tmp_path / "run" / STATE).write_bytes(b"cut off")
+    with pytest.raises(QuerySplatError, match="not a readable"):
+        run(config, tmp_path / "run", resume=True)
+
+
+def test_a_batch_that_is_not_finite_is_skipped_and_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    config = training(tmp_path / "cache", save_every=1)
+    clean = Samples.read
+    calls = 0
+
+    def poisoned(self: Samples, path: Path, following: Path | None = None):  # type: ignore[no-untyped-def]
+        nonlocal calls
+        calls += 1
+        found = clean(self, path, following)
+        if calls != 3:
+            return found
+        images = found.targets.images.clone()
+        images[0, 0, 5, 5] = math.nan
+        return replace(found, targets=replace(found.targets, images=images))
+
+    def peek(text: str, fraction: float) -> None:
+        if round(6 * fraction) in (2, 3):
+            state = trainer.model.state_dict(), trainer.averaged().state_dict()
+            states.append([{name: tensor.clone() for name, tensor in each.items()} for each in state])
+
+    monkeypatch.setattr(Samples, "read", poisoned)
+    states: list[list[dict[str, torch.Tensor]]] = []
+    (tmp_path / "run").mkdir()
+    trainer = Trainer(config, tmp_path / "run", Processes(), CPU, resume=False)
+    report = trainer.run(Samples(config.data, config.seed), progress=peek)
+    assert report.skipped == {"the loss or its gradient is not finite": 1}
+    before, after = states
+    for own, other in zip(before, after, strict=True):
+        assert all(torch.equal(own[name], other[name]) for name in own)
+    assert all(tensor.isfinite().all() for tensor in load_file(tmp_path / "run" / STATE).values())
+
+
+def test_views_a_few_at_once_give_the_gradient_of_all_at_once(tmp_path: Path) -> None:
+    config = training(tmp_path / "cache")
+    scene = sample(0, targets=3)
+    gradients = []
+    for at_once in (1, 2, 3):
+        torch.manual_seed(0)
+        model = starting_model(config)
+        some = replace(config, optimiser=replace(config.optimiser, views_at_once=at_once))
+        told = add_gradient(
+            model, scene, anchored(scene), weights(0, config.losses), some, share=0.5, generator=torch.Generator()
+        )
+        assert not told.skipped
+        gradients.append(torch.cat([p.grad.flatten() for p in model.parameters() if p.grad is not None]))
+    assert gradients[0].abs().max() > 0
+    torch.testing.assert_close(gradients[1], gradients[0], rtol=1e-4, atol=1e-7)
+    torch.testing.assert_close(gradients[2], gradients[0], rtol=1e-4, atol=1e-7)
+
+
+def test_tensorboard_gets_the_log(tmp_path: Path) -> None:
+    pytest.importorskip("tensorboard")
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    journal = Journal(tmp_path, 0, tensorboard=True)
+    journal.add({"step": 3, "loss": 0.25, "psnr": 20.0, "lr": 1e-3})
+    events = EventAccumulator(str(tmp_path / "tensorboard"))
+    events.Reload()
+    assert [(event.step, event.value) for event in events.Scalars("loss")] == [(3, 0.25)]
+
+
+def test_targets_never_reach_the_reconstruction(tmp_path: Path) -> None:
+    config = training(tmp_path / "cache")
+    model, scene = starting_model(config), sample(1)
+    other = replace(
+        scene, targets=replace(scene.targets, images=1 - scene.targets.images), target_cameras=scene.cameras
+    )
+    with torch.no_grad():
+        one, two = (decoded(model, each, anchored(each), "fp32") for each in (scene, other))
+    assert torch.equal(one.means, two.means)
+    assert torch.equal(one.sh, two.sh)
+
+
+def test_bf16_stays_near_float32(tmp_path: Path) -> None:
+    config = training(tmp_path / "cache")
+    model, scene = starting_model(config), sample(0)
+    torch.nn.init.normal_(model.geometry_decoder.blocks[0].mlp.fc2.weight, std=0.02)
+    exact, half = (decoded(model, scene, anchored(scene), precision) for precision in ("fp32", "bf16"))
+    assert half.means.dtype == torch.float32
+    assert (half.scales / exact.scales).log().abs().median() < 0.02
+    assert not torch.equal(half.scales, exact.scales)
+
+
+@pytest.mark.parametrize(("branches", "blocks"), [("two", 2), ("one", 2)])
+def test_ablations_learn(tmp_path: Path, branches: str, blocks: int) -> None:
+    model = replace(TINY, branches=branches, geometry_blocks=blocks, appearance_blocks=0)
+    config = training(tmp_path / "cache", model=model, start="prior")
+    run(config, tmp_path / "run")
+    before, after = starting_model(config).state_dict(), load_file(tmp_path / "run" / STATE)
+    assert not torch.equal(before["appearance_head.weight"], after["model.appearance_head.weight"])
+
+
+def test_learned_queries_grow_from_stage_to_stage(tmp_path: Path) -> None:
+    model = replace(
+        TINY, queries="learned", colour_prior="none", anchor_features=0, gaussians_per_query=4, heads=2, width=32
+    )
+    stages = (StageSettings(steps=2, lr=1e-3, queries=8), StageSettings(steps=3, lr=1e-4, queries=20))
+    config = training(tmp_path / "cache", model=model, stages=stages, start="scratch", save_every=1)
+    run(config, tmp_path / "whole")
+    assert load_model(tmp_path / "whole" / MODEL).config.query_count == 20
+    for after in (1, 2, 3):
+        stopped(config, tmp_path / f"parts{after}", after)
+        run(config, tmp_path / f"parts{after}", resume=True)
+        assert_same_weights(tmp_path / "whole", tmp_path / f"parts{after}")
+
+
+@pytest.mark.slow
+def test_two_processes_resume_exactly(tmp_path: Path) -> None:
+    config = training(tmp_path / "cache", stages=(StageSettings(steps=4, lr=1e-3),))
+    path = tmp_path / "train.toml"
+    path.write_text(toml(config))
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    command = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node", "2", "--master-port", "0"]
+    command += ["--rdzv-backend", "c10d", "--rdzv-endpoint", "localhost:0"]
+    command += ["-m", "querysplat_cli", "train", "--config", str(path), "--quiet", "--device", "cpu"]
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
+    for folder, more in ((whole, ()), (parts, ("--set", "stages.0.steps=4"))):
+        if folder == parts:
+            process = subprocess.Popen([*command, "-o", str(folder), *more], env=environment, start_new_session=True)
+            deadline = time.monotonic() + 120
+            while not (folder / STATE).is_file() and time.monotonic() < deadline:
+                time.sleep(0.01)
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+            more = (*more, "--resume")
+        subprocess.run([*command, "-o", str(folder), *more], env=environment, check=True, capture_output=True)
+    assert_same_weights(whole, parts)
+
+
+@pytest.mark.slow
+def test_a_smoke_training_lowers_the_loss(tmp_path: Path) -> None:
+    """Two minutes of the compact model: its targets look better than at the start, on average over the scenes."""
+    config = training(
+        tmp_path / "cache",
+        scenes=8,
+        stages=(StageSettings(steps=120, lr=2e-3),),
+        losses=LossSettings(lpips=0, visibility=0, chamfer=0, opacity_floor=0, background=0),
+        optimiser=OptimiserSettings(precision="fp32", ema=0.9, weight_decay=0.0),
+        save_every=60,
+    )
+    run(config, tmp_path / "run")
+    rows = [json.loads(line) for line in (tmp_path / "run" / "log.jsonl").read_text().splitlines()]
+    first, last = (sum(row["loss"] for row in part) / len(part) for part in (rows[:16], rows[-16:]))
+    assert last < 0.85 * first
