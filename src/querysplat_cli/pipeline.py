@@ -49,7 +49,7 @@ from querysplat_cli.tto.optimise import TtoStep
 from querysplat_cli.tto.plan import RELEASE_STEPS, Space, TtoRun, plan_release, plan_tto
 from querysplat_cli.tto.rendering_loss import RenderingLoss
 
-TESTED_VIEWS = 12
+TESTED_VIEWS = 8
 """What leaving something out costs is measured on at most so many input views, evenly spaced."""
 
 

@@ -17,8 +17,8 @@ Amount = Literal["auto", "off"] | int
 LOSS = 0.02
 """dB that an automatic choice may cost on the input views before optimisation goes on; what held-out views lose
 by it is in docs/benchmarks.md."""
-HALVINGS = 7
-"""The share is found to 1/128."""
+HALVINGS = 5
+"""The share is found to 1/32."""
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ STEPS = (40, 150)
 """Fewest and most steps of an automatic plan; what more of them bring on held-out photos is little."""
 MOST_STEPS = 300
 """However much time there is."""
-WORK = 30.0
+WORK = 16.0
 STEP_COST, GAUSSIAN_COST = 0.047, 1.65e-6
 """An automatic plan stays within `WORK` seconds, as a step takes 0.047 s + 1.65 µs a Gaussian for three views of
 448 × 336 on the two cores that this was measured on. It counts on these figures and never on a clock, so
