@@ -114,9 +114,9 @@ def test_what_is_known_of_an_anchor_does_not_depend_on_the_frame() -> None:
     cameras.w2c[1, 1, 3] = 0.113
     depth[0, 10:] *= 1.2
     turn = torch.from_numpy(Rotation.from_rotvec([0.3, -0.8, 0.5]).as_matrix())
-    moved = cameras.transformed(Sim3(1.0, turn, torch.tensor([3.0, -1, 2], dtype=torch.float64)))
+    moved = cameras.transformed(Sim3(2.5, turn, torch.tensor([3.0, -1, 2], dtype=torch.float64)))
     before, _ = build(views, cameras, depth, confidence)
-    after, _ = build(views, moved, depth, confidence)
+    after, _ = build(views, moved, 2.5 * depth, confidence)
     assert before.features.shape == (len(before), FEATURES)
     assert before.features.std(0).gt(0).sum() > FEATURES // 2
     torch.testing.assert_close(after.features, before.features, rtol=1e-4, atol=2e-4)

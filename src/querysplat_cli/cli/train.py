@@ -1,5 +1,6 @@
 """`querysplat train`: the model's weights from scenes."""
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -43,7 +44,8 @@ def train(
             raise MissingPart(found, "Give --lpips DIR, or leave it out with --set losses.lpips=0.")
         perceptual = load_lpips(found)
     request = TrainRequest(settings, output, resume, force, device, tensorboard, perceptual)
-    with showing_stages(quiet=quiet) as stages:
+    # Under torchrun one process speaks for all.
+    with showing_stages(quiet=quiet or os.environ.get("RANK", "0") != "0") as stages:
         if dry_run:
             print_training_plan(plan(request, stages), quiet=quiet, as_json=json)
             return

@@ -226,7 +226,9 @@ def _features(cells: _Cells, seen: _Seen) -> Float[Tensor, "blocks channels"]:
         row[:, None], rows - 1 - row[:, None], column.expand(rows, columns), columns - 1 - column.expand(rows, columns)
     )
     border = (torch.stack(sides, -1) / BORDER).clamp_max(1).expand(views, rows, columns, 4)
-    whole = (mean[..., 0, :] - 0.5, cells.confidence.mean(3, keepdim=True), spacing.log(), slant, border)
+    # Relative to the others: the pictures' size and the scene's say nothing about a block.
+    size = spacing.log() - spacing.log().median()
+    whole = (mean[..., 0, :] - 0.5, cells.confidence.mean(3, keepdim=True), size, slant, border)
     relative = (cells.depth - cells.depth.median(3, keepdim=True).values) / spacing
     apart = (
         4 * (seen.colour - mean).flatten(3),
