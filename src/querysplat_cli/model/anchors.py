@@ -2,16 +2,20 @@
 
 The pictures are cut into square blocks, one query each, and every block into 3 × 3 cells, one Gaussian
 each. Views come one after another: a block whose surface the blocks kept so far cover about as finely is left
-out, and so is one that stands in front of surfaces which other views see with confidence.
+out, and so is one that stands in front of surfaces which other views see with confidence. Beside the photos,
+where no photo looks, coarser blocks carry on what their borders show.
 """
 
-from dataclasses import dataclass
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 from torch import Tensor
 
+from querysplat_cli.model.borders import surroundings
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.views import Views
 
@@ -31,6 +35,10 @@ FILL = 0.7
 """Standard deviation of a prior Gaussian in units of its cell: neighbours just close the surface."""
 THICKNESS = 0.2
 """Extent along the normal in the same units."""
+BORDER = 0.1
+"""Photos go on beyond their borders by this share of the longer side, up to whole blocks."""
+BORDER_COARSER = 4
+"""Cells out there are so much larger."""
 DISTANCE_PENALTY = 2.0
 """Attention logit lost per squared distance, in spacings, between a query and a memory row."""
 
@@ -73,13 +81,14 @@ class Anchors:
 
 @dataclass(frozen=True)
 class AnchorReport:
-    """How many blocks the pictures have, and why some carry no query."""
+    """How many blocks the pictures have, and why some carry no query; `beyond` are the queries beside them."""
 
     blocks: int
     kept: int
     redundant: int
     hiding: int
     empty: int
+    beyond: int = 0
 
 
 def build_anchors(
@@ -96,7 +105,8 @@ def build_anchors(
 
     Memory rows are the patches of `patch` pixels, view by view, row by row; each query attends to the
     `near` nearest of them in space. `queries` limits their number by cutting the pictures more coarsely;
-    None keeps a block for each patch that shows something no other view shows as well.
+    None keeps a block for each patch that shows something no other view shows as well. Queries beyond the
+    borders come last, as many as the limit leaves room for.
     """
     block = 2 * CELLS
     while True:
@@ -106,24 +116,23 @@ def build_anchors(
         if queries is None or report.kept <= queries:
             break
         block += CELLS
-    colours = seen.colour.reshape(-1, CELLS**2, 3)[keep]
-    means, scales, quats = (part.reshape(-1, CELLS**2, part.shape[-1])[keep] for part in _discs(cells))
-    trusted = cells.confidence.reshape(-1, CELLS**2)[keep]
-    visible = cells.valid.reshape(-1, CELLS**2)[keep]
-    opacities = torch.where(visible, 0.6 + 0.35 * trusted, 0.01)
-    spacing = (cells.footprint * CELLS).reshape(-1, CELLS**2).mean(1)[keep]
+    border = _border(views, cameras, depth, BORDER_COARSER * (block // CELLS))
+    if queries is not None:
+        border = border.map(lambda part: part[: queries - report.kept])
+    cells = replace(cells, colour=seen.colour).map(lambda part: part[keep]).joined(border)
+    means, scales, quats = _discs(cells)
+    spacing = (cells.footprint * CELLS).mean(1)
     centres = means[:, CELLS**2 // 2]
     tokens = _patch_positions(cameras, depth, patch)
     memory = _neighbours(centres, spacing, tokens, near)
-    normals = cells.normal.reshape(-1, CELLS**2, 3)[keep].mean(1)
-    rays = torch.nn.functional.normalize(centres - cells.origin.reshape(-1, CELLS**2, 3)[keep][:, 0], dim=1)
+    rays = torch.nn.functional.normalize(centres - cells.origin[:, 0], dim=1)
     features = torch.cat(
         [
-            colours.mean(1) - 0.5,
-            colours.std(1),
-            normals,
+            cells.colour.mean(1) - 0.5,
+            cells.colour.std(1),
+            cells.normal.mean(1),
             rays,
-            trusted.mean(1, keepdim=True),
+            cells.confidence.mean(1, keepdim=True),
             spacing.log()[:, None],
         ],
         dim=1,
@@ -132,31 +141,37 @@ def build_anchors(
         means=means,
         scales=scales,
         quats=quats,
-        opacities=opacities,
-        colours=colours,
+        opacities=torch.where(cells.valid, 0.6 + 0.35 * cells.confidence, 0.01),
+        colours=cells.colour,
         spacing=spacing,
         features=features,
         geometry=memory,
         appearance=memory,
         queries=_neighbours(centres, spacing, centres, near),
     )
-    return anchors, report
+    return anchors, replace(report, beyond=len(border.point))
 
 
 @dataclass(frozen=True)
 class _Cells:
-    """Every cell of every block of every view: [views, rows, columns, 9, …]."""
+    """The cells of every block of every view, [views, rows, columns, 9, …], or of chosen blocks, [blocks, 9, …]."""
 
-    point: Float[Tensor, "views rows columns cells 3"]
-    depth: Float[Tensor, "views rows columns cells"]
-    footprint: Float[Tensor, "views rows columns cells"]
-    confidence: Float[Tensor, "views rows columns cells"]
-    colour: Float[Tensor, "views rows columns cells 3"]
-    valid: Bool[Tensor, "views rows columns cells"]
-    along_x: Float[Tensor, "views rows columns cells 3"]
-    along_y: Float[Tensor, "views rows columns cells 3"]
-    normal: Float[Tensor, "views rows columns cells 3"]
-    origin: Float[Tensor, "views rows columns cells 3"]
+    point: Float[Tensor, "*blocks cells 3"]
+    depth: Float[Tensor, "*blocks cells"]
+    footprint: Float[Tensor, "*blocks cells"]
+    confidence: Float[Tensor, "*blocks cells"]
+    colour: Float[Tensor, "*blocks cells 3"]
+    valid: Bool[Tensor, "*blocks cells"]
+    along_x: Float[Tensor, "*blocks cells 3"]
+    along_y: Float[Tensor, "*blocks cells 3"]
+    normal: Float[Tensor, "*blocks cells 3"]
+    origin: Float[Tensor, "*blocks cells 3"]
+
+    def map(self, change: Callable[[Tensor], Tensor]) -> "_Cells":
+        return _Cells(**{name: change(part) for name, part in vars(self).items()})
+
+    def joined(self, other: "_Cells") -> "_Cells":
+        return _Cells(**{name: torch.cat([part, getattr(other, name)]) for name, part in vars(self).items()})
 
 
 @dataclass(frozen=True)
@@ -240,7 +255,6 @@ def _intrinsics(cameras: Cameras) -> tuple[Tensor, Tensor, Tensor, Tensor]:
 def _compare_views(cells: _Cells, views: Views, cameras: Cameras, depth: Tensor, confidence: Tensor) -> _Seen:
     """Project the cells of each view into the others and compare depth and colour."""
     count = len(views)
-    fx, fy, cx, cy = _intrinsics(cameras)
     distance = torch.cdist(cameras.centres, cameras.centres)
     shape = cells.depth.shape
     supporters = torch.zeros(shape)
@@ -252,14 +266,7 @@ def _compare_views(cells: _Cells, views: Views, cameras: Cameras, depth: Tensor,
         for other in distance[own].argsort(stable=True)[: COMPARED_VIEWS + 1].tolist():
             if other == own:
                 continue
-            local = points @ cameras.w2c[other, :3, :3].T + cameras.w2c[other, :3, 3]
-            z = local[:, 2].clamp_min(1e-6)
-            x = local[:, 0] / z * fx[other] + cx[other]
-            y = local[:, 1] / z * fy[other] + cy[other]
-            inside = (local[:, 2] > 1e-6) & (x >= 0) & (y >= 0) & (x < cameras.width) & (y < cameras.height)
-            column = x.clamp(0, cameras.width - 1).long()
-            row = y.clamp(0, cameras.height - 1).long()
-            inside &= views.masks[other, row, column]
+            inside, row, column, z = _seen_by(other, points, views, cameras)
             surface = depth[other, row, column]
             same = inside & ((z / surface - 1).abs() < DEPTH_AGREEMENT)
             sure = confidence[other, row, column]
@@ -274,19 +281,58 @@ def _compare_views(cells: _Cells, views: Views, cameras: Cameras, depth: Tensor,
     return _Seen(hiding, colour / weight[..., None])
 
 
+def _seen_by(
+    view: int, points: Float[Tensor, "n 3"], views: Views, cameras: Cameras
+) -> tuple[Bool[Tensor, "n"], Int[Tensor, "n"], Int[Tensor, "n"], Float[Tensor, "n"]]:
+    """Whether points fall on the photo, behind a surface or not; their pixel's row and column, and camera z."""
+    fx, fy, cx, cy = (part[view] for part in _intrinsics(cameras))
+    local = points @ cameras.w2c[view, :3, :3].T + cameras.w2c[view, :3, 3]
+    z = local[:, 2].clamp_min(1e-6)
+    x = local[:, 0] / z * fx + cx
+    y = local[:, 1] / z * fy + cy
+    inside = (local[:, 2] > 1e-6) & (x >= 0) & (y >= 0) & (x < cameras.width) & (y < cameras.height)
+    column = x.clamp(0, cameras.width - 1).long()
+    row = y.clamp(0, cameras.height - 1).long()
+    return inside & views.masks[view, row, column], row, column, z
+
+
+def _border(views: Views, cameras: Cameras, depth: Tensor, cell: int) -> _Cells:
+    """Blocks beside the photos, of cells of `cell` pixels, where none of the photos looks."""
+    block = cell * CELLS
+    margin = block * math.ceil(BORDER * max(depth.shape[1:]) / block)
+    around = surroundings(views, cameras, depth, cell=cell, margin=margin)
+    cells = _cells(around.views, around.cameras, around.depth, torch.zeros_like(around.depth), 1)
+    wanted = cells.valid.float().mean(-1) > 0.5
+    points = cells.point[wanted].reshape(-1, 3)
+    seen = torch.zeros(len(points), dtype=torch.bool)
+    for view in range(len(views)):
+        seen |= _seen_by(view, points, views, cameras)[0]
+    wanted[wanted.clone()] = seen.reshape(-1, CELLS**2).float().mean(1) <= 0.5
+    keep = _uncovered(cells, wanted, around.cameras, 1)
+    return cells.map(lambda part: part[keep])
+
+
 def _choose_blocks(
     cells: _Cells, seen: _Seen, cameras: Cameras, cell: int
-) -> tuple[Bool[Tensor, "blocks"], AnchorReport]:
+) -> tuple[Bool[Tensor, "views rows columns"], AnchorReport]:
     empty = cells.valid.float().mean(-1) <= 0.5
     hiding = ~empty & (seen.hiding.float().mean(-1) > 0.5)
-    keep = torch.zeros_like(empty)
+    keep = _uncovered(cells, ~empty & ~hiding, cameras, cell)
+    redundant = ~empty & ~hiding & ~keep
+    counts = (int(part.sum()) for part in (keep, redundant, hiding, empty))
+    return keep, AnchorReport(keep.numel(), *counts)
+
+
+def _uncovered(
+    cells: _Cells, wanted: Bool[Tensor, "views rows columns"], cameras: Cameras, cell: int
+) -> Bool[Tensor, "views rows columns"]:
+    """The wanted blocks that show what no block kept before them shows."""
+    keep = torch.zeros_like(wanted)
     for own in range(len(cameras)):
         points, footprint = cells.point[keep].reshape(-1, 3), cells.footprint[keep].reshape(-1)
         covered = _covered(cells, cameras, own, cell, points, footprint)
-        keep[own] = ~empty[own] & ~hiding[own] & (covered.float().mean(-1) < COVERED)
-    redundant = ~empty & ~hiding & ~keep
-    counts = (int(part.sum()) for part in (keep, redundant, hiding, empty))
-    return keep.flatten(), AnchorReport(keep.numel(), *counts)
+        keep[own] = wanted[own] & (covered.float().mean(-1) < COVERED)
+    return keep
 
 
 def _covered(
