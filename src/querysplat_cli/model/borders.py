@@ -31,7 +31,7 @@ def surroundings(
     ring = margin // cell
     pictures, masks = [], []
     for image, z, mask in zip(views.images, depth, views.masks, strict=True):
-        mean = _means(torch.cat([image, 1 / z[None]]), mask, cell, ring)
+        mean = _shares(torch.cat([image, 1 / z[None]]), mask, cell, ring)
         inside = mean[-1] > 0.5
         distance, (row, column) = distance_transform_edt(~inside.numpy(), return_indices=True)
         spread = mean[:, torch.from_numpy(row).long(), torch.from_numpy(column).long()]
@@ -50,10 +50,10 @@ def surroundings(
     )
 
 
-def _means(
+def _shares(
     picture: Float[Tensor, "channels height width"], mask: Bool[Tensor, "height width"], cell: int, ring: int
 ) -> Float[Tensor, "channels+1 rows columns"]:
-    """Sums over the mask by cell, over all its pixels; last the mask's own share. A ring of zeros around them."""
+    """Sums over each cell's pixels inside the mask, over cell²; last the mask's share of it. A ring of zeros around."""
     height, width = mask.shape
     known = torch.where(mask, torch.cat([picture, torch.ones(1, height, width)]), 0)
     whole = F.pad(known, (0, -width % cell, 0, -height % cell))
