@@ -6,10 +6,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from querysplat_cli.model.anchors import FEATURES, FILL, AnchorReport, Anchors, build_anchors, quaternions
+from querysplat_cli.model.anchors import (
+    BORDER_COARSER,
+    FEATURES,
+    FILL,
+    AnchorReport,
+    Anchors,
+    build_anchors,
+    quaternions,
+)
 from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.gaussians import SH_0, Gaussians
 from querysplat_cli.scene.sim3 import Sim3
 from querysplat_cli.scene.views import Views
+from querysplat_cli.splat.render import render
 
 HEIGHT, WIDTH, FOCAL, DEPTH = 36, 48, 40.0, 2.0
 BLOCKS = (HEIGHT // 6) * (WIDTH // 6)
@@ -35,23 +45,24 @@ def build(*scene: object, queries: int | None = None) -> tuple[Anchors, AnchorRe
 def test_one_view_of_a_plane() -> None:
     views, cameras, depth, confidence = plane([0.0])
     anchors, report = build(views, cameras, depth, confidence)
-    assert report == AnchorReport(blocks=BLOCKS, kept=BLOCKS, redundant=0, hiding=0, empty=0)
+    assert report == AnchorReport(blocks=BLOCKS, kept=BLOCKS, redundant=0, hiding=0, empty=0, beyond=report.beyond)
+    assert len(anchors) == BLOCKS + report.beyond
     torch.testing.assert_close(anchors.means[..., 2], torch.full(anchors.means.shape[:2], DEPTH))
     pixel = anchors.means[..., :2] / DEPTH * FOCAL + torch.tensor([WIDTH / 2, HEIGHT / 2])
     first = torch.tensor([[x, y] for y in (1.0, 3, 5) for x in (1.0, 3, 5)])
     torch.testing.assert_close(pixel[0], first)
     cell = 2 * DEPTH / FOCAL
-    torch.testing.assert_close(anchors.scales[..., :2], torch.full((BLOCKS, 9, 2), FILL * cell))
-    torch.testing.assert_close(anchors.spacing, torch.full((BLOCKS,), 3 * cell))
+    torch.testing.assert_close(anchors.scales[:BLOCKS, :, :2], torch.full((BLOCKS, 9, 2), FILL * cell))
+    torch.testing.assert_close(anchors.spacing[:BLOCKS], torch.full((BLOCKS,), 3 * cell))
     torch.testing.assert_close(anchors.colours[0, 0], views.images[0, :, :2, :2].mean((1, 2)))
     normal = torch.from_numpy(Rotation.from_quat(anchors.quats[:, 0].roll(-1, 1).numpy()).as_matrix())[:, :, 2]
-    torch.testing.assert_close(normal[:, 2].abs(), torch.ones(BLOCKS, dtype=torch.float64))
+    torch.testing.assert_close(normal[:, 2].abs(), torch.ones(len(anchors), dtype=torch.float64))
 
 
 def test_a_second_photo_from_the_same_place_adds_nothing() -> None:
     anchors, report = build(*plane([0.0, 0.0]))
     assert (report.kept, report.redundant) == (BLOCKS, BLOCKS)
-    assert len(anchors) == BLOCKS
+    assert len(anchors) == BLOCKS + report.beyond
 
 
 def test_a_view_to_the_side_adds_what_only_it_sees() -> None:
@@ -63,11 +74,11 @@ def test_a_view_to_the_side_adds_what_only_it_sees() -> None:
 def test_confident_views_average_their_colours_and_guesses_count_less() -> None:
     views, cameras, depth, confidence = plane([0.0, 0.0])
     views.images[0], views.images[1] = 0.2, 0.6
-    anchors, _ = build(views, cameras, depth, confidence)
-    torch.testing.assert_close(anchors.colours, torch.full_like(anchors.colours, 0.4))
+    colours = build(views, cameras, depth, confidence)[0].colours[:BLOCKS]
+    torch.testing.assert_close(colours, torch.full_like(colours, 0.4))
     confidence[1] = 0
-    anchors, _ = build(views, cameras, depth, confidence)
-    torch.testing.assert_close(anchors.colours, torch.full_like(anchors.colours, 0.2))
+    colours = build(views, cameras, depth, confidence)[0].colours[:BLOCKS]
+    torch.testing.assert_close(colours, torch.full_like(colours, 0.2))
 
 
 def test_a_guess_before_what_others_see_is_left_out() -> None:
@@ -82,22 +93,59 @@ def test_what_the_mask_hides_has_no_query() -> None:
     views.masks[:, :, 24:] = False
     anchors, report = build(views, cameras, depth, confidence)
     assert (report.kept, report.empty) == (BLOCKS // 2, BLOCKS // 2)
-    assert float(anchors.means[..., 0].max()) < 0.01
+    assert float(anchors.means[: report.kept, :, 0].max()) < 0.01
 
 
 @pytest.mark.parametrize("limit", [BLOCKS, 40, 10, 1])
 def test_a_limit_on_queries(limit: int) -> None:
     anchors, report = build(*plane([0.0]), queries=limit)
-    assert len(anchors) == report.kept <= limit
+    assert len(anchors) == report.kept + report.beyond <= limit
 
 
 def test_neighbours_are_the_nearest_patches() -> None:
     views, cameras, depth, confidence = plane([0.0])
     anchors, _ = build(views, cameras, depth, confidence)
-    patches = torch.arange(BLOCKS)
-    assert torch.equal(anchors.geometry.index[:, 0], patches)
+    assert torch.equal(anchors.geometry.index[:BLOCKS, 0], torch.arange(BLOCKS))
     assert bool((anchors.geometry.bias.diff(dim=1) <= 0).all())
-    assert bool((anchors.queries.index[:, 0] == patches).all())
+    assert torch.equal(anchors.queries.index[:, 0], torch.arange(len(anchors)))
+
+
+def prior(anchors: Anchors) -> Gaussians:
+    sh = ((anchors.colours.flatten(0, 1) - 0.5) / SH_0)[:, None]
+    parts = (anchors.means, anchors.quats, anchors.scales)
+    return Gaussians(*(part.flatten(0, 1) for part in parts), anchors.opacities.flatten(), sh)
+
+
+def test_the_plane_goes_on_beside_the_photo() -> None:
+    """Even stripes along x go on for ever: a camera half a picture to the left sees them where no photo does."""
+    views, cameras, depth, confidence = plane([0.0])
+    views.images[:] = torch.linspace(0.2, 0.8, HEIGHT)[:, None]
+    anchors, report = build(views, cameras, depth, confidence)
+    aside = Cameras(cameras.w2c.clone(), cameras.K, HEIGHT, WIDTH)
+    aside.w2c[:, 0, 3] = WIDTH / 2 * DEPTH / FOCAL
+    found = render(prior(anchors), aside)
+    # The two columns and rows at the ends blend into the black that is there.
+    seen = slice(None), slice(2, -2), slice(2, WIDTH // 2)
+    assert float(found.alpha[seen].min()) > 0.5
+    torch.testing.assert_close(found.depth[seen], torch.full_like(found.depth[seen], DEPTH), atol=1e-3, rtol=0)
+    colour = (found.colour / found.alpha[:, None])[:, 0][seen]
+    assert float((colour - views.images[:, 0][seen]).abs().max()) < 0.6 * 8 / HEIGHT
+    inside = prior(anchors).map(lambda part: part[: 9 * report.kept])
+    assert float(render(inside, aside).alpha[:, :, : WIDTH // 2 - 4].max()) < 0.01
+
+
+def test_no_query_stands_beside_a_photo_where_another_photo_looks() -> None:
+    """Two views side by side: the borders between them are left out, the four around both stay."""
+    scene = plane([0.0, WIDTH / 2 * DEPTH / FOCAL])
+    anchors, report = build(*scene)
+    beyond = anchors.means[report.kept :]
+    pixel = beyond[..., :2] / DEPTH * FOCAL + torch.tensor([WIDTH / 2, HEIGHT / 2])
+    inside = (pixel > 0).all(-1) & (pixel < torch.tensor([1.5 * WIDTH, HEIGHT])).all(-1)
+    assert float(inside.float().mean(1).max()) <= 0.5
+    for axis, edge in ((0, 1.5 * WIDTH), (1, HEIGHT)):
+        assert bool((pixel[..., axis] < 0).any())
+        assert bool((pixel[..., axis] > edge).any())
+    torch.testing.assert_close(anchors.spacing[-1], anchors.spacing[0] * BORDER_COARSER)
 
 
 @given(st.lists(st.floats(-1, 1), min_size=4, max_size=4).filter(lambda q: sum(x * x for x in q) > 0.01))
@@ -123,7 +171,7 @@ def test_what_is_known_of_an_anchor_does_not_depend_on_the_frame() -> None:
 
 
 def test_an_anchor_knows_the_borders_of_its_picture() -> None:
-    anchors, _ = build(*plane([0.0]))
-    near = anchors.features[:, 6:10].reshape(HEIGHT // 6, WIDTH // 6, 4)
+    anchors, report = build(*plane([0.0]))
+    near = anchors.features[: report.kept, 6:10].reshape(HEIGHT // 6, WIDTH // 6, 4)
     assert near[0, 0].tolist() == [0, 1, 0, 1]
     assert near[-1, 1].tolist() == [1, 0, 0.25, 1]

@@ -2,16 +2,20 @@
 
 The pictures are cut into square blocks, one query each, and every block into 3 × 3 cells, one Gaussian
 each. Views come one after another: a block whose surface the blocks kept so far cover about as finely is left
-out, and so is one that stands in front of surfaces which other views see with confidence.
+out, and so is one that stands in front of surfaces which other views see with confidence. Beside the photos,
+where no photo looks, coarser blocks carry on what their borders show.
 """
 
-from dataclasses import dataclass
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 from torch import Tensor
 
+from querysplat_cli.model.borders import surroundings
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.views import Views
 
@@ -31,11 +35,15 @@ FILL = 0.7
 """Standard deviation of a prior Gaussian in units of its cell: neighbours just close the surface."""
 THICKNESS = 0.2
 """Extent along the normal in the same units."""
+BORDER = 0.1
+"""Photos go on beyond their borders by this share of the longer side, up to whole blocks."""
+BORDER_COARSER = 4
+"""Cells out there are so much larger."""
 DISTANCE_PENALTY = 2.0
 """Attention logit lost per squared distance, in spacings, between a query and a memory row."""
 FEATURES = 10 + 10 * CELLS**2
 """Numbers that describe an anchor as it is built: those of its block, then those of its cells."""
-BORDER = 4
+NEAR_BORDER = 4
 """Blocks from the picture's border within which an anchor knows how near it is."""
 
 
@@ -77,13 +85,14 @@ class Anchors:
 
 @dataclass(frozen=True)
 class AnchorReport:
-    """How many blocks the pictures have, and why some carry no query."""
+    """How many blocks the pictures have, and why some carry no query; `beyond` are the queries beside them."""
 
     blocks: int
     kept: int
     redundant: int
     hiding: int
     empty: int
+    beyond: int = 0
 
 
 def build_anchors(
@@ -102,7 +111,7 @@ def build_anchors(
     Memory rows are the patches of `patch` pixels, view by view, row by row; each query attends to the
     `near` nearest of them in space. `queries` limits their number by cutting the pictures more coarsely;
     None keeps a block for each patch that shows something no other view shows as well, or, with `everything`,
-    for each patch.
+    for each patch. Queries beyond the borders come last, as many as the limit leaves room for.
     """
     block = 2 * CELLS
     while True:
@@ -112,12 +121,14 @@ def build_anchors(
         if queries is None or report.kept <= queries:
             break
         block += CELLS
-    colours = seen.colour.reshape(-1, CELLS**2, 3)[keep]
-    means, scales, quats = (part.reshape(-1, CELLS**2, part.shape[-1])[keep] for part in _discs(cells))
-    trusted = cells.confidence.reshape(-1, CELLS**2)[keep]
-    visible = cells.valid.reshape(-1, CELLS**2)[keep]
-    opacities = torch.where(visible, 0.6 + 0.35 * trusted, 0.01)
-    spacing = (cells.footprint * CELLS).reshape(-1, CELLS**2).mean(1)[keep]
+    border = _border(views, cameras, depth, BORDER_COARSER * (block // CELLS))
+    if queries is not None:
+        border = border.map(lambda part: part[: queries - report.kept])
+    usual = cells.footprint.mean(-1).log().median()
+    features = torch.cat([_features(cells, seen, _nearness(cells.depth), usual)[keep], _beyond(border, usual)])
+    cells = replace(cells, colour=seen.colour).map(lambda part: part[keep]).joined(border)
+    means, scales, quats = _discs(cells)
+    spacing = (cells.footprint * CELLS).mean(1)
     centres = means[:, CELLS**2 // 2]
     tokens = _patch_positions(cameras, depth, patch)
     memory = _neighbours(centres, spacing, tokens, near)
@@ -125,41 +136,47 @@ def build_anchors(
         means=means,
         scales=scales,
         quats=quats,
-        opacities=opacities,
-        colours=colours,
+        opacities=torch.where(cells.valid, 0.6 + 0.35 * cells.confidence, 0.01),
+        colours=cells.colour,
         spacing=spacing,
-        features=_features(cells, seen)[keep],
+        features=features,
         geometry=memory,
         appearance=memory,
         queries=_neighbours(centres, spacing, centres, near),
     )
-    return anchors, report
+    return anchors, replace(report, beyond=len(border.point))
 
 
 @dataclass(frozen=True)
 class _Cells:
-    """Every cell of every block of every view: [views, rows, columns, 9, …]."""
+    """The cells of every block of every view, [views, rows, columns, 9, …], or of chosen blocks, [blocks, 9, …]."""
 
-    point: Float[Tensor, "views rows columns cells 3"]
-    depth: Float[Tensor, "views rows columns cells"]
-    footprint: Float[Tensor, "views rows columns cells"]
-    confidence: Float[Tensor, "views rows columns cells"]
-    colour: Float[Tensor, "views rows columns cells 3"]
-    valid: Bool[Tensor, "views rows columns cells"]
-    along_x: Float[Tensor, "views rows columns cells 3"]
-    along_y: Float[Tensor, "views rows columns cells 3"]
-    normal: Float[Tensor, "views rows columns cells 3"]
-    origin: Float[Tensor, "views rows columns cells 3"]
+    point: Float[Tensor, "*blocks cells 3"]
+    depth: Float[Tensor, "*blocks cells"]
+    footprint: Float[Tensor, "*blocks cells"]
+    confidence: Float[Tensor, "*blocks cells"]
+    colour: Float[Tensor, "*blocks cells 3"]
+    valid: Bool[Tensor, "*blocks cells"]
+    along_x: Float[Tensor, "*blocks cells 3"]
+    along_y: Float[Tensor, "*blocks cells 3"]
+    normal: Float[Tensor, "*blocks cells 3"]
+    origin: Float[Tensor, "*blocks cells 3"]
+
+    def map(self, change: Callable[[Tensor], Tensor]) -> "_Cells":
+        return _Cells(**{name: change(part) for name, part in vars(self).items()})
+
+    def joined(self, other: "_Cells") -> "_Cells":
+        return _Cells(**{name: torch.cat([part, getattr(other, name)]) for name, part in vars(self).items()})
 
 
 @dataclass(frozen=True)
 class _Seen:
     """What the other views say of each cell."""
 
-    hiding: Bool[Tensor, "views rows columns cells"]
-    colour: Float[Tensor, "views rows columns cells 3"]
-    supporters: Float[Tensor, "views rows columns cells"]
-    hidden: Float[Tensor, "views rows columns cells"]
+    hiding: Bool[Tensor, "*blocks cells"]
+    colour: Float[Tensor, "*blocks cells 3"]
+    supporters: Float[Tensor, "*blocks cells"]
+    hidden: Float[Tensor, "*blocks cells"]
 
 
 def _to_blocks(grid: Tensor) -> Tensor:
@@ -210,35 +227,48 @@ def _cells(views: Views, cameras: Cameras, depth: Tensor, confidence: Tensor, ce
     )
 
 
-def _features(cells: _Cells, seen: _Seen) -> Float[Tensor, "blocks channels"]:
+def _features(
+    cells: _Cells, seen: _Seen, border: Float[Tensor, "*blocks 4"], usual: Float[Tensor, ""]
+) -> Float[Tensor, "*blocks channels"]:
     """What is known of each block before anything is read or rendered, each number about 1 in size.
 
     Of the block: mean colour, confidence, size, slant, and how near the picture's four borders are. Of its cells:
     colour and what the other views add to it, confidence, depth, how many views agree with it and how many it hides.
     """
-    views, rows, columns, _ = cells.depth.shape
-    mean = seen.colour.mean(3, keepdim=True)
-    spacing = CELLS * cells.footprint.mean(3, keepdim=True)
+    mean = seen.colour.mean(-2, keepdim=True)
+    spacing = CELLS * cells.footprint.mean(-1, keepdim=True)
     ray = torch.nn.functional.normalize(cells.point - cells.origin, dim=-1)
-    slant = (cells.normal * ray).sum(-1).abs().mean(3, keepdim=True)
-    row, column = torch.arange(rows).float(), torch.arange(columns).float()
-    sides = torch.broadcast_tensors(
-        row[:, None], rows - 1 - row[:, None], column.expand(rows, columns), columns - 1 - column.expand(rows, columns)
-    )
-    border = (torch.stack(sides, -1) / BORDER).clamp_max(1).expand(views, rows, columns, 4)
-    # Relative to the others: the pictures' size and the scene's say nothing about a block.
-    size = spacing.log() - spacing.log().median()
-    whole = (mean[..., 0, :] - 0.5, cells.confidence.mean(3, keepdim=True), size, slant, border)
-    relative = (cells.depth - cells.depth.median(3, keepdim=True).values) / spacing
+    slant = (cells.normal * ray).sum(-1).abs().mean(-1, keepdim=True)
+    # Relative to the `usual` logarithm: the pictures' size and the scene's say nothing about a block.
+    size = cells.footprint.mean(-1, keepdim=True).log() - usual
+    whole = (mean[..., 0, :] - 0.5, cells.confidence.mean(-1, keepdim=True), size, slant, border)
+    relative = (cells.depth - cells.depth.median(-1, keepdim=True).values) / spacing
     apart = (
-        4 * (seen.colour - mean).flatten(3),
-        4 * (cells.colour - seen.colour).flatten(3),
+        4 * (seen.colour - mean).flatten(-2),
+        4 * (cells.colour - seen.colour).flatten(-2),
         cells.confidence,
         relative.clamp(-2, 2),
         (seen.supporters / 2).clamp_max(2),
         (seen.hidden / 2).clamp_max(2),
     )
-    return torch.cat([*whole, *apart], -1).flatten(0, 2)
+    return torch.cat([*whole, *apart], -1)
+
+
+def _beyond(border: _Cells, usual: Float[Tensor, ""]) -> Float[Tensor, "blocks channels"]:
+    """The features of blocks beside the photos, with which no view agrees."""
+    nothing = torch.zeros_like(border.depth)
+    seen = _Seen(nothing > 0, border.colour, nothing, nothing)
+    return _features(border, seen, nothing.new_zeros(len(nothing), 4), usual)
+
+
+def _nearness(blocks: Float[Tensor, "views rows columns cells"]) -> Float[Tensor, "views rows columns 4"]:
+    """How far each block is from the picture's four borders, 1 from `NEAR_BORDER` blocks on."""
+    views, rows, columns, _ = blocks.shape
+    row, column = torch.arange(rows).float(), torch.arange(columns).float()
+    sides = torch.broadcast_tensors(
+        row[:, None], rows - 1 - row[:, None], column.expand(rows, columns), columns - 1 - column.expand(rows, columns)
+    )
+    return (torch.stack(sides, -1) / NEAR_BORDER).clamp_max(1).expand(views, rows, columns, 4)
 
 
 def _tangents(point: Tensor, ray: Tensor, footprint: Tensor, c2w: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -266,7 +296,6 @@ def _intrinsics(cameras: Cameras) -> tuple[Tensor, Tensor, Tensor, Tensor]:
 def _compare_views(cells: _Cells, views: Views, cameras: Cameras, depth: Tensor, confidence: Tensor) -> _Seen:
     """Project the cells of each view into the others and compare depth and colour."""
     count = len(views)
-    fx, fy, cx, cy = _intrinsics(cameras)
     distance = torch.cdist(cameras.centres, cameras.centres)
     shape = cells.depth.shape
     supporters = torch.zeros(shape)
@@ -278,14 +307,7 @@ def _compare_views(cells: _Cells, views: Views, cameras: Cameras, depth: Tensor,
         for other in distance[own].argsort(stable=True)[: COMPARED_VIEWS + 1].tolist():
             if other == own:
                 continue
-            local = points @ cameras.w2c[other, :3, :3].T + cameras.w2c[other, :3, 3]
-            z = local[:, 2].clamp_min(1e-6)
-            x = local[:, 0] / z * fx[other] + cx[other]
-            y = local[:, 1] / z * fy[other] + cy[other]
-            inside = (local[:, 2] > 1e-6) & (x >= 0) & (y >= 0) & (x < cameras.width) & (y < cameras.height)
-            column = x.clamp(0, cameras.width - 1).long()
-            row = y.clamp(0, cameras.height - 1).long()
-            inside &= views.masks[other, row, column]
+            inside, row, column, z = _seen_by(other, points, views, cameras)
             surface = depth[other, row, column]
             same = inside & ((z / surface - 1).abs() < DEPTH_AGREEMENT)
             sure = confidence[other, row, column]
@@ -300,22 +322,61 @@ def _compare_views(cells: _Cells, views: Views, cameras: Cameras, depth: Tensor,
     return _Seen(hiding, colour / weight[..., None], supporters, hidden)
 
 
+def _seen_by(
+    view: int, points: Float[Tensor, "n 3"], views: Views, cameras: Cameras
+) -> tuple[Bool[Tensor, "n"], Int[Tensor, "n"], Int[Tensor, "n"], Float[Tensor, "n"]]:
+    """Whether points fall on the photo, behind a surface or not; their pixel's row and column, and camera z."""
+    fx, fy, cx, cy = (part[view] for part in _intrinsics(cameras))
+    local = points @ cameras.w2c[view, :3, :3].T + cameras.w2c[view, :3, 3]
+    z = local[:, 2].clamp_min(1e-6)
+    x = local[:, 0] / z * fx + cx
+    y = local[:, 1] / z * fy + cy
+    inside = (local[:, 2] > 1e-6) & (x >= 0) & (y >= 0) & (x < cameras.width) & (y < cameras.height)
+    column = x.clamp(0, cameras.width - 1).long()
+    row = y.clamp(0, cameras.height - 1).long()
+    return inside & views.masks[view, row, column], row, column, z
+
+
+def _border(views: Views, cameras: Cameras, depth: Tensor, cell: int) -> _Cells:
+    """Blocks beside the photos, of cells of `cell` pixels, where none of the photos looks."""
+    block = cell * CELLS
+    margin = block * math.ceil(BORDER * max(depth.shape[1:]) / block)
+    around = surroundings(views, cameras, depth, cell=cell, margin=margin)
+    cells = _cells(around.views, around.cameras, around.depth, torch.zeros_like(around.depth), 1)
+    wanted = cells.valid.float().mean(-1) > 0.5
+    points = cells.point[wanted].reshape(-1, 3)
+    seen = torch.zeros(len(points), dtype=torch.bool)
+    for view in range(len(views)):
+        seen |= _seen_by(view, points, views, cameras)[0]
+    wanted[wanted.clone()] = seen.reshape(-1, CELLS**2).float().mean(1) <= 0.5
+    keep = _uncovered(cells, wanted, around.cameras, 1)
+    return cells.map(lambda part: part[keep])
+
+
 def _choose_blocks(
     cells: _Cells, seen: _Seen, cameras: Cameras, cell: int, everything: bool
-) -> tuple[Bool[Tensor, "blocks"], AnchorReport]:
+) -> tuple[Bool[Tensor, "views rows columns"], AnchorReport]:
     empty = cells.valid.float().mean(-1) <= 0.5
     if everything:
         shown = int((~empty).sum())
-        return ~empty.flatten(), AnchorReport(empty.numel(), shown, 0, 0, empty.numel() - shown)
+        return ~empty, AnchorReport(empty.numel(), shown, 0, 0, empty.numel() - shown)
     hiding = ~empty & (seen.hiding.float().mean(-1) > 0.5)
-    keep = torch.zeros_like(empty)
+    keep = _uncovered(cells, ~empty & ~hiding, cameras, cell)
+    redundant = ~empty & ~hiding & ~keep
+    counts = (int(part.sum()) for part in (keep, redundant, hiding, empty))
+    return keep, AnchorReport(keep.numel(), *counts)
+
+
+def _uncovered(
+    cells: _Cells, wanted: Bool[Tensor, "views rows columns"], cameras: Cameras, cell: int
+) -> Bool[Tensor, "views rows columns"]:
+    """The wanted blocks that show what no block kept before them shows."""
+    keep = torch.zeros_like(wanted)
     for own in range(len(cameras)):
         points, footprint = cells.point[keep].reshape(-1, 3), cells.footprint[keep].reshape(-1)
         covered = _covered(cells, cameras, own, cell, points, footprint)
-        keep[own] = ~empty[own] & ~hiding[own] & (covered.float().mean(-1) < COVERED)
-    redundant = ~empty & ~hiding & ~keep
-    counts = (int(part.sum()) for part in (keep, redundant, hiding, empty))
-    return keep.flatten(), AnchorReport(keep.numel(), *counts)
+        keep[own] = wanted[own] & (covered.float().mean(-1) < COVERED)
+    return keep
 
 
 def _covered(

@@ -1,13 +1,15 @@
 """Gaussians that the photos do not need."""
 
+import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from querysplat_cli.model.anchors import BORDER
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.splat.render import contributions
@@ -33,7 +35,7 @@ class Pruned:
 def prune(
     gaussians: Gaussians, cameras: Cameras, amount: Literal["auto"] | int, psnr: Callable[[Gaussians], float]
 ) -> Pruned:
-    """Leave out those with the least blending weight, summed over all pixels of `cameras`.
+    """Leave out those of the least `weights`.
 
     "auto" leaves out as many as cost at most `LOSS` by `psnr`, which scores Gaussians on the photos; a number
     is that of those that stay.
@@ -57,10 +59,15 @@ def prune(
 
 
 def weights(gaussians: Gaussians, cameras: Cameras) -> Float[Tensor, "n"]:
-    """`contributions` in the memory of one view."""
+    """`contributions` to the pictures and to what lies a little beyond their borders, where a camera between two
+    others may look; in the memory of one view."""
+    margin = math.ceil(BORDER * max(cameras.height, cameras.width))
+    K = cameras.K.clone()
+    K[:, :2, 2] += margin
+    wider = replace(cameras, K=K, height=cameras.height + 2 * margin, width=cameras.width + 2 * margin)
     total = torch.zeros_like(gaussians.opacities)
     for view in range(len(cameras)):
-        total += contributions(gaussians, cameras[[view]])
+        total += contributions(gaussians, wider[[view]])
     return total
 
 

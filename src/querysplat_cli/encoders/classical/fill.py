@@ -3,12 +3,12 @@
 import cv2
 import numpy as np
 
-REACH = 400.0
+REACH = 4000.0
 """Smoothness of the fill: how far a measured depth spreads over even colour."""
 EDGE = 6.0
 """Colour difference (of 255) over which it does not spread."""
-TRUST_IN_GUESS = 0.01
-"""Weight of an unconfirmed depth beside a confirmed one's 1."""
+TRUST_IN_GUESS = 1e-4
+"""Weight of an unconfirmed depth beside a confirmed one's 1: it counts where nothing else does."""
 
 
 def fill(inverse: np.ndarray, confidence: np.ndarray, image: np.ndarray, mask: np.ndarray) -> np.ndarray:
