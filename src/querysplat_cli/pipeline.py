@@ -255,7 +255,7 @@ def build_scene(
             settings.seed,
             "off" if settings.keep_everything else settings.prune,
             progress,
-            all_bands=settings.keep_everything,
+            everything=settings.keep_everything,
         )
     return BuiltScene(located, duplicates, geometry, remembered, adapted, more)
 
@@ -348,12 +348,16 @@ def _optimise(
     amount: Amount,
     progress: Progress,
     *,
-    all_bands: bool = False,
+    everything: bool = False,
 ) -> Adapted:
     """The result on the CPU, however it was made: on the device of `model`.
 
-    `amount` is that of the Gaussians that stay; SH bands that change nothing go, unless `all_bands`.
+    `amount` is that of the Gaussians that stay, and SH bands that change nothing go; with `everything` all stay, and
+    of official models, which give what the release gives, unless a number is asked for.
     """
+    everything = everything or start.anchors is None
+    if everything and amount == "auto":
+        amount = "off"
     device = next(model.parameters()).device
     target = RenderingLoss(*moved(photos, device))
     tested = evenly_spaced(range(len(target.views)), TESTED_VIEWS)
@@ -378,7 +382,7 @@ def _optimise(
         pruning=None if amount == "off" else lambda gaussians: prune(gaussians, target.cameras, amount, psnr),
         at_once=amount != "auto",
     )
-    if not all_bands:
+    if not everything:
         fewer, idle = without_idle_bands(adapted.gaussians, psnr)
         adapted = replace(adapted, gaussians=fewer, idle_bands=idle)
     return moved(adapted, torch.device("cpu"))

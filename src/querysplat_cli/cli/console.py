@@ -91,8 +91,8 @@ def _saving_text(part: dict[str, Any]) -> str:
     text = f"{part['what']}: {part['why']}; saved {part['saved']}"
     if part["bytes"]:
         text += f", {part['bytes'] / 2**20:.1f} MiB"
-    if part["seconds"] is not None and part["seconds"] >= 0:
-        text += f", {part['seconds']:.1f} s"
+    if part["seconds"] is not None:
+        text += f", {part['seconds']:.1f} s" if part["seconds"] >= 0 else f"; took {-part['seconds']:.1f} s more"
     if part["psnr_lost"] is not None:
         text += f"; cost {part['psnr_lost']:.2f} dB on the photos"
     return text
