@@ -12,7 +12,6 @@ of its own. The first run of each is not counted. `--part` measures one network 
 
 import argparse
 import json
-import resource
 import statistics
 import subprocess
 import sys
@@ -24,6 +23,7 @@ from typing import Any
 import torch
 
 import full_size
+from querysplat_cli.device import peak_gib
 from querysplat_cli.encoders.vggt_omega.model import CONFIG, VggtOmega
 from querysplat_cli.memory import RUNTIME
 from querysplat_cli.model.config import preset
@@ -77,7 +77,7 @@ def measure(
                 )
     if encoder is not None and PAPER_QUERIES in queries and decoder is not None:
         row["total"] = row["encoder"] + row[f"decoder_{PAPER_QUERIES}"]
-    row["peak_gib"] = _peak(device) / 2**30
+    row["peak_gib"] = peak_gib(device)
     return row
 
 
@@ -96,12 +96,6 @@ def _seconds(work: Callable[[], object], device: torch.device, runs: int) -> flo
 def _forget_peak(device: torch.device) -> None:
     if device.type == "cuda":
         torch.cuda.reset_peak_memory_stats(device)
-
-
-def _peak(device: torch.device) -> int:
-    if device.type == "cuda":
-        return torch.cuda.max_memory_allocated(device)
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
 
 
 def _in_a_process(arguments: list[str]) -> dict[str, Any]:

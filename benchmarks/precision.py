@@ -11,7 +11,6 @@ memory at once here, so peak GiB is that of the larger of the two.
 import argparse
 import gc
 import json
-import resource
 import subprocess
 import sys
 import tempfile
@@ -24,6 +23,7 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor
 
 import full_size
+from querysplat_cli.device import peak_gib
 from querysplat_cli.precision import check_precision, matrix_products
 from querysplat_cli.report import machine
 from querysplat_cli.splat.render import render
@@ -52,10 +52,6 @@ def outputs(precision: str, views: int, queries: int, device: torch.device) -> d
         _wait(device)
         seconds.append(time.perf_counter() - start)
         picture = render(made, cameras[[0]]).colour
-    if device.type == "cuda":
-        peak = torch.cuda.max_memory_allocated(device)
-    else:
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
     kept = {
         "features": found.features[0],
         "w2c": found.cameras.w2c,
@@ -64,7 +60,7 @@ def outputs(precision: str, views: int, queries: int, device: torch.device) -> d
         "opacities": made.opacities,
         "sh": made.sh,
         "picture": picture,
-        "cost": torch.tensor([*seconds, peak / 2**30]),
+        "cost": torch.tensor([*seconds, peak_gib(device)]),
     }
     return {name: tensor.float().cpu().contiguous() for name, tensor in kept.items()}
 

@@ -17,7 +17,6 @@ import argparse
 import json
 import math
 import os
-import resource
 import statistics
 import subprocess
 import sys
@@ -33,6 +32,7 @@ import numba
 import numpy as np
 import torch
 
+from querysplat_cli.device import peak_gib
 from querysplat_cli.report import machine
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
@@ -224,9 +224,8 @@ def multiply_adds_per_second() -> float:
 
 def measure(scene: tuple[Gaussians, Cameras], options: argparse.Namespace) -> Result:
     both(*random_scene(100, 32, 4.0, 1, options.degree), "cpu")
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    before = peak_gib()
     kernel = timing(*scene, "cpu", options.repeats)
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return Result(
         gaussians=options.gaussians,
         size=options.size,
@@ -236,7 +235,7 @@ def measure(scene: tuple[Gaussians, Cameras], options: argparse.Namespace) -> Re
         threads=numba.get_num_threads(),
         machine=machine(),
         kernel_ms=kernel,
-        peak_mb=(peak - before) / 1024,
+        peak_mb=1024 * (peak_gib() - before),
     )
 
 

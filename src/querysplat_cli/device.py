@@ -1,7 +1,11 @@
 """Where the network and the splatter run."""
 
+import resource
+import sys
+from contextlib import suppress
 from dataclasses import fields, is_dataclass, replace
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any, TypeVar
 
 import torch
@@ -26,6 +30,27 @@ def find_device(name: str) -> torch.device:
     if name == "cuda" and lacking:
         raise MissingPart(f"--device cuda: {lacking}", "Use --device cpu.")
     return torch.device("cpu" if name == "cpu" or lacking else "cuda")
+
+
+def peak_gib(device: torch.device | None = None) -> float:
+    """The most memory that this process has held so far, or that torch has on the GPU `device`."""
+    if device and device.type == "cuda":
+        return torch.cuda.max_memory_allocated(device) / 2**30
+    with suppress(OSError, StopIteration):
+        lines = Path("/proc/self/status").read_text().splitlines()
+        return int(next(line.split()[1] for line in lines if line.startswith("VmHWM"))) / 2**20
+    unit = 1 if sys.platform == "darwin" else 1024
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 2**30
+
+
+def forget_peak() -> bool:
+    """Have `peak_gib` of this process start again at what is held now; False where the system cannot, which is
+    anywhere but Linux, and in containers whose /proc cannot be written."""
+    try:
+        Path("/proc/self/clear_refs").write_text("5")  # proc(5)
+    except OSError:
+        return False
+    return True
 
 
 def moved(part: Part, device: torch.device) -> Part:

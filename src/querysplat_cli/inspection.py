@@ -15,7 +15,7 @@ from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.model.attention_maps import attention_of
 from querysplat_cli.pipeline import load_again
 from querysplat_cli.progress import Stages
-from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.cameras import Cameras, project
 from querysplat_cli.scene.files import atomic_folder, refuse_existing
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
 from querysplat_cli.scene.pictures import write_picture
@@ -139,9 +139,8 @@ def _overlays(views: Views, cameras: Cameras, weight: Tensor, own: Gaussians) ->
 def _projected(own: Gaussians, cameras: Cameras, view: int) -> list[tuple[float, float]]:
     """Pixels of the centres before the camera and in the picture."""
     w2c = cameras.w2c[view]
-    local = own.means @ w2c[:3, :3].T + w2c[:3, 3]
-    image = local[local[:, 2] > 0] @ cameras.K[view].T
-    pixels = image[:, :2] / image[:, 2:]
+    before = own.means @ w2c[2, :3] + w2c[2, 3] > 0
+    pixels = project(own.means[before], w2c, cameras.K[view])
     inside = ((pixels >= 0) & (pixels < torch.tensor([cameras.width, cameras.height]))).all(1)
     return [(float(x), float(y)) for x, y in pixels[inside]]
 

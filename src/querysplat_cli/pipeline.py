@@ -9,7 +9,7 @@ import torch
 
 from querysplat_cli import savings
 from querysplat_cli.budget import Budget, optimising_seconds, working_size
-from querysplat_cli.device import find_device, moved
+from querysplat_cli.device import find_device, moved, peak_gib
 from querysplat_cli.encoders.base import Encoder, EncoderOptions, Geometry, Located
 from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.errors import QuerySplatError
@@ -28,7 +28,6 @@ from querysplat_cli.report import (
     Report,
     heldout_entry,
     machine,
-    peak_memory_gib,
     quality_entry,
     seconds_entry,
     tto_entries,
@@ -117,11 +116,11 @@ def _reconstruct(settings: ReconstructSettings, device: torch.device, stages: St
     with stages("model") as progress:
         model, encoder = load_parts(settings, device)
         known = read_known_cameras(settings.poses) if settings.poses else None
-        scenes = 1 if settings.holdout_every is None or known or encoder.own_frame else 2
         budget = Budget(settings.budget, stages.elapsed) if settings.budget else None
         size = settings.max_size or encoder.size
         if budget and not settings.max_size and encoder.name == "classical":
             largest = max(photos, key=lambda photo: photo.height * photo.width)
+            scenes = 1 if settings.holdout_every is None or known else 2
             size = working_size(budget, len(photos), scenes, (largest.height, largest.width), size)
         needs = MemoryNeeds(encoder, model, size, optimising=bool(settings.tto))
         photos, too_many, expected = within_memory(photos, needs, free, settings.max_views)
@@ -169,7 +168,7 @@ def _reconstruct(settings: ReconstructSettings, device: torch.device, stages: St
             settings={
                 key: value if isinstance(value, int | None) else str(value) for key, value in asdict(settings).items()
             },
-            peak_memory_gib=peak_memory_gib(),
+            peak_memory_gib=round(peak_gib(), 2),
             machine=machine(),
             memory_estimate_gib=expected and round(expected / 2**30, 2),
         )
@@ -239,7 +238,8 @@ def build_scene(
         count = config.query_count * config.gaussians_per_query if anchors is None else anchors.opacities.numel()
         seconds, more = None, True
         if budget:
-            seconds, more = optimising_seconds(budget, stages.elapsed() - before, count, scenes)
+            seconds, enough = optimising_seconds(budget, stages.elapsed() - before, count, scenes)
+            more = enough or scenes == 1
         space = settings.tto_space
         if anchors is None:
             plan = plan_release(settings.tto or 0, space=space, seconds=seconds)
@@ -321,7 +321,7 @@ def optimise_scene(
             quality=quality,
             left_out=savings.taken_further(before["left_out"], adapted),
             tto=[*before["tto"], *tto_entries(adapted.runs)],
-            peak_memory_gib=peak_memory_gib(),
+            peak_memory_gib=round(peak_gib(), 2),
             machine=machine(),
         )
         stored = replace(scene, memories=adapted.memories, kept=adapted.kept)

@@ -3,7 +3,6 @@
 import json
 import os
 import platform
-import resource
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
@@ -102,11 +101,6 @@ def _tto_entry(run: TtoRun, result: TtoResult) -> dict[str, Any]:
         "interrupted": result.interrupted,
         "curve": curve,
     }
-
-
-def peak_memory_gib() -> float:
-    """The most memory that this process has held so far."""
-    return round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20, 2)
 
 
 def machine() -> str:

@@ -277,6 +277,16 @@ def test_one_photo_is_a_guess_and_says_so(room: Path, tmp_path: Path, capsys: py
     assert report["quality"]["input"]["psnr"] > 21
 
 
+def test_a_budget_without_held_out_photos_leaves_no_score_out(
+    room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    photo = sorted(room.iterdir())[0]
+    command = ["reconstruct", str(photo), "-o", str(tmp_path / "a.ply"), "--budget", "30", "--json", *SMALL]
+    assert run(command) == 0
+    what = {part["what"] for part in json.loads(capsys.readouterr().out)["left_out"]}
+    assert "the other cameras' score" not in what
+
+
 def test_too_few_photos_to_hold_out(room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     two = [str(path) for path in sorted(room.iterdir())[:2]]
     arguments = ["reconstruct", *two, "-o", str(tmp_path / "a.ply"), "--holdout-every", "2", *SMALL]

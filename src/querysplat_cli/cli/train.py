@@ -30,7 +30,8 @@ def train(
     json: Json = False,
 ) -> None:
     """Train a model on procedural or captured scenes, alone or under torchrun."""
-    from querysplat_cli.cli.console import print_training, print_training_plan, showing_stages
+    from querysplat_cli.cli.console import showing_stages
+    from querysplat_cli.cli.train_console import print_training, print_training_plan
     from querysplat_cli.evaluation.lpips import find_lpips, load_lpips
     from querysplat_cli.training.config import load_config
     from querysplat_cli.training.run import TrainRequest, plan

@@ -60,15 +60,12 @@ def prune(
 
 def weights(gaussians: Gaussians, cameras: Cameras) -> Float[Tensor, "n"]:
     """`contributions` to the pictures and to what lies a little beyond their borders, where a camera between two
-    others may look; in the memory of one view."""
+    others may look."""
     margin = math.ceil(BORDER * max(cameras.height, cameras.width))
     K = cameras.K.clone()
     K[:, :2, 2] += margin
     wider = replace(cameras, K=K, height=cameras.height + 2 * margin, width=cameras.width + 2 * margin)
-    total = torch.zeros_like(gaussians.opacities)
-    for view in range(len(cameras)):
-        total += contributions(gaussians, wider[[view]])
-    return total
+    return contributions(gaussians, wider)
 
 
 def _all_but(order: Tensor, count: int) -> Bool[Tensor, "n"]:

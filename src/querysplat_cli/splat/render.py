@@ -53,7 +53,7 @@ def render(
 
 
 def contributions(gaussians: Gaussians, cameras: Cameras, settings: RenderSettings | None = None) -> Float[Tensor, "n"]:
-    """The blending weight of each Gaussian, summed over all pixels of all views."""
+    """The blending weight of each Gaussian, summed over all pixels of all views, in the memory of one."""
     # The weights are what the colour's gradient with respect to a flat colour adds up to.
     flat = Gaussians(
         gaussians.means.detach(),
@@ -62,10 +62,13 @@ def contributions(gaussians: Gaussians, cameras: Cameras, settings: RenderSettin
         gaussians.opacities.detach(),
         torch.zeros_like(gaussians.sh[:, :1]).requires_grad_(),
     )
-    with torch.enable_grad():
-        red = render(flat, cameras, settings=settings).colour[:, 0]
-        (gradient,) = torch.autograd.grad(red.sum(), flat.sh)
-    return gradient[:, 0, 0] / SH_0
+    total = torch.zeros_like(flat.opacities)
+    for view in range(len(cameras)):
+        with torch.enable_grad():
+            red = render(flat, cameras[[view]], settings=settings).colour[:, 0]
+            (gradient,) = torch.autograd.grad(red.sum(), flat.sh)
+        total += gradient[:, 0, 0] / SH_0
+    return total
 
 
 def _backend(gaussians: Gaussians, name: str):  # type: ignore[no-untyped-def]

@@ -9,7 +9,7 @@ from typing import Any
 
 import torch
 
-from querysplat_cli.device import find_device, moved
+from querysplat_cli.device import find_device, moved, peak_gib
 from querysplat_cli.encoders.base import Encoder, EncoderOptions
 from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.errors import QuerySplatError
@@ -25,7 +25,7 @@ from querysplat_cli.training.processes import joined_processes
 from querysplat_cli.training.schedule import trained, weights
 from querysplat_cli.training.sources import open_source
 from querysplat_cli.training.step import add_gradient, anchored
-from querysplat_cli.training.trainer import MODEL, STATE, Trainer, TrainReport, freeze, peak_gib, starting_model
+from querysplat_cli.training.trainer import MODEL, STATE, Trainer, TrainReport, freeze, starting_model
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import nn
 
-from querysplat_cli.device import moved
+from querysplat_cli.device import moved, peak_gib
 from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.model.anchors import Anchors
 from querysplat_cli.model.checkpoints import load, save
@@ -258,15 +258,6 @@ def starting_model(config: TrainConfig) -> QuerySplat:
     if with_queries(model.config, wanted.query_count) != wanted:
         raise QuerySplatError(f"{config.start}: a model of another configuration", "Give its own [model] table.")
     return model
-
-
-def peak_gib(device: torch.device) -> float:
-    """Of this process, or on its GPU."""
-    if device.type == "cuda":
-        return torch.cuda.max_memory_allocated(device) / 2**30
-    import resource
-
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
 
 
 def freeze(model: QuerySplat, config: TrainConfig) -> None:
