@@ -9,8 +9,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from querysplat_cli.holdout import CameraSource, PoseDifference
 from querysplat_cli.quality import Quality
+from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.sim3 import rotation_angles
 from querysplat_cli.scene.views import LeftOut
 from querysplat_cli.tto.optimise import TtoResult
 from querysplat_cli.tto.plan import TtoRun
@@ -97,9 +101,24 @@ def _tto_entry(run: TtoRun, result: TtoResult) -> dict[str, Any]:
         **asdict(run.settings),
         "loss_before": round(result.loss_before, 5),
         "loss_after": round(result.loss_after, 5),
+        "cameras": _cameras_entry(result.cameras_before, result.cameras),
         "undone": result.undone,
         "interrupted": result.interrupted,
         "curve": curve,
+    }
+
+
+def _cameras_entry(before: Cameras, after: Cameras) -> dict[str, float] | None:
+    """How far refinement took the cameras: mean turn in degrees, mean shift as a share of the distance between the
+    two cameras that are farthest apart, and the focal factor. None where it did not."""
+    if torch.equal(before.w2c, after.w2c):
+        return None
+    turns = rotation_angles(after.w2c[:, :3, :3].double() @ before.w2c[:, :3, :3].double().mT)
+    extent = torch.cdist(before.centres, before.centres).max()
+    return {
+        "degrees": round(float(turns.mean()), 4),
+        "shift": round(float((after.centres - before.centres).norm(dim=1).mean() / extent), 5),
+        "focal": round(float(after.K[0, 0, 0] / before.K[0, 0, 0]), 5),
     }
 
 

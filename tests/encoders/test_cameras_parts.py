@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from synthetic import arc, camera
 
 from querysplat_cli.encoders.classical.encoder import ClassicalEncoder
-from querysplat_cli.encoders.classical.epipolar import epipolar_error, rays, supported
+from querysplat_cli.encoders.classical.epipolar import epipolar_error, misfit, rays, supported
 from querysplat_cli.encoders.classical.matches import Matches, Pair
 from querysplat_cli.encoders.classical.sparse_model import SparseModel, normalised, rescaled
 from querysplat_cli.encoders.classical.trust import doubts, is_flat, median_angle
@@ -73,6 +73,18 @@ def test_support_finds_a_turned_camera(cloud: np.ndarray) -> None:
     bent = replace(model, cameras={**model.cameras, 1: model.cameras[2], 2: model.cameras[1]})
     assert not supported(bent, matches).sound
     assert "agree with the cameras" in doubts(bent, matches)[0]
+
+
+def test_misfit_is_the_median_distance_from_epipolar_lines(cloud: np.ndarray) -> None:
+    model, matches = scene([camera((0, 0, 0), (0, 0, 5)), camera((1, 0, 0), (1, 0, 5))], cloud)
+    exact = misfit(model, matches)
+    assert exact is not None
+    assert exact < 1e-9
+    pair = matches.pairs[0]
+    shifted = replace(matches, pairs=(replace(pair, second_pixels=pair.second_pixels + np.array([0, 2])),))
+    longer = max(model.cameras[0].height, model.cameras[0].width)
+    assert misfit(model, shifted) == pytest.approx(2 / 2**0.5 / longer, rel=1e-6)
+    assert misfit(model, replace(matches, pairs=())) is None
 
 
 def test_support_needs_points(cloud: np.ndarray) -> None:

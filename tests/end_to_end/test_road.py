@@ -215,7 +215,33 @@ def test_known_poses(
     assert report["views"]["used"] == [f"room3_{i}.png" for i in (1, 2, 4, 5)]
     assert {photo["name"] for photo in report["views"]["left_out"]} == {f"room3_{i}.png" for i in (0, 3, 6)}
     assert any(part["what"] == "structure from motion" for part in report["left_out"])
+    assert report["tto"][0]["cameras"] is None
     assert report["quality"]["input"]["psnr"] > 22
+
+
+def test_known_poses_that_are_wrong_are_refined(
+    room: Path, scene: tuple[Path, dict[str, Any]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ply, _ = scene
+    content = json.loads((ply.with_suffix("") / "cameras.json").read_text())
+    for i, frame in enumerate(content["frames"]):
+        frame["file_path"] = Path(frame["file_path"]).name
+        turn = np.eye(4)
+        turn[:3, :3] = cv2.Rodrigues(np.radians([0.6 * (-1) ** i, 0.6 * (-1) ** (i // 2), 0.0]))[0]
+        frame["transform_matrix"] = (np.array(frame["transform_matrix"]) @ turn).tolist()
+    del content["heldout_frames"]
+    poses = tmp_path / "transforms.json"
+    poses.write_text(json.dumps(content))
+    psnr = []
+    for name, options in (("a", ["--no-refine-cameras"]), ("b", [])):
+        command = ["reconstruct", str(room), "-o", str(tmp_path / f"{name}.ply"), "--poses", str(poses), "--json"]
+        assert run([*command, *SMALL, "--tto", "40", *options]) == 0
+        report = json.loads(capsys.readouterr().out)
+        psnr.append(report["quality"]["input"]["psnr"])
+        refined = report["tto"][0]["cameras"]
+        assert (refined is None) == bool(options)
+    assert refined["degrees"] > 0.2
+    assert psnr[1] > psnr[0] + 1
 
 
 def test_good_photos_are_used_where_some_are_bad(

@@ -88,7 +88,7 @@ def test_optimisation_goes_on_with_those_that_stay() -> None:
         photos(replace(scene, sh=0.5 * scene.sh), views),
         TtoSettings(steps=10, lr=0.002),
         generator=torch.Generator().manual_seed(0),
-        pruning=lambda some: prune(some, views, 150, lambda each: 0.0),
+        pruning=lambda some, _: prune(some, views, 150, lambda each: 0.0),
     )
     assert result.loss_after < result.loss_before
     assert {(step.step < 5, step.gaussians) for step in result.history} == {(True, 194), (False, 150)}
@@ -103,7 +103,7 @@ def test_steps_after_a_costly_pruning_are_not_taken_for_failures() -> None:
         photos(scene, views),
         TtoSettings(steps=10, lr=0.002),
         generator=torch.Generator().manual_seed(0),
-        pruning=lambda some: prune(some, views, 100, lambda each: 0.0),
+        pruning=lambda some, _: prune(some, views, 100, lambda each: 0.0),
     )
     assert [step.gaussians for step in result.history[-5:]] == [100] * 5
     assert len(result.gaussians) == 194, "what is worse than the start is not kept"

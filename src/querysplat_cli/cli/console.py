@@ -116,6 +116,8 @@ def _tto_text(run: dict[str, Any]) -> str:
     taken = len(run["curve"]) + run["undone"]
     steps = f"{taken} steps in {run['seconds']:.0f} s" if run["seconds"] else f"{run['steps']} steps"
     text = f"{steps} on {run['space']}, loss {run['loss_before']:.4f} → {run['loss_after']:.4f}"
+    if run["cameras"]:
+        text += f", cameras turned by {run['cameras']['degrees']:.3f}°"
     if run["undone"]:
         text += f", {run['undone']} undone"
     if run["interrupted"]:

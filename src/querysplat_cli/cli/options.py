@@ -43,6 +43,12 @@ Prune = Annotated[
 ]
 
 
+RefineCameras = Annotated[
+    bool | None,
+    typer.Option("--refine-cameras/--no-refine-cameras", help="Correct the cameras while the scene is optimised."),
+]
+
+
 def amount(text: str) -> Literal["auto", "off"] | int:
     """A parser for `Prune`."""
     if text in ("auto", "off"):

@@ -18,6 +18,7 @@ from querysplat_cli.cli.options import (
     Prune,
     Queries,
     Quiet,
+    RefineCameras,
     Seed,
     TtoSpace,
     Weights,
@@ -82,6 +83,7 @@ def reconstruct(
     encoder: Encoder = None,
     weights: Weights = None,
     precision: Precision = NetworkPrecision.fp32,
+    refine_cameras: RefineCameras = None,
     depth: Annotated[bool, typer.Option(help="Find depth as well, where the model does not need it.")] = False,
     poses: Annotated[
         Path | None, typer.Option(help="Known cameras, instead of SfM: transforms.json or a COLMAP model folder.")
@@ -124,6 +126,7 @@ def reconstruct(
         prune=amount(prune),
         keep_everything=keep_everything,
         budget=budget,
+        refine_cameras=refine_cameras,
     )
     with showing_stages(quiet=quiet, started=started) as stages:
         report = run(settings, stages)

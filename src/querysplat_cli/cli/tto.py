@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from querysplat_cli.cli.options import Device, Json, Prune, Quiet, Seed, TtoSpace, amount, number_or_auto
+from querysplat_cli.cli.options import Device, Json, Prune, Quiet, RefineCameras, Seed, TtoSpace, amount, number_or_auto
 
 
 def tto(
@@ -20,6 +20,7 @@ def tto(
         typer.Option(help="Optimise the memories, the Gaussians themselves, or both in turn; as last time by default."),
     ] = None,
     prune: Prune = "off",
+    refine_cameras: RefineCameras = False,
     weights: Annotated[Path | None, typer.Option(help="The folder of downloaded weights, if not where it was.")] = None,
     device: Device = "auto",
     seed: Seed = 42,
@@ -44,6 +45,7 @@ def tto(
             stages=stages,
             space=None if space is None else space.value,
             amount=amount(prune),
+            refine_cameras=bool(refine_cameras),
             weights=weights,
         )
     print_report(report, quiet=quiet, as_json=json)

@@ -39,7 +39,9 @@ class Located:
     The first camera is the origin. `points` are sparse scene points [n, 3] (may be empty), `visibility`
     is for each view the row numbers of the points that it saw. `doubts` are sentences that say why the
     cameras may be wrong; empty when nothing speaks against them. `lenses` are the photos' own cameras, as
-    they were taken, in the same frame; None where the views' masks hold the photos as they are.
+    they were taken, in the same frame; None where the views' masks hold the photos as they are. `misfit` is the
+    median distance in pixels of matches between photos from where the cameras expect them, None where nobody
+    measured it.
     """
 
     views: Views
@@ -49,6 +51,7 @@ class Located:
     left_out: tuple[LeftOut, ...] = ()
     doubts: tuple[str, ...] = ()
     lenses: tuple[PhotoCamera, ...] | None = None
+    misfit: float | None = None
 
 
 @dataclass(frozen=True)

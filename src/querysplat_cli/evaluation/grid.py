@@ -11,7 +11,7 @@ from querysplat_cli.evaluation.case import CameraSource, Row
 from querysplat_cli.pipeline import ReconstructSettings
 
 FIXED = {"inputs", "ply", "holdout_every", "holdout_cameras", "poses", "force", "seed", "device", "max_views", "fit"}
-FIXED |= {"budget"}
+FIXED |= {"budget", "refine_cameras"}
 """Fields that do not say how a scene is made, or that the protocol decides."""
 Axis = tuple[str, tuple[Any, ...]]
 

@@ -20,7 +20,7 @@ SIGNATURES = (
     (blending.blend, (F2, L1, I1, int64, F1, F3)),
     (similarity.loss_and_gradient, (F4, F4, boolean[:, :, ::1], D1, F1, D2, F4)),
     (blending.blend_backward, (F2, L1, I1, L1, int64, F1, F3, F3, F3)),
-    (projection.project_backward, (*GAUSSIANS, D1, D1, F2, F3, *GAUSSIANS)),
+    (projection.project_backward, (*GAUSSIANS, D1, D1, F2, F3, *GAUSSIANS, D2)),
 )
 """What `cpu.py` and the loss call, in the order in which a reconstruction needs it, and with which types."""
 

@@ -26,6 +26,7 @@ XX, XY, YY = A, B, C
 """In a row of gradients, these columns belong to the conic instead."""
 GRADIENT_COLUMNS = 10
 """The columns that blending sends gradients to: all but the extent."""
+VIEW_COLUMNS = 16
 CHUNK = 512
 DIGITS, MASK = 2048, np.uint32(2047)
 INFINITY = np.uint32(0x7F800000)
@@ -199,9 +200,25 @@ def by_depth(bits):
 
 @nb.njit(cache=True, error_model="numpy", parallel=True)
 def project_backward(
-    means, quats, scales, opacities, sh, view, limits, rows, given, d_means, d_quats, d_scales, d_opacities, d_sh
+    means,
+    quats,
+    scales,
+    opacities,
+    sh,
+    view,
+    limits,
+    rows,
+    given,
+    d_means,
+    d_quats,
+    d_scales,
+    d_opacities,
+    d_sh,
+    d_view,
 ):
-    """Add to the five gradients what `given` [parts, n, GRADIENT_COLUMNS] (summed over parts) implies."""
+    """Add to the five gradients what `given` [parts, n, GRADIENT_COLUMNS] (summed over parts) implies, and to each
+    row of `d_view` [chunks(n), VIEW_COLUMNS] what its Gaussians say of the camera: the gradient with respect to the
+    rotation about the camera's centre (9 numbers), to minus the centre (3), and to fx, fy, cx, cy."""
     n = means.shape[0]
     bands = sh.shape[1]
     low_pass = limits[2]
@@ -211,6 +228,7 @@ def project_backward(
         basis = np.empty(16)
         slope = np.empty((16, 3))
         g = np.empty(GRADIENT_COLUMNS)
+        of_view = d_view[chunk]
         for i in range(chunk * CHUNK, min(n, (chunk + 1) * CHUNK)):
             if rows[i, HALF_WIDTH] == 0:
                 continue
@@ -315,6 +333,17 @@ def project_backward(
             k02 = d00 * view[6] + d01 * view[7] + d02 * view[8]
             k11 = d10 * view[3] + d11 * view[4] + d12 * view[5]
             k12 = d10 * view[6] + d11 * view[7] + d12 * view[8]
+            # A slope that is held at the border moves with the border.
+            lens_x, lens_y = k00 / z, k11 / z
+            middle_x, middle_y = k02 / z, k12 / z
+            if low_x < x / z < high_x:
+                lens_x, middle_x = lens_x - middle_x * slope_x, 0.0
+            if low_y < y / z < high_y:
+                lens_y, middle_y = lens_y - middle_y * slope_y, 0.0
+            of_view[12] += g[X] * x / z + lens_x
+            of_view[13] += g[Y] * y / z + lens_y
+            of_view[14] += g[X] + middle_x
+            of_view[15] += g[Y] + middle_y
             gx, gy, gz = g[X] * jx, g[Y] * jy, g[DEPTH]
             gz -= g[X] * jx * x / z + g[Y] * jy * y / z
             gz -= (k00 - k02 * slope_x) * jx / z + (k11 - k12 * slope_y) * jy / z
@@ -324,6 +353,16 @@ def project_backward(
             if low_y < y / z < high_y:
                 gy -= k12 * jy / z
                 gz += k12 * jy * y / (z * z)
+            jz0, jz1 = -jx * slope_x, -jy * slope_y
+            of_view[0] += gx * dx + jx * d00
+            of_view[1] += gx * dy + jx * d01
+            of_view[2] += gx * dz + jx * d02
+            of_view[3] += gy * dx + jy * d10
+            of_view[4] += gy * dy + jy * d11
+            of_view[5] += gy * dz + jy * d12
+            of_view[6] += gz * dx + jz0 * d00 + jz1 * d10
+            of_view[7] += gz * dy + jz0 * d01 + jz1 * d11
+            of_view[8] += gz * dz + jz0 * d02 + jz1 * d12
             gwx = view[0] * gx + view[3] * gy + view[6] * gz
             gwy = view[1] * gx + view[4] * gy + view[7] * gz
             gwz = view[2] * gx + view[5] * gy + view[8] * gz
@@ -347,6 +386,12 @@ def project_backward(
                     ty += gradient * coefficient * slope[band, 1]
                     tz += gradient * coefficient * slope[band, 2]
             along = tx * ux + ty * uy + tz * uz
-            d_means[i, 0] += gwx + (tx - along * ux) / distance
-            d_means[i, 1] += gwy + (ty - along * uy) / distance
-            d_means[i, 2] += gwz + (tz - along * uz) / distance
+            gwx += (tx - along * ux) / distance
+            gwy += (ty - along * uy) / distance
+            gwz += (tz - along * uz) / distance
+            d_means[i, 0] += gwx
+            d_means[i, 1] += gwy
+            d_means[i, 2] += gwz
+            of_view[9] += gwx
+            of_view[10] += gwy
+            of_view[11] += gwz

@@ -15,8 +15,10 @@ from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.splat.compiled_blending import HIGH, PLANES, WIDE, blend_backward, deal, find_spans, tile_rows
 from querysplat_cli.splat.compiled_blending import blend as blend_tiles
 from querysplat_cli.splat.compiled_projection import (
+    CHUNK,
     COLUMNS,
     GRADIENT_COLUMNS,
+    VIEW_COLUMNS,
     by_depth,
     project,
     project_backward,
@@ -44,7 +46,14 @@ def blend(
             f'Take alpha_min ≥ {ALPHA_MIN}, or backend="reference".',
         )
     fields = (gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.sh)
-    planes = _Blend.apply(*(field.float().contiguous() for field in fields), cameras, settings)
+    planes = _Blend.apply(
+        *(field.float().contiguous() for field in fields),
+        cameras.w2c,
+        cameras.K,
+        cameras.height,
+        cameras.width,
+        settings,
+    )
     return planes[:, :3], planes[:, 3], planes[:, 4]
 
 
@@ -67,24 +76,29 @@ class _Blend(torch.autograd.Function):
         scales: Tensor,
         opacities: Tensor,
         sh: Tensor,
-        cameras: Cameras,
+        w2c: Tensor,
+        K: Tensor,
+        height: int,
+        width: int,
         settings: RenderSettings,
     ) -> Tensor:
         arrays = [tensor.detach().numpy() for tensor in (means, quats, scales, opacities, sh)]
-        planes = np.empty((len(cameras), PLANES, cameras.height, cameras.width), np.float32)
-        views = [_forward_view(arrays, camera, settings, planes[v]) for v, camera in enumerate(_camera_rows(cameras))]
+        planes = np.empty((len(w2c), PLANES, height, width), np.float32)
+        rows = _camera_rows(w2c.detach(), K.detach(), height, width)
+        views = [_forward_view(arrays, camera, settings, planes[v]) for v, camera in enumerate(rows)]
         result = torch.from_numpy(planes)
-        ctx.save_for_backward(means, quats, scales, opacities, sh, result)
+        ctx.save_for_backward(means, quats, scales, opacities, sh, w2c, result)
         ctx.views, ctx.settings = views, settings
         return result
 
     @staticmethod
     def backward(ctx: Any, given: Tensor) -> tuple[Tensor | None, ...]:
-        *tensors, result = ctx.saved_tensors
+        *tensors, w2c, result = ctx.saved_tensors
         arrays = [tensor.detach().numpy() for tensor in tensors]
         gradients = [np.zeros_like(array) for array in arrays]
         tasks = numba.get_num_threads()
         parts = np.empty((tasks, len(arrays[0]), GRADIENT_COLUMNS), np.float32)
+        of_views = np.zeros((len(ctx.views), -(-len(arrays[0]) // CHUNK), VIEW_COLUMNS))
         slopes, planes = given.contiguous().numpy(), result.numpy()
         tiles_x = -(-planes.shape[3] // WIDE)
         for v, view in enumerate(ctx.views):
@@ -100,8 +114,10 @@ class _Blend(torch.autograd.Function):
                 slopes[v],
                 parts,
             )
-            project_backward(*arrays, view.camera, _projection_limits(ctx.settings), view.rows, parts, *gradients)
-        return (*(torch.from_numpy(gradient) for gradient in gradients), None, None)
+            limits = _projection_limits(ctx.settings)
+            project_backward(*arrays, view.camera, limits, view.rows, parts, *gradients, of_views[v])
+        of_cameras = _camera_gradients(w2c, torch.from_numpy(of_views).sum(1))
+        return (*(torch.from_numpy(gradient) for gradient in gradients), *of_cameras, None, None, None)
 
 
 def _forward_view(arrays: list[np.ndarray], camera: np.ndarray, settings: RenderSettings, planes: np.ndarray) -> _View:
@@ -137,14 +153,26 @@ def _fair_shares(starts: np.ndarray, tasks: int) -> np.ndarray:
     return cuts.astype(np.int64)
 
 
-def _camera_rows(cameras: Cameras) -> np.ndarray:
+def _camera_rows(world_to_camera: Tensor, lenses: Tensor, height: int, width: int) -> np.ndarray:
     """[views, 18] float64: rotation, centre, fx, fy, cx, cy, width, height."""
-    w2c, K = cameras.w2c.double().numpy(), cameras.K.double().numpy()
+    w2c, K = world_to_camera.double().numpy(), lenses.double().numpy()
     rotation = w2c[:, :3, :3]
     centres = -np.einsum("vji,vj->vi", rotation, w2c[:, :3, 3])
     lens = np.stack([K[:, 0, 0], K[:, 1, 1], K[:, 0, 2], K[:, 1, 2]], 1)
-    size = np.broadcast_to([float(cameras.width), float(cameras.height)], (len(cameras), 2))
+    size = np.broadcast_to([float(width), float(height)], (len(w2c), 2))
     return np.concatenate([rotation.reshape(-1, 9), centres, lens, size], 1)
+
+
+def _camera_gradients(w2c: Tensor, of_views: Float[Tensor, "views 16"]) -> tuple[Tensor, Tensor]:
+    """The gradients with respect to w2c [R t] and K from those of the columns of `d_view`: the centre is −Rᵀt."""
+    against_centre = of_views[:, 9:12]
+    matrices = torch.zeros(len(w2c), 4, 4, dtype=torch.float64)
+    shift = w2c[:, :3, 3].double()
+    matrices[:, :3, :3] = of_views[:, :9].reshape(-1, 3, 3) + shift[:, :, None] * against_centre[:, None, :]
+    matrices[:, :3, 3] = torch.einsum("vij,vj->vi", w2c[:, :3, :3].double(), against_centre)
+    lenses = torch.zeros(len(w2c), 3, 3, dtype=torch.float64)
+    lenses[:, [0, 1, 0, 1], [0, 1, 2, 2]] = of_views[:, 12:]
+    return matrices, lenses
 
 
 def _projection_limits(settings: RenderSettings) -> np.ndarray:

@@ -36,7 +36,7 @@ def render(
     settings: RenderSettings | None = None,
     backend: str = "auto",
 ) -> Rendering:
-    """Splat the Gaussians into every view, differentiably in all their parameters.
+    """Splat the Gaussians into every view, differentiably in all their parameters and in the cameras' w2c and K.
 
     `background` is the colour behind them, black by default. `backend` "auto" takes gsplat for CUDA
     tensors, the plain torch reference for float64, and the compiled CPU kernel otherwise. Raises

@@ -1,7 +1,7 @@
 """Test-time optimisation as a scene gets it: in feature space, in Gaussian space, or one after the other."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Bool
@@ -12,10 +12,11 @@ from querysplat_cli.model.memories import Features, Memories
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.prune.bands import IdleBands
 from querysplat_cli.prune.gaussians import Pruned
+from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.tto.features import decoded, optimise_memories
 from querysplat_cli.tto.gaussians import optimise_gaussians
-from querysplat_cli.tto.optimise import TtoResult, TtoStep
+from querysplat_cli.tto.optimise import Pruning, TtoResult, TtoStep
 from querysplat_cli.tto.plan import TtoRun
 from querysplat_cli.tto.rendering_loss import RenderingLoss
 
@@ -23,10 +24,12 @@ from querysplat_cli.tto.rendering_loss import RenderingLoss
 @dataclass(frozen=True)
 class Adapted:
     """What became of a scene. Where the Gaussians were optimised themselves, `memories` no longer decode to them;
-    elsewhere `gaussians` are the decoded ones that are `kept` (all where it is None), without `idle_bands`."""
+    elsewhere `gaussians` are the decoded ones that are `kept` (all where it is None), without `idle_bands`. `cameras`
+    are those of the input views."""
 
     memories: Memories
     gaussians: Gaussians
+    cameras: Cameras
     runs: tuple[tuple[TtoRun, TtoResult], ...]
     kept: Bool[Tensor, "n"] | None = None
     pruned: Pruned | None = None
@@ -56,8 +59,9 @@ def adapt(
     *,
     generator: torch.Generator,
     progress: Callable[[TtoStep], None] = lambda step: None,
-    pruning: Callable[[Gaussians], Pruned] | None = None,
+    pruning: Pruning | None = None,
     at_once: bool = False,
+    refine_cameras: bool = False,
 ) -> Adapted:
     """Go through the runs of `plan`, at least one; an interrupted one is the last.
 
@@ -68,7 +72,7 @@ def adapt(
     if pruning and at_once:
         with torch.no_grad():
             everything = decoded(model, variables, anchors, kept) if gaussians is None else gaussians
-        pruned, pruning = pruning(everything), None
+        pruned, pruning = pruning(everything, target), None
         if gaussians is None:
             kept = _narrowed(kept, pruned.kept)
         else:
@@ -87,6 +91,7 @@ def adapt(
                 progress=progress,
                 kept=kept,
                 pruning=pruning,
+                refine_cameras=refine_cameras,
             )
             variables = result.variables
             if result.pruned:
@@ -96,16 +101,23 @@ def adapt(
                 with torch.no_grad():
                     gaussians = decoded(model, variables, anchors, kept)
             result = optimise_gaussians(
-                gaussians, target, run.settings, generator=generator, progress=progress, pruning=pruning
+                gaussians,
+                target,
+                run.settings,
+                generator=generator,
+                progress=progress,
+                pruning=pruning,
+                refine_cameras=refine_cameras,
             )
         pruned, pruning = result.pruned or pruned, None
         gaussians = result.gaussians
+        target = replace(target, cameras=result.cameras)
         runs.append((run, result))
         if result.interrupted:
             break
     assert gaussians is not None
     memories = variables if isinstance(variables, Memories) else model.project(variables)
-    return Adapted(memories, gaussians, tuple(runs), kept, pruned)
+    return Adapted(memories, gaussians, target.cameras, tuple(runs), kept, pruned)
 
 
 def _narrowed(kept: Bool[Tensor, "n"] | None, among_them: Bool[Tensor, "m"]) -> Bool[Tensor, "n"]:

@@ -15,9 +15,8 @@ from torch import Tensor
 from querysplat_cli.model.anchors import Anchors
 from querysplat_cli.model.memories import Features, Memories
 from querysplat_cli.model.querysplat import QuerySplat
-from querysplat_cli.prune.gaussians import Pruned
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.tto.optimise import TtoResult, TtoSettings, TtoStep, optimise
+from querysplat_cli.tto.optimise import Pruning, TtoResult, TtoSettings, TtoStep, optimise
 from querysplat_cli.tto.rendering_loss import RenderingLoss
 
 M = TypeVar("M", bound=Memories | Features)
@@ -33,7 +32,8 @@ def optimise_memories(
     generator: torch.Generator,
     progress: Callable[[TtoStep], None] = lambda step: None,
     kept: Bool[Tensor, "n"] | None = None,
-    pruning: Callable[[Gaussians], Pruned] | None = None,
+    pruning: Pruning | None = None,
+    refine_cameras: bool = False,
 ) -> TtoResult[M]:
     """`optimise` for the four memory tensors, or for the two of features; all at the same rate.
 
@@ -48,6 +48,7 @@ def optimise_memories(
         generator=generator,
         progress=progress,
         pruning=pruning,
+        refine_cameras=refine_cameras,
     )
 
 

@@ -14,9 +14,8 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from querysplat_cli.model.heads import rotated
-from querysplat_cli.prune.gaussians import Pruned
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.tto.optimise import TtoResult, TtoSettings, TtoStep, optimise
+from querysplat_cli.tto.optimise import Pruning, TtoResult, TtoSettings, TtoStep, optimise
 from querysplat_cli.tto.rendering_loss import RenderingLoss
 
 RATES = {"moves": 1.0, "turns": 0.5, "log_scales": 1.0, "logits": 2.0, "colours": 0.5, "bands": 0.1}
@@ -62,7 +61,8 @@ def optimise_gaussians(
     *,
     generator: torch.Generator,
     progress: Callable[[TtoStep], None] = lambda step: None,
-    pruning: Callable[[Gaussians], Pruned] | None = None,
+    pruning: Pruning | None = None,
+    refine_cameras: bool = False,
 ) -> TtoResult[Changes]:
     """`optimise` for changes to `gaussians`."""
     return optimise(
@@ -74,6 +74,7 @@ def optimise_gaussians(
         generator=generator,
         progress=progress,
         pruning=pruning,
+        refine_cameras=refine_cameras,
     )
 
 

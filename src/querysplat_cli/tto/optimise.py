@@ -15,7 +15,9 @@ import torch
 from torch import Tensor
 
 from querysplat_cli.prune.gaussians import Pruned
+from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.tto.cameras import RefinedCameras
 from querysplat_cli.tto.rendering_loss import RenderingLoss
 
 RISE = 2.0
@@ -27,6 +29,8 @@ PATIENCE = 30
 """Steps undone in a row before a run is given up; the rate has then fallen by 2³⁰."""
 
 
+Pruning = Callable[[Gaussians, RenderingLoss], Pruned]
+"""What chooses the Gaussians that stay, by how they look in the target's views."""
 V = TypeVar("V", bound="Variables")
 
 
@@ -67,8 +71,8 @@ class TtoStep:
 class TtoResult(Generic[V]):
     """The better of the first and the last state, by the loss over all views; steps undone on the way.
 
-    `gaussians` is what the variables decode to, less what was `pruned`. `interrupted` says that Ctrl-C ended the
-    run early.
+    `gaussians` is what the variables decode to, less what was `pruned`; `cameras` are those of the input views, which
+    were `cameras_before`. `interrupted` says that Ctrl-C ended the run early.
     """
 
     variables: V
@@ -76,6 +80,8 @@ class TtoResult(Generic[V]):
     loss_before: float
     loss_after: float
     history: tuple[TtoStep, ...]
+    cameras_before: Cameras
+    cameras: Cameras
     undone: int = 0
     interrupted: bool = False
     pruned: Pruned | None = None
@@ -90,22 +96,25 @@ def optimise(
     rates: Mapping[str, float],
     generator: torch.Generator,
     progress: Callable[[TtoStep], None] = lambda step: None,
-    pruning: Callable[[Gaussians], Pruned] | None = None,
+    pruning: Pruning | None = None,
+    refine_cameras: bool = False,
 ) -> TtoResult[V]:
     """Adam (β 0.9, 0.999) on every tensor of `variables`, at `settings.lr` times its rate in `rates`.
 
     A step after which the loss rises beyond its noise, or anything stops being finite, is undone and the
-    rate halved. `pruning` chooses, half-way, the Gaussians that the other half goes on with. Ctrl-C ends the run
-    and keeps what was reached.
+    rate halved. `pruning` chooses, half-way, the Gaussians that the other half goes on with. `refine_cameras` corrects
+    the cameras beside the variables. Ctrl-C ends the run and keeps what was reached.
     """
     everything = list(range(len(target.views)))
     with torch.no_grad():
         first = decode(variables)
     losses = target.values(first, everything)
-    before = TtoResult(variables, first, sum(losses) / len(losses), sum(losses) / len(losses), ())
+    loss = sum(losses) / len(losses)
+    before = TtoResult(variables, first, loss, loss, (), target.cameras, target.cameras)
     if not settings.steps:
         return before
-    run = _Run(variables, settings.lr, rates)
+    refined = RefinedCameras(target.cameras, first) if refine_cameras else None
+    run = _Run(variables, settings.lr, rates, refined)
     history: list[TtoStep] = []
     start, undone, in_a_row, interrupted = time.perf_counter(), 0, 0, False
     pruned: Pruned | None = None
@@ -116,13 +125,14 @@ def optimise(
             if done >= 1:
                 break
             gaussians = _staying(decode(run.variables), pruned)
+            target = run.aimed(target)
             if pruning and not pruned and done >= PRUNE_AFTER and _finite(tensors(gaussians)):
-                pruned = pruning(gaussians.detach())
+                pruned = pruning(gaussians.detach(), target)
                 gaussians = _staying(gaussians, pruned)
                 losses = target.values(gaussians, everything)
             here = target.value_and_gradient(gaussians, chosen) if _finite(tensors(gaussians)) else None
             if here:
-                torch.autograd.backward(tensors(gaussians), tensors(here.gradient))
+                here.send_back(gaussians, target.cameras)
             if here is None or not run.finite_gradient() or _risen(here.losses, losses, chosen):
                 undone, in_a_row = undone + 1, in_a_row + 1
                 run.undo()
@@ -142,9 +152,12 @@ def optimise(
     last = run.variables.map(Tensor.detach)
     with torch.no_grad():
         gaussians = _staying(decode(last), pruned)
+        target = run.aimed(target)
     loss = target.value(gaussians, everything) if _finite(tensors(gaussians)) else math.inf
     if loss < before.loss_before:
-        return replace(found, variables=last, gaussians=gaussians, loss_after=loss, pruned=pruned)
+        return replace(
+            found, variables=last, gaussians=gaussians, loss_after=loss, cameras=target.cameras, pruned=pruned
+        )
     return found
 
 
@@ -153,11 +166,15 @@ def _staying(gaussians: Gaussians, pruned: Pruned | None) -> Gaussians:
 
 
 class _Run(Generic[V]):
-    """Variables under Adam, and the way back over the last step."""
+    """Variables under Adam, cameras where these are refined, and the way back over the last step."""
 
-    def __init__(self, variables: V, lr: float, rates: Mapping[str, float]) -> None:
-        self._lr, self._rates = lr, rates
+    def __init__(self, variables: V, lr: float, rates: Mapping[str, float], refined: RefinedCameras | None) -> None:
+        self._lr, self._rates, self._refined = lr, rates, refined
         self._start(variables)
+
+    def aimed(self, target: RenderingLoss) -> RenderingLoss:
+        """The target as the cameras are now."""
+        return replace(target, cameras=self._refined.now()) if self._refined else target
 
     def _start(self, variables: V) -> None:
         self.variables = variables.map(lambda tensor: tensor.detach().clone().requires_grad_())
@@ -177,9 +194,13 @@ class _Run(Generic[V]):
             group["lr"] = self._lr * group["rate"] * share
         self._adam.step()
         self._adam.zero_grad(set_to_none=True)
+        if self._refined:
+            self._refined.step(share)
 
     def undo(self) -> None:
         """Back before the last step, at half the rate and without momentum."""
+        if self._refined:
+            self._refined.undo()
         self._lr /= 2
         self._start(self._before)
 

@@ -1,7 +1,7 @@
 """The rendering loss of many views, and its gradient, in the memory of a few."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 
 import torch
 from torch import Tensor
@@ -15,15 +15,26 @@ from querysplat_cli.splat.similarity import photometric_loss
 
 @dataclass(frozen=True)
 class LossAndGradient:
-    """The loss of each view, the mean PSNR in dB, and the gradient of the mean loss."""
+    """The loss of each view, the mean PSNR in dB, and the gradient of the mean loss: with respect to the Gaussians, and
+    to w2c and K of all views where the cameras ask for one."""
 
     losses: list[float]
     psnr: float
     gradient: Gaussians
+    camera_gradient: tuple[Tensor, Tensor] | None = None
 
     @property
     def loss(self) -> float:
         return sum(self.losses) / len(self.losses)
+
+    def send_back(self, gaussians: Gaussians, cameras: Cameras) -> None:
+        """Add the gradient to what `gaussians`, and `cameras` where they ask for it, were made from."""
+        made = [getattr(gaussians, each.name) for each in fields(gaussians)]
+        slopes = [getattr(self.gradient, each.name) for each in fields(gaussians)]
+        if self.camera_gradient:
+            made += [cameras.w2c, cameras.K]
+            slopes += self.camera_gradient
+        torch.autograd.backward(made, slopes)
 
 
 @dataclass(frozen=True)
@@ -42,7 +53,7 @@ class RenderingLoss:
     def values(self, gaussians: Gaussians, chosen: list[int]) -> list[float]:
         """The loss of each of the views `chosen`."""
         with torch.no_grad():
-            return [float(self._view(gaussians, view)[0]) for view in chosen]
+            return [float(self._view(gaussians, self.cameras, view)[0]) for view in chosen]
 
     def value(self, gaussians: Gaussians, chosen: list[int]) -> float:
         """The loss over the views `chosen`."""
@@ -51,27 +62,34 @@ class RenderingLoss:
     def psnr(self, gaussians: Gaussians, chosen: list[int]) -> float:
         """The mean over the views `chosen`, in dB."""
         with torch.no_grad():
-            return _decibels([self._view(gaussians, view)[1] for view in chosen])
+            return _decibels([self._view(gaussians, self.cameras, view)[1] for view in chosen])
 
     def value_and_gradient(self, gaussians: Gaussians, chosen: list[int]) -> "LossAndGradient":
         """The loss over the views `chosen`, and its gradient with respect to every Gaussian parameter."""
         leaves = gaussians.map(lambda field: field.detach().requires_grad_())
+        asked = self.cameras.w2c.requires_grad
+        w2c, K = (field.detach().requires_grad_(asked) for field in (self.cameras.w2c, self.cameras.K))
+        cameras = replace(self.cameras, w2c=w2c, K=K)
         losses, errors = [], []
         for view in chosen:
-            loss, error = self._view(leaves, view)
+            loss, error = self._view(leaves, cameras, view)
             (loss / len(chosen)).backward()
             losses.append(float(loss.detach()))
             errors.append(error)
-        gradient = leaves.map(lambda field: torch.zeros_like(field) if field.grad is None else field.grad)
-        return LossAndGradient(losses, _decibels(errors), gradient)
+        camera_gradient = (_gradient(w2c), _gradient(K)) if asked else None
+        return LossAndGradient(losses, _decibels(errors), leaves.map(_gradient), camera_gradient)
 
-    def _view(self, gaussians: Gaussians, view: int) -> tuple[Tensor, float]:
+    def _view(self, gaussians: Gaussians, cameras: Cameras, view: int) -> tuple[Tensor, float]:
         """Loss and mean squared error of one view."""
-        picture = render(gaussians, self.cameras[[view]], background=self.background, settings=self.settings).colour
+        picture = render(gaussians, cameras[[view]], background=self.background, settings=self.settings).colour
         photo, mask = self.views.images[[view]], self.views.masks[[view]]
         with torch.no_grad():
             error = (picture.clamp(0, 1) - photo).square().mean(1)[mask].mean()
         return photometric_loss(picture, photo, mask), float(error)
+
+
+def _gradient(leaf: Tensor) -> Tensor:
+    return torch.zeros_like(leaf) if leaf.grad is None else leaf.grad
 
 
 def _decibels(errors: list[float]) -> float:

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 
 from querysplat_cli.encoders.base import Located
-from querysplat_cli.encoders.classical.epipolar import supported
+from querysplat_cli.encoders.classical.epipolar import misfit, supported
 from querysplat_cli.encoders.classical.known import match_cameras, triangulated
 from querysplat_cli.encoders.classical.mapping import map_photos
 from querysplat_cli.encoders.classical.matches import DEFAULT_FOCAL, Matches, matched
@@ -28,11 +28,12 @@ FEW_FEATURES = 0.2
 
 @dataclass(frozen=True)
 class Placement:
-    """Some of the photos with cameras, by photo number, and what is to be said about it."""
+    """Some of the photos with cameras, by photo number, and what is to be said about it; the `misfit` of matches."""
 
     model: SparseModel
     left_out: tuple[LeftOut, ...] = ()
     doubts: tuple[str, ...] = ()
+    misfit: float | None = None
 
 
 def locate(
@@ -69,6 +70,7 @@ def locate(
         (*copies, *placement.left_out),
         placement.doubts,
         tuple(model.cameras[i] for i in used),
+        placement.misfit and placement.misfit * max(cameras.height, cameras.width),
     )
 
 
@@ -105,7 +107,7 @@ def _place(photos: Sequence[Photo], *, seed: int, progress: Progress) -> Placeme
             f"the {len(photos)} photos overlap too little to tell where they were taken from",
             "Add photos between those far apart, so that neighbours overlap by at least half.",
         )
-    return Placement(model, _left_out(photos, matches, model), doubts(model, matches))
+    return Placement(model, _left_out(photos, matches, model), doubts(model, matches), misfit(model, matches))
 
 
 def _mapped(
@@ -158,7 +160,7 @@ def _place_known(
     numbers = list(cameras)
     lenses = {numbers[i]: camera for i, camera in model.cameras.items()}
     own = SparseModel(lenses, model.points, {numbers[i]: rows for i, rows in model.seen.items()})
-    return Placement(own, tuple(left_out), doubts(model, matches))
+    return Placement(own, tuple(left_out), doubts(model, matches), misfit(model, matches))
 
 
 def _left_out(photos: Sequence[Photo], matches: Matches, model: SparseModel) -> tuple[LeftOut, ...]:

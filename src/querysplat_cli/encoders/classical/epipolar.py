@@ -64,6 +64,19 @@ def supported(model: SparseModel, matches: Matches) -> Support:
     return Support(explained, total, coverage)
 
 
+def misfit(model: SparseModel, matches: Matches) -> float | None:
+    """The median distance of matches from their epipolar lines, as a share of a photo's longer side; None without any.
+
+    Unlike the error of points, it does not leave out what fits badly.
+    """
+    shares = []
+    for pair in matches.pairs:
+        if pair.first in model.cameras and pair.second in model.cameras:
+            first, second = model.cameras[pair.first], model.cameras[pair.second]
+            shares.append(epipolar_error(pair, first, second) / max(first.height, first.width))
+    return float(np.median(np.concatenate(shares))) if shares else None
+
+
 def rays(pixels: np.ndarray, camera: PhotoCamera) -> np.ndarray:
     """Camera coordinates [n, 2] at z = 1 of a photo's pixels [n, 2], centres at +0.5, distortion removed."""
     K = np.array([[camera.focal[0], 0, camera.principal[0]], [0, camera.focal[1], camera.principal[1]], [0, 0, 1]])

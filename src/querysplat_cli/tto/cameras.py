@@ -1,0 +1,109 @@
+"""Cameras that are corrected while the scene is optimised."""
+
+from dataclasses import replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.sim3 import DegenerateAlignment, align_cameras
+
+RATE = 0.1
+"""Pixels a step, before the rate falls."""
+BETAS = (0.8, 0.95)
+"""Adam's; a camera takes few steps, one for each time that its view is drawn."""
+
+
+class RefinedCameras:
+    """Cameras under small changes: a turn and a shift of each, and one focal factor for all.
+
+    Changes are counted in pixels, of what lies at the view's median depth, or at the border for the focal factor, so
+    that one rate suits all. The gauge is fixed: a similarity keeps the cameras as a whole where they began.
+    """
+
+    def __init__(self, cameras: Cameras, gaussians: Gaussians) -> None:
+        """Raises QuerySplatError where the cameras are not `refinable`."""
+        if not refinable(cameras):
+            raise QuerySplatError(
+                "cameras of one photo, or of photos from one place, cannot be refined", "Use --no-refine-cameras."
+            )
+        self._start = cameras
+        self._depths = _median_depths(cameras, gaussians)
+        self._poses = [torch.zeros(6, dtype=torch.float64, requires_grad=True) for _ in range(len(cameras))]
+        self._zoom = torch.zeros((), dtype=torch.float64, requires_grad=True)
+        self._adam = torch.optim.Adam(self._changes, lr=RATE, betas=BETAS)
+        self._before = [change.detach().clone() for change in self._changes]
+
+    @property
+    def _changes(self) -> list[Tensor]:
+        return [*self._poses, self._zoom]
+
+    def now(self) -> Cameras:
+        """The cameras, differentiable in their changes."""
+        start = self._start
+        poses = torch.stack(self._poses).to(start.w2c.device)
+        w2c, K = start.w2c.double(), start.K.double()
+        pixel = 1 / K[:, 0, :1]
+        turned = torch.linalg.matrix_exp(_skew(poses[:, :3] * pixel)) @ w2c[:, :3]
+        moved = torch.cat([turned[:, :, :3], turned[:, :, 3:] + (poses[:, 3:] * pixel * self._depths)[:, :, None]], 2)
+        w2c = torch.cat([moved, w2c[:, 3:]], 1)
+        focal = torch.exp(self._zoom.to(K.device) / (0.5 * max(start.height, start.width)))
+        cameras = replace(start, w2c=w2c, K=torch.cat([K[:, :, :2] * focal, K[:, :, 2:]], 2))
+        return cameras.transformed(align_cameras(w2c.detach(), start.w2c)).to(start.w2c.dtype)
+
+    def step(self, share: float) -> None:
+        """One step of Adam at `share` of the rate, for the views that were seen since the last."""
+        for pose in self._poses:
+            if pose.grad is not None and not pose.grad.any():
+                pose.grad = None  # or momentum would move it
+        self._before = [change.detach().clone() for change in self._changes]
+        self._adam.param_groups[0]["lr"] = RATE * share
+        self._adam.step()
+        self._adam.zero_grad(set_to_none=True)
+
+    def undo(self) -> None:
+        """Back before the last step."""
+        with torch.no_grad():
+            for change, before in zip(self._changes, self._before, strict=True):
+                change.copy_(before)
+        self._adam.zero_grad(set_to_none=True)
+
+
+def refinable(cameras: Cameras) -> bool:
+    """Whether the cameras fix a similarity: at least two, from different places."""
+    try:
+        align_cameras(cameras.w2c, cameras.w2c)
+    except DegenerateAlignment:
+        return False
+    return True
+
+
+def refocused(others: Cameras, before: Cameras, after: Cameras) -> Cameras:
+    """`others` with the focal factor that took `before` to `after`; what else changed leaves the world in place."""
+    K = others.K.clone()
+    K[:, :, :2] *= after.K[0, 0, 0] / before.K[0, 0, 0]
+    return replace(others, K=K)
+
+
+def _median_depths(cameras: Cameras, gaussians: Gaussians) -> Float[Tensor, "views 1"]:
+    """Of the centres in each picture; of all that lie before the camera where none is in the picture."""
+    depths = []
+    for w2c, K in zip(cameras.w2c.double(), cameras.K.double(), strict=True):
+        local = gaussians.means.detach().double() @ w2c[:3, :3].T + w2c[:3, 3]
+        local = local[local[:, 2] > 0]
+        pixels = (local @ K.T)[:, :2] / local[:, 2:]
+        size = torch.tensor([cameras.width, cameras.height]).to(pixels)
+        inside = ((pixels >= 0) & (pixels < size)).all(1)
+        seen = local[inside, 2] if inside.any() else local[:, 2]
+        depths.append(seen.median() if len(seen) else torch.ones_like(w2c[0, 0]))
+    return torch.stack(depths)[:, None]
+
+
+def _skew(vectors: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3 3"]:
+    x, y, z = vectors.unbind(1)
+    zero = torch.zeros_like(x)
+    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
+    return torch.stack([torch.stack(row, 1) for row in rows], 1)
