@@ -22,6 +22,7 @@ import numba
 import torch
 from torch import Tensor
 
+import stiff_steps
 from querysplat_cli.drawing import new_figure, save_figure
 from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.report import machine
@@ -68,6 +69,12 @@ and keeps the conic as a triangular factor, so that a needle's terms do not canc
 
 ![error against κ]({picture})
 {sweeps}
+
+## Optimisation against κ
+
+{steps_note}
+
+{steps}
 """
 NEXT_TO_NOTHING = 1e-9
 KAPPAS = [10.0**k for k in range(9)]
@@ -347,7 +354,13 @@ def number(value: float | None) -> str:
     return "" if value is None else "0" if value == 0 else f"{value:.1e}"
 
 
-def document(rows: list[Measured], curves: dict[str, dict[str, list[float]]], command: str, picture: str) -> str:
+def document(
+    rows: list[Measured],
+    curves: dict[str, dict[str, list[float]]],
+    optimised: list[stiff_steps.Row],
+    command: str,
+    picture: str,
+) -> str:
     """docs/stability.md."""
     table = [
         f"| {row.row} | {row.what} | {row.expect} | {number(row.image)} | {number(row.gradient)} | "
@@ -373,6 +386,8 @@ def document(rows: list[Measured], curves: dict[str, dict[str, list[float]]], co
         picture=picture,
         image=IMAGE,
         gradient=GRADIENT,
+        steps_note=stiff_steps.NOTE,
+        steps=stiff_steps.table(optimised),
     )
 
 
@@ -386,15 +401,17 @@ def main() -> None:
         if not row.holds:
             print(f"failed: {row}", file=sys.stderr)
     if options.write or options.json:
-        curves = sweeps()
+        curves, optimised = sweeps(), stiff_steps.measured()
     if options.json:
-        print(json.dumps({"machine": machine(), "cases": [asdict(row) for row in rows], "curves": curves}, indent=2))
+        found = {"cases": rows, "optimised": optimised}
+        tables = {name: [asdict(row) for row in some] for name, some in found.items()}
+        print(json.dumps({"machine": machine(), "curves": curves, **tables}, indent=2))
     if options.write:
         picture = options.write.parent / "images" / "stability.svg"
         picture.parent.mkdir(exist_ok=True)
         plot(curves, picture)
         command = f"python benchmarks/stability.py --write {options.write}"
-        options.write.write_text(document(rows, curves, command, f"images/{picture.name}"))
+        options.write.write_text(document(rows, curves, optimised, command, f"images/{picture.name}"))
     print(f"{sum(row.holds for row in rows)} of {len(rows)} cases hold", file=sys.stderr)
     sys.exit(not all(row.holds for row in rows))
 

@@ -39,3 +39,9 @@ def test_with_a_time_the_steps_are_the_most_that_pay() -> None:
     assert run.settings.seconds == 3.0
     features, gaussians = plan_tto(None, views=5, gaussians=1000, seconds=3.0, space="both")
     assert features.settings.seconds == gaussians.settings.seconds == 1.5
+
+
+def test_steps_that_decode_nothing_are_cheaper_and_so_more() -> None:
+    (decoded,) = plan_tto(None, views=5, gaussians=60_000)
+    (direct,) = plan_tto(None, views=5, gaussians=60_000, space="gaussians")
+    assert 1.5 * decoded.settings.steps < direct.settings.steps < 2 * decoded.settings.steps

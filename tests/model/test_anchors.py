@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from querysplat_cli.feedback import with_feedback
 from querysplat_cli.model.anchors import (
     BORDER_COARSER,
     FEATURES,
@@ -15,6 +16,7 @@ from querysplat_cli.model.anchors import (
     build_anchors,
     quaternions,
 )
+from querysplat_cli.model.checkpoints import load
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
 from querysplat_cli.scene.sim3 import Sim3
@@ -146,6 +148,20 @@ def test_no_query_stands_beside_a_photo_where_another_photo_looks() -> None:
         assert bool((pixel[..., axis] < 0).any())
         assert bool((pixel[..., axis] > edge).any())
     torch.testing.assert_close(anchors.spacing[-1], anchors.spacing[0] * BORDER_COARSER)
+
+
+def test_blocks_beside_a_photo_keep_about_the_size_of_their_prior() -> None:
+    """The bundled decoder has never seen any: told plainly what they are, it makes them several times larger."""
+    views, cameras, depth, confidence = plane([0.0, 0.3])
+    anchors, report = build(views, cameras, depth, confidence)
+    anchors = with_feedback(anchors, views, cameras)
+    model = load("compact")
+    features = torch.zeros(2, BLOCKS, 12)
+    with torch.no_grad():
+        scales = model.decode(model.remember((features,), views.images, cameras), anchors).scales
+    grown = (scales / prior(anchors).scales)[9 * report.kept :, :2]
+    assert report.beyond > 0
+    assert float(grown.median()) < 2
 
 
 @given(st.lists(st.floats(-1, 1), min_size=4, max_size=4).filter(lambda q: sum(x * x for x in q) > 0.01))

@@ -1,8 +1,9 @@
 """Test-time optimisation in Gaussian space: the Gaussians themselves adapt, from whatever made them.
 
 Every variable is a number without units, so that one rate suits scenes of any size and Gaussians of any
-shape: centres move in units of the Gaussian's own axes, which keeps a needle or an edge-on disc from setting
-the step of the others; scales are logarithms, opacities logits.
+shape: centres move in units of the Gaussian's longest axis, scales are logarithms, opacities logits. The shortest
+axis sets no step: pictures blur a needle or an edge-on disc to half a pixel anyhow, and in units of its
+thickness it would hardly move.
 """
 
 from collections.abc import Callable
@@ -13,7 +14,6 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional as F
 
-from querysplat_cli.model.heads import rotated
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.tto.optimise import Pruning, TtoResult, TtoSettings, TtoStep, optimise
 from querysplat_cli.tto.rendering_loss import RenderingLoss
@@ -79,14 +79,12 @@ def optimise_gaussians(
 
 
 def changed(gaussians: Gaussians, changes: Changes) -> Gaussians:
-    """`gaussians` after `changes`: moves along their own axes in units of the standard deviations there."""
-    quats = F.normalize(gaussians.quats, dim=1)
+    """`gaussians` after `changes`: moves in the world, in units of the largest standard deviation of each."""
     moves = LARGEST * torch.tanh(changes.moves / LARGEST)
-    sizes = gaussians.scales.clamp_min(0.1 * gaussians.scales.amax(1, keepdim=True))
     logits = torch.logit(gaussians.opacities, eps=1e-6)
     return Gaussians(
-        means=gaussians.means + rotated(quats, moves * sizes),
-        quats=F.normalize(quats + changes.turns, dim=1),
+        means=gaussians.means + moves * gaussians.scales.amax(1, keepdim=True),
+        quats=F.normalize(F.normalize(gaussians.quats, dim=1) + changes.turns, dim=1),
         scales=gaussians.scales * torch.exp(changes.log_scales.clamp(-LARGEST, LARGEST)),
         opacities=torch.sigmoid(logits + changes.logits),
         sh=gaussians.sh + torch.cat([changes.colours, changes.bands], 1),

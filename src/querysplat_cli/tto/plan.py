@@ -24,6 +24,8 @@ STEP_COST, GAUSSIAN_COST = 0.08, 2.3e-6
 """An automatic plan stays within `WORK` seconds, as a step takes 0.08 s + 2.3 µs a Gaussian for three views of
 448 × 336 on the two cores that this was measured on. It counts on these figures and never on a clock, so
 the same seed gives the same scene however busy the machine is."""
+DIRECT = 0.55
+"""What a step in Gaussian space takes of that: nothing is decoded."""
 
 
 @dataclass(frozen=True)
@@ -46,9 +48,9 @@ def plan_tto(
 ) -> tuple[TtoRun, ...]:
     """Runs of `steps` steps together, or of as many as usually pay (None); with `seconds`, for no longer than these,
     and None is then as many as ever pay."""
-    affordable = int(WORK / (STEP_COST + GAUSSIAN_COST * gaussians))
+    cost = (DIRECT if space == "gaussians" else 1.0) * (STEP_COST + GAUSSIAN_COST * gaussians)
     if steps is None:
-        steps = min(max(affordable, STEPS[0]), STEPS[1]) if seconds is None else MOST_STEPS
+        steps = min(max(int(WORK / cost), STEPS[0]), STEPS[1]) if seconds is None else MOST_STEPS
     usual = RESUMED_LEARNING_RATE if resumed else LEARNING_RATE
     settings = TtoSettings(
         steps=steps,

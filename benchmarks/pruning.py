@@ -1,0 +1,89 @@
+"""What leaving out Gaussians half-way through optimisation costs on held-out photos, on the real sets.
+
+    python benchmarks/pruning.py ../shared/data [--passes DIR] [--json FILE]
+
+Every 4th photo is held out, cameras are joint, optimisation is the default: features, the automatic number of steps.
+Each set is optimised with all Gaussians, with those that `--prune auto` leaves, and with the half that weighs most.
+"""
+
+import argparse
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Literal
+
+import torch
+
+from feedforward import SEED, kept, scores
+from querysplat_cli.encoders.base import Located
+from querysplat_cli.memory import evenly_spaced
+from querysplat_cli.model.checkpoints import load
+from querysplat_cli.model.querysplat import QuerySplat
+from querysplat_cli.pipeline import TESTED_VIEWS
+from querysplat_cli.prune.gaussians import Amount, Pruned, prune
+from querysplat_cli.remembering import remember
+from querysplat_cli.report import machine
+from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.training.passes import Sample
+from querysplat_cli.tto.features import optimise_memories
+from querysplat_cli.tto.plan import plan_tto
+from querysplat_cli.tto.rendering_loss import RenderingLoss
+from reconstruct import SETS
+
+
+@dataclass(frozen=True)
+class Row:
+    set: str
+    pruning: str
+    gaussians: int
+    psnr: float
+
+
+def pruned_to(amount: Literal["auto"] | int, target: RenderingLoss) -> Callable[[Gaussians], Pruned]:
+    tested = evenly_spaced(range(len(target.views)), TESTED_VIEWS)
+    return lambda some: prune(some, target.cameras, amount, lambda fewer: target.psnr(fewer, tested))
+
+
+def rows(name: str, sample: Sample, model: QuerySplat) -> list[Row]:
+    located = Located(sample.views, sample.cameras, torch.zeros(0, 3), ())
+    remembered = remember(model, located, sample.geometry, queries=None, target="kv")
+    assert remembered.anchors is not None
+    count = remembered.anchors.opacities.numel()
+    (run,) = plan_tto(None, views=len(sample.views), gaussians=count)
+    target = RenderingLoss(sample.views, sample.cameras)
+    amounts: dict[str, Amount] = {"off": "off", "auto": "auto", "half": count // 2}
+    found = []
+    for pruning, amount in amounts.items():
+        result = optimise_memories(
+            model,
+            remembered.variables.map(torch.Tensor.float),
+            remembered.anchors,
+            target,
+            run.settings,
+            generator=torch.Generator().manual_seed(SEED),
+            pruning=None if amount == "off" else pruned_to(amount, target),
+        )
+        found.append(Row(name, pruning, len(result.gaussians), scores(result.gaussians, sample)["psnr"]))
+        lost = found[0].psnr - found[-1].psnr
+        print(f"{name:<10} {pruning:<5} {found[-1].gaussians:>8,} {found[-1].psnr:6.2f} {lost:+.3f}", flush=True)
+    return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("data", type=Path)
+    parser.add_argument("--sets", nargs="*", default=SETS)
+    parser.add_argument("--passes", type=Path, help="a folder for what the encoder finds")
+    parser.add_argument("--json", type=Path, help="also write the results here")
+    arguments = parser.parse_args()
+    model = load("compact").requires_grad_(False)
+    print(f"{'set':<10} {'prune':<5} {'number':>8} {'dB':>6} {'lost':>6}")
+    found = [row for name in arguments.sets for row in rows(name, kept(arguments.data, name, arguments.passes), model)]
+    if arguments.json:
+        results = {"machine": machine(), "rows": [asdict(row) for row in found]}
+        arguments.json.write_text(json.dumps(results, indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    main()
