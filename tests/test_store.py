@@ -12,7 +12,9 @@ from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.model.anchors import build_anchors
 from querysplat_cli.model.memories import Memories
 from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.formats.dataset import find_scenes
 from querysplat_cli.scene.formats.ply import read_ply
+from querysplat_cli.scene.formats.transforms import read_transforms
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.views import Views
 from querysplat_cli.store import StoredScene, read_scene, write_scene
@@ -84,6 +86,19 @@ def test_round_trip(stored: tuple[StoredScene, Gaussians], tmp_path: Path) -> No
     assert len(read_ply(tmp_path / "s.ply")) == 7
     files = [tmp_path / "s.ply", *(path for path in (tmp_path / "s").rglob("*") if path.is_file())]
     assert len({file.stat().st_mode for file in files}) == 1  # all as readable as any other file of the user's
+
+
+def test_cameras_name_the_files_that_are_there(stored: tuple[StoredScene, Gaussians], tmp_path: Path) -> None:
+    """c.webp is kept as a PNG: other tools find it by `file_path`, and cameras by the photo's own name stay found."""
+    write_scene(tmp_path / "s.ply", *stored, {"tto": []})
+    listing = tmp_path / "s" / "cameras.json"
+    content = json.loads(listing.read_text())
+    named = {frame["file_path"] for frame in [*content["frames"], *content["heldout_frames"]]}
+    there = {str(path.relative_to(tmp_path / "s")) for path in (tmp_path / "s" / "images").rglob("*.*")}
+    assert named == there
+    assert list(read_transforms(listing)) == ["a.png", "b.png", "c.webp", "d.png"]
+    (scene,) = find_scenes([tmp_path / "s"])  # eval's and train's door
+    assert len(scene.frames) == 4
 
 
 @pytest.mark.parametrize("part", ["cameras.json", "report.json", "memories.safetensors", "images/a.png"])

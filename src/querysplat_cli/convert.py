@@ -19,6 +19,7 @@ from querysplat_cli.scene.formats.ply import read_ply, write_ply
 from querysplat_cli.scene.formats.transforms import write_transforms
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.photos import WHOLE, find_photos, load_photo, short_names
+from querysplat_cli.scene.pictures import stored_name
 from querysplat_cli.scene.sim3 import Sim3
 from querysplat_cli.scene.views import LeftOut
 from querysplat_cli.splat.moving import moved
@@ -138,7 +139,7 @@ def _make_scene_folder(target: Path, cameras: Mapping[str, PhotoCamera], place: 
                 f"{place}: no photo of it has a camera ({left_out[0].name}: {left_out[0].why})",
                 f"Names must agree: the first camera is that of {next(iter(cameras))}.",
             )
-        write_transforms(draft / "cameras.json", kept)
+        write_transforms(draft / "cameras.json", kept, stored_name)
     names = {*kept, *(each.name for each in left_out)}
     left_out += [LeftOut(name, "there is no photo of it") for name in cameras if name not in names]
     return {"target": str(target), "cameras": len(kept), "left_out": [vars(each) for each in left_out]}

@@ -15,7 +15,7 @@ from querysplat_cli.splat.similarity import psnr, ssim_metric
 class Quality:
     """PSNR (dB) and SSIM: means over the views, and view by view, at the working resolution.
 
-    Renders are on black and clipped to [0, 1]; only pixels inside the views' masks count.
+    Renders are clipped to [0, 1]; only pixels inside the views' masks count.
     """
 
     psnr: float
@@ -26,12 +26,12 @@ class Quality:
         return {"psnr": round(self.psnr, 3), "ssim": round(self.ssim, 4)}
 
 
-def score(gaussians: Gaussians, views: Views, cameras: Cameras) -> Quality:
-    """Render each view and compare it with its photo."""
-    rows = {}
+def score(gaussians: Gaussians, views: Views, cameras: Cameras, background: float = 0.0) -> Quality:
+    """Render each view, on a grey value, and compare it with its photo."""
+    rows, grey = {}, torch.full((3,), background)
     with torch.no_grad():
         for i, (name, (height, width)) in enumerate(zip(views.names, views.sizes, strict=True)):
-            picture = render(gaussians, cameras[[i]]).colour[0].clamp(0, 1)[:, :height, :width]
+            picture = render(gaussians, cameras[[i]], background=grey).colour[0].clamp(0, 1)[:, :height, :width]
             photo = views.images[i][:, :height, :width]
             mask = views.masks[i][:height, :width]
             rows[name] = {

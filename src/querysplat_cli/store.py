@@ -33,10 +33,9 @@ from querysplat_cli.scene.files import atomic_folder, atomic_path
 from querysplat_cli.scene.formats.ply import write_ply
 from querysplat_cli.scene.formats.transforms import read_cameras, write_cameras
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.scene.pictures import eight_bit, write_picture
+from querysplat_cli.scene.pictures import LOSSLESS_SUFFIXES, eight_bit, stored_name, write_picture
 from querysplat_cli.scene.views import Views
 
-LOSSLESS_SUFFIXES = {".png", ".bmp", ".tif", ".tiff"}
 JPEG_SETTINGS = (cv2.IMWRITE_JPEG_QUALITY, 100, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
 
 
@@ -120,7 +119,7 @@ def write_scene(ply: Path, scene: StoredScene, gaussians: Gaussians, report: dic
 def write_images(folder: Path, views: Views) -> None:
     """The pictures, without what is only canvas, under the names of `views`; lossless, or JPEG at its best."""
     for image, name, (height, width) in zip(views.images, views.names, views.sizes, strict=True):
-        path = folder / _stored_name(name)
+        path = folder / stored_name(name)
         settings = () if path.suffix.lower() in LOSSLESS_SUFFIXES else JPEG_SETTINGS
         write_picture(path, eight_bit(image[:, :height, :width]), settings)
 
@@ -175,17 +174,12 @@ def _unflatten(kind: Any, name: str, tensors: dict[str, Tensor]) -> Any:
     return kind(**parts)  # type: ignore[operator]
 
 
-def _stored_name(name: str) -> str:
-    suffix = Path(name).suffix.lower()
-    return name if suffix in LOSSLESS_SUFFIXES | {".jpg", ".jpeg"} else f"{name}.png"
-
-
 def _read_images(folder: Path, names: tuple[str, ...], sizes: tuple[tuple[int, int], ...], masks: Tensor) -> Views:
     images = torch.zeros(len(names), 3, *masks.shape[1:])
     for row, (name, (height, width)) in enumerate(zip(names, sizes, strict=True)):
-        pixels = cv2.imread(str(folder / _stored_name(name)), cv2.IMREAD_COLOR)
+        pixels = cv2.imread(str(folder / stored_name(name)), cv2.IMREAD_COLOR)
         if pixels is None or pixels.shape[:2] != (height, width):
-            raise OSError(f"images/{_stored_name(name)} is missing or has another size")
+            raise OSError(f"images/{stored_name(name)} is missing or has another size")
         images[row, :, :height, :width] = (
             torch.from_numpy(np.ascontiguousarray(pixels[..., ::-1])).permute(2, 0, 1) / 255
         )

@@ -80,6 +80,12 @@ def test_the_network_is_the_defined_one(tmp_path: Path, net: str) -> None:
         assert float(model(a, b)) == pytest.approx(float(model(b, a)), rel=1e-6)
 
 
+def test_it_works_where_the_pictures_are() -> None:
+    """The meta device refuses tensors of the CPU as CUDA does."""
+    pictures = torch.zeros(1, 3, 64, 64, device="meta")
+    assert Lpips("alex").to("meta")(pictures, pictures).device.type == "meta"
+
+
 def test_missing_weights_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TORCH_HOME", str(tmp_path))
     sentence = find_lpips(None, "vgg")

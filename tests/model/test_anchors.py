@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.feedback import with_feedback
 from querysplat_cli.model.anchors import (
     BORDER_COARSER,
@@ -102,6 +103,13 @@ def test_what_the_mask_hides_has_no_query() -> None:
 def test_a_limit_on_queries(limit: int) -> None:
     anchors, report = build(*plane([0.0]), queries=limit)
     assert len(anchors) == report.kept + report.beyond <= limit
+
+
+def test_a_limit_that_cannot_be_kept_is_refused() -> None:
+    apart = plane([0.0, 1000.0, 2000.0])
+    assert build(*apart, queries=3)[1].kept == 3
+    with pytest.raises(QuerySplatError, match="--queries 2: these photos need 3"):
+        build(*apart, queries=2)
 
 
 def test_neighbours_are_the_nearest_patches() -> None:

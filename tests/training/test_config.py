@@ -2,15 +2,18 @@
 
 import json
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
 from querysplat_cli.errors import QuerySplatError
-from querysplat_cli.model.config import preset
+from querysplat_cli.model.config import ModelConfig, preset
 from querysplat_cli.model.initialise import initial_model
+from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.training.config import as_table, from_table, load_config, training_presets
 
 
@@ -29,6 +32,24 @@ def test_the_compact_training_is_of_the_compact_model_and_trains_something() -> 
     assert len(frozen) < len(names)
     unused = [start for start in config.optimiser.frozen if not any(name.startswith(start) for name in names)]
     assert not unused, "names of no tensor"
+
+
+@pytest.mark.parametrize(("whole", "prefix"), [("paper", ""), ("small", "small-")])
+def test_ablations_change_one_thing_and_are_matched_in_parameters(whole: str, prefix: str) -> None:
+    def parameters(model: ModelConfig) -> int:
+        with torch.device("meta"):
+            return sum(parameter.numel() for parameter in QuerySplat(model).parameters())
+
+    full = load_config(whole)
+    for name in ("one-branch", "no-appearance"):
+        ablated = load_config(f"{prefix}{name}")
+        assert ablated.model != full.model
+        assert replace(ablated, model=full.model) == full
+        assert parameters(ablated.model) == pytest.approx(parameters(full.model), rel=0.01)
+    late = load_config(f"{prefix}no-early-regularisation")
+    assert (late.losses.chamfer, late.losses.opacity_floor) == (0, 0)
+    losses = replace(late.losses, chamfer=full.losses.chamfer, opacity_floor=full.losses.opacity_floor)
+    assert replace(late, losses=losses) == full
 
 
 def test_a_file_changes_a_preset_and_set_changes_both(tmp_path: Path) -> None:

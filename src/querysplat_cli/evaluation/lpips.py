@@ -71,13 +71,13 @@ class Lpips(nn.Module):
 
     def forward(self, image: Float[Tensor, "n 3 h w"], target: Float[Tensor, "n 3 h w"]) -> Float[Tensor, ""]:
         """The mean distance of n pairs, whose colours lie in [0, 1]."""
-        total = torch.zeros((), dtype=image.dtype)
+        total = image.new_zeros(())
         for linear, one, other in zip(self.lin, self._seen(image), self._seen(target), strict=True):
             total = total + linear((_unit(one) - _unit(other)).square()).mean()
         return total
 
     def _seen(self, image: Tensor) -> list[Tensor]:
-        mean, spread = (torch.tensor(values, dtype=image.dtype)[:, None, None] for values in (MEAN, SPREAD))
+        mean, spread = (image.new_tensor(values)[:, None, None] for values in (MEAN, SPREAD))
         x, seen = (2 * image - 1 - mean) / spread, []
         for layer in self.backbone.layers:
             if len(layer) == 2:

@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, Int
 from scipy.spatial import cKDTree
 from torch import Tensor
 
+from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.model.borders import surroundings
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.views import Views
@@ -111,7 +112,8 @@ def build_anchors(
     Memory rows are the patches of `patch` pixels, view by view, row by row; each query attends to the
     `near` nearest of them in space. `queries` limits their number by cutting the pictures more coarsely;
     None keeps a block for each patch that shows something no other view shows as well, or, with `everything`,
-    for each patch. Queries beyond the borders come last, as many as the limit leaves room for.
+    for each patch. Queries beyond the borders come last, as many as the limit leaves room for. Raises
+    QuerySplatError when photos that show different things are more than `queries`.
     """
     block = 2 * CELLS
     while True:
@@ -120,6 +122,10 @@ def build_anchors(
         keep, report = _choose_blocks(cells, seen, cameras, block // CELLS, everything)
         if queries is None or report.kept <= queries:
             break
+        if block >= max(cameras.height, cameras.width):
+            raise QuerySplatError(
+                f"--queries {queries}: these photos need {report.kept}, even one for a whole photo", "Ask for more."
+            )
         block += CELLS
     border = _border(views, cameras, depth, BORDER_COARSER * (block // CELLS))
     if queries is not None:

@@ -9,10 +9,18 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+LOSSLESS_SUFFIXES = {".png", ".bmp", ".tif", ".tiff"}
+
 
 def eight_bit(image: Float[Tensor, "3 height width"]) -> np.ndarray:
     """RGB [height, width, 3], rounded, of colours in [0, 1]."""
     return (image.permute(1, 2, 0) * 255).round().to(torch.uint8).numpy()
+
+
+def stored_name(name: str) -> str:
+    """The file that holds a photo's undistorted picture: its own name, or that and .png where we do not write such."""
+    suffix = Path(name).suffix.lower()
+    return name if suffix in LOSSLESS_SUFFIXES | {".jpg", ".jpeg"} else f"{name}.png"
 
 
 def write_picture(path: Path, pixels: np.ndarray, settings: Sequence[int] = ()) -> None:

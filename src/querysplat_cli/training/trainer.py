@@ -63,7 +63,7 @@ class Trainer:
     ) -> None:
         """Raises QuerySplatError when another training is in `folder`, or its state is damaged."""
         self.config, self.folder, self.processes, self.device = config, folder, processes, device
-        self._perceptual = perceptual
+        self._perceptual = perceptual.to(device) if isinstance(perceptual, nn.Module) else perceptual
         state = read_state(folder / STATE) if resume else None
         if state:
             _check_same(config, from_table(state.facts["config"]), folder)

@@ -5,7 +5,7 @@ world-to-camera. Principal points count from the picture's corner: pixel centres
 """
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -17,6 +17,7 @@ from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera
 from querysplat_cli.scene.files import atomic_path
 from querysplat_cli.scene.photos import short_names
+from querysplat_cli.scene.pictures import stored_name
 from querysplat_cli.scene.views import Views
 
 OPENGL_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -37,22 +38,23 @@ class NamedCameras:
 def read_transforms(path: Path) -> dict[str, PhotoCamera]:
     """Cameras by photo name, as the file has them: for the lens and the full-size picture that it states.
 
-    A photo's name is the file name in `file_path` (the folder often does not exist as written), with as
-    much of the folder as tells frames of one name apart. Intrinsics may be given for each frame. A matrix
-    that is no rigid motion is passed on as it is: the encoder leaves that photo out by name. Raises
-    QuerySplatError when the file is unreadable, incomplete, or states a lens other than OpenCV's.
+    A photo's name is the file name in `file_path` (the folder often does not exist as written), or in our own
+    `photo`, with as much of the folder as tells frames of one name apart. Intrinsics may be given for each
+    frame. A matrix that is no rigid motion is passed on as it is: the encoder leaves that photo out by name.
+    Raises QuerySplatError when the file is unreadable, incomplete, or states a lens other than OpenCV's.
     """
     content = _load(path)
     frames = [*content["frames"], *content.get("heldout_frames", [])]
-    names = short_names([PurePosixPath(_file_path(path, frame)) for frame in frames])
+    names = short_names([PurePosixPath(_photo(path, frame)) for frame in frames])
     return {name: _photo_camera(path, name, {**content, **frame}) for name, frame in zip(names, frames, strict=True)}
 
 
 def write_cameras(path: Path, cameras: Cameras, views: Views, *, heldout: tuple[Views, Cameras] | None = None) -> None:
     """Write pinhole cameras of undistorted pictures; `read_cameras` gives the same back within 1e-6.
 
-    The pictures are `images/` and their name; held-out ones are under `heldout_frames`. `canvas` is the
-    (height, width) that all of them share.
+    The pictures are those that `store.write_images` puts into `images/`; where one has another name than its
+    photo, `photo` has that. Held-out ones are under `heldout_frames`. `canvas` is the (height, width) that all
+    of them share.
     """
     content = {
         "camera_model": "PINHOLE",
@@ -64,19 +66,20 @@ def write_cameras(path: Path, cameras: Cameras, views: Views, *, heldout: tuple[
         draft.write_text(json.dumps(content, indent=1) + "\n")
 
 
-def write_transforms(path: Path, cameras: Mapping[str, PhotoCamera]) -> None:
+def write_transforms(
+    path: Path, cameras: Mapping[str, PhotoCamera], file_of: Callable[[str], str] = lambda name: name
+) -> None:
     """Write cameras with their lenses; `read_transforms` gives the same back within rounding.
 
-    The pictures are `images/` and their name.
+    The pictures are in `images/`, under the name that `file_of` gives to a photo's.
     """
     frames = []
     for name, camera in cameras.items():
         (fx, fy), (cx, cy), (k1, k2, p1, p2) = camera.focal, camera.principal, camera.distortion
         lens = {"w": camera.width, "h": camera.height, "fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy}
         lens |= {"k1": k1, "k2": k2, "p1": p1, "p2": p2}
-        frames.append(
-            {"file_path": f"images/{name}", **lens, "transform_matrix": opengl_from_opencv(camera.w2c).tolist()}
-        )
+        matrix = opengl_from_opencv(camera.w2c).tolist()
+        frames.append({**_picture(name, file_of(name)), **lens, "transform_matrix": matrix})
     with atomic_path(path) as draft:
         draft.write_text(json.dumps({"camera_model": "OPENCV", "frames": frames}, indent=1) + "\n")
 
@@ -113,7 +116,7 @@ def _rigid_inverse(matrix: np.ndarray) -> np.ndarray:
 def _frames(cameras: Cameras, views: Views) -> list[dict[str, Any]]:
     return [
         {
-            "file_path": f"images/{name}",
+            **_picture(name, stored_name(name)),
             "w": width,
             "h": height,
             "fl_x": float(K[0, 0]),
@@ -129,7 +132,7 @@ def _frames(cameras: Cameras, views: Views) -> list[dict[str, Any]]:
 
 
 def _named_cameras(path: Path, content: Mapping[str, Any], frames: Sequence[Mapping[str, Any]]) -> NamedCameras:
-    names = tuple(_file_path(path, frame).removeprefix("./").removeprefix("images/") for frame in frames)
+    names = tuple(_photo(path, frame).removeprefix("./").removeprefix("images/") for frame in frames)
     lenses = [_photo_camera(path, name, {**content, **frame}) for name, frame in zip(names, frames, strict=True)]
     for name, lens in zip(names, lenses, strict=True):
         if not is_rigid(lens.w2c):
@@ -182,10 +185,14 @@ def _photo_camera(path: Path, name: str, frame: Mapping[str, Any]) -> PhotoCamer
         raise QuerySplatError(f"{path}: the camera of {name} makes no sense: {error}") from None
 
 
-def _file_path(path: Path, frame: Any) -> str:
+def _picture(photo: str, file: str) -> dict[str, str]:
+    return {"file_path": f"images/{file}", **({} if file == photo else {"photo": photo})}
+
+
+def _photo(path: Path, frame: Any) -> str:
     try:
-        return str(frame["file_path"])
-    except (TypeError, KeyError):
+        return str(frame.get("photo", frame["file_path"]))
+    except (AttributeError, TypeError, KeyError):
         raise QuerySplatError(f"{path}: a frame has no file_path", "Export the file again.") from None
 
 
