@@ -22,6 +22,7 @@ from querysplat_cli.precision import check_precision, matrix_products
 from querysplat_cli.progress import Progress, Stages
 from querysplat_cli.prune.bands import without_idle_bands
 from querysplat_cli.prune.gaussians import Amount, Pruned, prune
+from querysplat_cli.prune.resolution import Blurred, blurred
 from querysplat_cli.prune.views import near_duplicates
 from querysplat_cli.quality import Quality, score
 from querysplat_cli.remembering import Remembered, Target, remember
@@ -132,7 +133,10 @@ def _reconstruct(settings: ReconstructSettings, device: torch.device, stages: St
         known = read_known_cameras(settings.poses) if settings.poses else None
         budget = Budget(settings.budget, stages.elapsed) if settings.budget else None
         size = settings.max_size or encoder.size
-        if budget and not settings.max_size and encoder.name == "classical":
+        adjustable = encoder.name == "classical" and not settings.max_size
+        finest = blurred(photos, size) if adjustable and not settings.keep_everything else None
+        size = finest.size if finest else size
+        if budget and adjustable:
             largest = max(photos, key=lambda photo: photo.height * photo.width)
             scenes = 1 if settings.holdout_every is None or known else 2
             size = working_size(budget, len(photos), scenes, (largest.height, largest.width), size)
@@ -176,7 +180,7 @@ def _reconstruct(settings: ReconstructSettings, device: torch.device, stages: St
                 "input": quality_entry(quality),
                 "heldout": heldout_entry(passes.chosen.source, scores, passes.difference),
             },
-            left_out=[asdict(saving) for saving in _savings(settings, scene)],
+            left_out=[asdict(saving) for saving in _savings(settings, scene, finest)],
             doubts=[*passes.doubts, *scene.geometry.doubts],
             tto=tto_entries(scene.adapted.runs),
             settings={
@@ -424,12 +428,14 @@ def _pruned(amount: Literal["auto"] | int, tested: list[int], gaussians: Gaussia
     return prune(gaussians, target.cameras, amount, lambda some: target.psnr(some, tested))
 
 
-def _savings(settings: ReconstructSettings, scene: BuiltScene) -> list[savings.Saving]:
+def _savings(settings: ReconstructSettings, scene: BuiltScene, finest: Blurred | None) -> list[savings.Saving]:
     found = [savings.LPIPS, *savings.of_adapted(scene.adapted)]
     if scene.remembered.anchor_report and not settings.keep_everything:
         found.append(savings.queries(scene.remembered.anchor_report, scene.adapted))
     if scene.geometry.depth is None:
         found.append(savings.DEPTH)
+    if finest:
+        found.append(savings.resolution(finest))
     if settings.poses:
         found.append(savings.sfm(settings.poses))
     if not scene.time_for_more:

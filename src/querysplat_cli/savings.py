@@ -6,6 +6,7 @@ from statistics import median
 from typing import Any
 
 from querysplat_cli.model.anchors import CELLS, AnchorReport
+from querysplat_cli.prune.resolution import Blurred
 from querysplat_cli.tto.adapt import Adapted
 from querysplat_cli.tto.optimise import TtoResult
 
@@ -30,6 +31,15 @@ DEPTH = Saving("depth", "learned queries do not need it", "the depth head")
 
 def sfm(poses: object) -> Saving:
     return Saving("structure from motion", f"poses were given in {poses}", "matching and mapping")
+
+
+def resolution(finest: Blurred) -> Saving:
+    return Saving(
+        "resolution",
+        f"the photos are blurred: pictures of {finest.size} pixels, enlarged to {finest.usual}, differ from these by "
+        f"{finest.psnr:.0f} dB at most",
+        f"{1 - (finest.size / finest.usual) ** 2:.0%} of the pixels",
+    )
 
 
 def queries(report: AnchorReport, adapted: Adapted) -> Saving:
