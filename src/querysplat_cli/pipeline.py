@@ -36,7 +36,7 @@ from querysplat_cli.report import (
     views_entry,
 )
 from querysplat_cli.scene.cameras import Cameras
-from querysplat_cli.scene.files import check_writable, refuse_existing
+from querysplat_cli.scene.files import check_writable, refuse_existing, refuse_replacing
 from querysplat_cli.scene.fit import Fit
 from querysplat_cli.scene.formats.known import read_known_cameras
 from querysplat_cli.scene.formats.ply import read_ply
@@ -115,7 +115,9 @@ def reconstruct(settings: ReconstructSettings, stages: Stages) -> Report:
     Raises QuerySplatError on bad input and ImpossibleScene when the photos do not make a scene; nothing is
     written then.
     """
-    refuse_existing([settings.ply, scene_folder(settings.ply)], force=settings.force)
+    outputs = [settings.ply, scene_folder(settings.ply)]
+    refuse_replacing(settings.inputs, outputs)
+    refuse_existing(outputs, force=settings.force)
     check_writable(settings.ply.parent)
     device = find_device(settings.device)
     with matrix_products(check_precision(settings.precision)):

@@ -36,8 +36,8 @@ def sfm(poses: object) -> Saving:
 def resolution(finest: Blurred) -> Saving:
     return Saving(
         "resolution",
-        f"the photos are blurred: pictures of {finest.size} pixels, enlarged to {finest.usual}, differ from these by "
-        f"{finest.psnr:.0f} dB at most",
+        f"the photos are blurred: pictures of {finest.size} pixels, enlarged to {finest.usual}, agree with these to "
+        f"{finest.psnr:.0f} dB",
         f"{1 - (finest.size / finest.usual) ** 2:.0%} of the pixels",
     )
 

@@ -327,6 +327,16 @@ def test_a_device_that_is_not_there(room: Path, tmp_path: Path, capsys: pytest.C
     assert "Use --device cpu." in capsys.readouterr().err
 
 
+def test_photos_are_never_replaced_by_their_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The scene's folder would have the name of theirs; --force is for what an earlier run wrote."""
+    photos = tmp_path / "photos"
+    take_photos(photos, 3, 2)
+    for given in (photos, photos / "room3_0.png"):
+        assert run(["reconstruct", str(given), "-o", str(tmp_path / "photos.ply"), "--force", *SMALL]) == 2
+        assert "would replace" in capsys.readouterr().err
+    assert len(list(photos.iterdir())) == 2
+
+
 def test_a_place_that_cannot_be_written(room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "file").write_text("mine")
     arguments = ["reconstruct", str(room), "-o", str(tmp_path / "file" / "a.ply"), *SMALL]

@@ -27,6 +27,15 @@ def refuse_existing(paths: Sequence[Path], *, force: bool) -> None:
         )
 
 
+def refuse_replacing(inputs: Sequence[Path], outputs: Sequence[Path]) -> None:
+    """Raise QuerySplatError when one of `outputs` would take the place of one of `inputs`, or of a folder around it."""
+    for path in inputs:
+        here = path.resolve()
+        for output in outputs:
+            if output.resolve() in (here, *here.parents):
+                raise QuerySplatError(f"{output} would replace {path}, which is read", "Choose another output.")
+
+
 def check_writable(folder: Path) -> None:
     """Make `folder` if it is missing, and raise QuerySplatError unless files can be made in it.
 
