@@ -37,6 +37,8 @@ from querysplat_cli.tto.rendering_loss import RenderingLoss
 from reconstruct import SETS, photos_of
 
 SEED = 42
+SIZE = 448
+"""Longer side of the real sets' pictures by default, as of `reconstruct`."""
 UNSEEN = 1000
 """Seed of made-up scenes that nothing is trained on."""
 
@@ -109,9 +111,7 @@ def main() -> None:
     parser.add_argument("--models", nargs="+", default=["compact"], help="presets or checkpoint files")
     parser.add_argument("--tto", nargs="+", type=int, default=[0, 50], help="steps of test-time optimisation")
     parser.add_argument("--sets", nargs="*", default=SETS)
-    parser.add_argument(
-        "--max-size", type=int, default=find_encoder("classical").size, help="of the real sets, in pixels"
-    )
+    parser.add_argument("--max-size", type=int, default=SIZE, help="of the real sets, in pixels")
     parser.add_argument("--made-up", type=int, default=0, metavar="N", help="procedural scenes beside the real sets")
     parser.add_argument("--config", default="small", help="the training whose first source makes them")
     parser.add_argument("--background", type=float, default=0.0, help="grey value of what no Gaussian covers")

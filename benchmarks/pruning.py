@@ -8,25 +8,26 @@ Each set is optimised with all Gaussians, with those that `--prune auto` leaves,
 
 import argparse
 import json
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Literal
 
 import torch
 
-from feedforward import SEED, kept, scores
+from feedforward import SEED, SIZE, real
 from querysplat_cli.encoders.base import Located
 from querysplat_cli.memory import evenly_spaced
 from querysplat_cli.model.checkpoints import load
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.pipeline import TESTED_VIEWS
-from querysplat_cli.prune.gaussians import Amount, Pruned, prune
+from querysplat_cli.prune.gaussians import Amount, prune
+from querysplat_cli.quality import score
 from querysplat_cli.remembering import remember
 from querysplat_cli.report import machine
-from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.training.passes import Sample
 from querysplat_cli.tto.features import optimise_memories
+from querysplat_cli.tto.optimise import Pruning
 from querysplat_cli.tto.plan import plan_tto
 from querysplat_cli.tto.rendering_loss import RenderingLoss
 from reconstruct import SETS
@@ -40,9 +41,9 @@ class Row:
     psnr: float
 
 
-def pruned_to(amount: Literal["auto"] | int, target: RenderingLoss) -> Callable[[Gaussians], Pruned]:
-    tested = evenly_spaced(range(len(target.views)), TESTED_VIEWS)
-    return lambda some: prune(some, target.cameras, amount, lambda fewer: target.psnr(fewer, tested))
+def pruned_to(amount: Literal["auto"] | int, views: int) -> Pruning:
+    tested = evenly_spaced(range(views), TESTED_VIEWS)
+    return lambda some, target: prune(some, target.cameras, amount, lambda fewer: target.psnr(fewer, tested))
 
 
 def rows(name: str, sample: Sample, model: QuerySplat) -> list[Row]:
@@ -62,11 +63,12 @@ def rows(name: str, sample: Sample, model: QuerySplat) -> list[Row]:
             target,
             run.settings,
             generator=torch.Generator().manual_seed(SEED),
-            pruning=None if amount == "off" else pruned_to(amount, target),
+            pruning=None if amount == "off" else pruned_to(amount, len(sample.views)),
         )
-        found.append(Row(name, pruning, len(result.gaussians), scores(result.gaussians, sample)["psnr"]))
-        lost = found[0].psnr - found[-1].psnr
-        print(f"{name:<10} {pruning:<5} {found[-1].gaussians:>8,} {found[-1].psnr:6.2f} {lost:+.3f}", flush=True)
+        psnr = score(result.gaussians, sample.targets, sample.target_cameras).psnr
+        found.append(Row(name, pruning, len(result.gaussians), psnr))
+        lost = found[0].psnr - psnr
+        print(f"{name:<10} {pruning:<5} {found[-1].gaussians:>8,} {psnr:6.2f} {lost:+.3f}", flush=True)
     return found
 
 
@@ -79,7 +81,9 @@ def main() -> None:
     arguments = parser.parse_args()
     model = load("compact").requires_grad_(False)
     print(f"{'set':<10} {'prune':<5} {'number':>8} {'dB':>6} {'lost':>6}")
-    found = [row for name in arguments.sets for row in rows(name, kept(arguments.data, name, arguments.passes), model)]
+    with TemporaryDirectory() as scratch:
+        samples = real(arguments.data, arguments.sets, SIZE, arguments.passes or Path(scratch))
+        found = [row for name, sample in samples for row in rows(name, sample, model)]
     if arguments.json:
         results = {"machine": machine(), "rows": [asdict(row) for row in found]}
         arguments.json.write_text(json.dumps(results, indent=2) + "\n")

@@ -3,8 +3,9 @@
     python benchmarks/tto_curves.py ../shared/data [--passes DIR] [--figure docs/images/tto_curves.svg] [--json FILE]
 
 Every 4th photo is held out, cameras are those of one pass over all photos (joint). Each curve is one run as
-`reconstruct` makes it, pruning included, by default of the automatic number of steps; it is scored on the way with the
-clock stopped. Seconds begin with the feed-forward scene. `--passes DIR` keeps what the encoder finds.
+`reconstruct` makes it, pruning included, with cameras as found, by default of the automatic number of steps; it is
+scored on the way with the clock stopped. Seconds begin with the feed-forward scene. `--passes DIR` keeps what the
+encoder finds.
 """
 
 import argparse
@@ -13,18 +14,18 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, get_args
 
 import torch
 
-from feedforward import SEED, kept, scores
+from feedforward import SEED, SIZE, real
+from pruning import pruned_to
 from querysplat_cli.drawing import new_figure, save_figure
 from querysplat_cli.encoders.base import Located
-from querysplat_cli.memory import evenly_spaced
 from querysplat_cli.model.checkpoints import load
 from querysplat_cli.model.querysplat import QuerySplat
-from querysplat_cli.pipeline import TESTED_VIEWS
-from querysplat_cli.prune.gaussians import prune
+from querysplat_cli.quality import score
 from querysplat_cli.remembering import remember
 from querysplat_cli.report import machine
 from querysplat_cli.scene.gaussians import Gaussians
@@ -82,21 +83,20 @@ def curve(model: QuerySplat, start: Start, sample: Sample, plan: tuple[TtoRun, .
     """Points of one run; the first is the feed-forward scene."""
 
     def measure(gaussians: Gaussians) -> float:
-        return scores(gaussians, sample)["psnr"]
+        return score(gaussians, sample.targets, sample.target_cameras).psnr
 
     with torch.no_grad():
         first = model.decode(start.variables, start.anchors)
     watch = Watch(sum(run.settings.steps for run in plan), measure)
     watch.point(first)
     target = WatchedLoss(sample.views, sample.cameras, watch=watch)
-    tested = evenly_spaced(range(len(sample.views)), TESTED_VIEWS)
     adapted = adapt(
         model,
         start,
         target,
         plan,
         generator=torch.Generator().manual_seed(SEED),
-        pruning=lambda some: prune(some, target.cameras, "auto", lambda those: target.psnr(those, tested)),
+        pruning=pruned_to("auto", len(sample.views)),
     )
     watch.point(adapted.gaussians)
     return watch.points
@@ -148,9 +148,9 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="also write the results here")
     arguments = parser.parse_args()
     model = load("compact").requires_grad_(False)
-    rows = [
-        curves(name, kept(arguments.data, name, arguments.passes), model, arguments.steps) for name in arguments.sets
-    ]
+    with TemporaryDirectory() as scratch:
+        samples = real(arguments.data, arguments.sets, SIZE, arguments.passes or Path(scratch))
+        rows = [curves(name, sample, model, arguments.steps) for name, sample in samples]
     if arguments.json:
         arguments.json.write_text(json.dumps({"machine": machine(), "sets": rows}, indent=2) + "\n")
     if arguments.figure:
