@@ -9,7 +9,7 @@ from typing import NoReturn
 import pytest
 
 from querysplat_cli.errors import QuerySplatError
-from querysplat_cli.scene.files import atomic_folder, atomic_path, check_writable, refuse_existing
+from querysplat_cli.scene.files import atomic_folder, atomic_path, check_writable, refuse_existing, sole_writer
 
 
 def write_half(draft: Path, failure: BaseException) -> NoReturn:
@@ -70,6 +70,16 @@ def test_a_failed_swap_puts_the_old_folder_back(tmp_path: Path) -> None:
     with pytest.raises(OSError, match="No such file"), atomic_folder(folder) as draft:
         draft.rmdir()
     assert (folder / "report.json").read_text() == "before"
+
+
+def test_a_folder_has_one_writer_at_a_time(tmp_path: Path) -> None:
+    with sole_writer(tmp_path):
+        with pytest.raises(QuerySplatError, match="another process"), sole_writer(tmp_path):
+            pass
+        with sole_writer(tmp_path.parent):
+            pass
+    with sole_writer(tmp_path):
+        assert not list(tmp_path.iterdir())
 
 
 def test_a_full_disk_is_said_in_words(tmp_path: Path) -> None:

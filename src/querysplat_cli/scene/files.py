@@ -46,6 +46,29 @@ def check_writable(folder: Path) -> None:
 
 
 @contextmanager
+def sole_writer(folder: Path) -> Iterator[None]:
+    """Raise QuerySplatError when another process is inside this for the same folder; a killed one is not.
+
+    Where the system has no such locks (Windows), nothing is checked.
+    """
+    try:
+        import fcntl
+    except ImportError:
+        yield
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            why = f"{folder}: another process is writing there"
+            raise QuerySplatError(why, "Wait until it ends, or use another folder.") from None
+        yield
+    finally:
+        os.close(handle)
+
+
+@contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
     """A name beside `path`, with the same suffix, for a file that takes `path`'s place at the end.
 

@@ -1,6 +1,7 @@
 """The story of `querysplat train`: samples, then steps; or only what that would take."""
 
 import time
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -15,7 +16,7 @@ from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.progress import Stages
-from querysplat_cli.scene.files import check_writable, refuse_existing
+from querysplat_cli.scene.files import check_writable, refuse_existing, sole_writer
 from querysplat_cli.training.config import DataSettings, TrainConfig
 from querysplat_cli.training.data import Samples, prepare_samples
 from querysplat_cli.training.journal import check_tensorboard
@@ -68,7 +69,7 @@ def train(request: TrainRequest, stages: Stages) -> TrainReport | None:
     """
     config, folder = request.config, request.output
     device = find_device(request.device)
-    with joined_processes(device) as processes:
+    with joined_processes(device) as processes, ExitStack() as stack:
         if device.type == "cuda":
             device = torch.device("cuda", processes.local)
             torch.cuda.set_device(device)
@@ -77,6 +78,8 @@ def train(request: TrainRequest, stages: Stages) -> TrainReport | None:
         if request.tensorboard:
             check_tensorboard()
         check_writable(folder)
+        if processes.first:
+            stack.enter_context(sole_writer(folder))
         processes.wait()
         with stages("samples") as progress:
             prepared = prepare_samples(
