@@ -26,7 +26,7 @@ from querysplat_cli.remembering import remember
 from querysplat_cli.report import machine
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.photos import find_photos, load_photos
-from querysplat_cli.scene.sim3 import align_cameras
+from querysplat_cli.scene.sim3 import align_cameras, skew
 from querysplat_cli.tto.cameras import refocused
 from querysplat_cli.tto.features import optimise_memories
 from querysplat_cli.tto.optimise import TtoSettings
@@ -37,11 +37,9 @@ from reconstruct import SETS, photos_of
 
 def turned(cameras: Cameras, pixels: float) -> Cameras:
     random = torch.Generator().manual_seed(SEED)
-    x, y, z = (torch.randn(3, len(cameras), generator=random).double() * pixels / cameras.K[:, 0, 0].double()).unbind()
-    zero = torch.zeros_like(x)
-    skew = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], 1).reshape(-1, 3, 3)
+    turns = torch.randn(3, len(cameras), generator=random).double() * pixels / cameras.K[:, 0, 0].double()
     w2c = cameras.w2c.double()
-    w2c[:, :3] = torch.linalg.matrix_exp(skew) @ w2c[:, :3]
+    w2c[:, :3] = torch.linalg.matrix_exp(skew(turns.T)) @ w2c[:, :3]
     return replace(cameras, w2c=w2c.to(cameras.w2c.dtype))
 
 

@@ -4,6 +4,8 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from querysplat_cli.prune.resolution import SMALLEST
+
 CAMERA_SECONDS = 0.2
 """Of structure from motion, for each photo of a pass."""
 PIXEL_SECONDS = 8e-6
@@ -15,7 +17,6 @@ ENCODING_SHARE = 0.4
 """The part of the time that cameras, depth and queries should take at most; pictures are made smaller for it."""
 OPTIMISING_SHARE = 0.3
 """The part of the time left that optimisation must get before a second scene is made, only to be scored."""
-SMALLEST = 160
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from querysplat_cli.scene.formats.transforms import write_transforms
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.photos import WHOLE, find_photos, load_photo, short_names
 from querysplat_cli.scene.pictures import stored_name
-from querysplat_cli.scene.sim3 import Sim3
+from querysplat_cli.scene.sim3 import Sim3, skew
 from querysplat_cli.scene.views import LeftOut
 from querysplat_cli.splat.moving import moved
 from querysplat_cli.store import write_images
@@ -153,7 +153,5 @@ def _upright(axis: str | None) -> torch.Tensor:
     cosine = float(up @ target)
     if cosine < -0.5:
         return FLIPPED.rotation
-    cross = torch.linalg.cross(up, target)
-    x, y, z = cross.tolist()
-    skew = torch.tensor([[0, -z, y], [z, 0, -x], [-y, x, 0]], dtype=torch.float64)
-    return torch.eye(3, dtype=torch.float64) + skew + skew @ skew / (1 + cosine)
+    turn = skew(torch.linalg.cross(up, target).double()[None])[0]
+    return torch.eye(3, dtype=torch.float64) + turn + turn @ turn / (1 + cosine)

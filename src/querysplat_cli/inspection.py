@@ -138,11 +138,8 @@ def _overlays(views: Views, cameras: Cameras, weight: Tensor, own: Gaussians) ->
 
 def _projected(own: Gaussians, cameras: Cameras, view: int) -> list[tuple[float, float]]:
     """Pixels of the centres before the camera and in the picture."""
-    w2c = cameras.w2c[view]
-    before = own.means @ w2c[2, :3] + w2c[2, 3] > 0
-    pixels = project(own.means[before], w2c, cameras.K[view])
-    inside = ((pixels >= 0) & (pixels < torch.tensor([cameras.width, cameras.height]))).all(1)
-    return [(float(x), float(y)) for x, y in pixels[inside]]
+    pixels = project(own.means[cameras.sees(own.means, view)], cameras.w2c[view], cameras.K[view])
+    return [(float(x), float(y)) for x, y in pixels]
 
 
 def _histograms(path: Path, gaussians: Gaussians) -> None:

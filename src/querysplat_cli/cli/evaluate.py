@@ -119,7 +119,6 @@ def evaluate(
         precision=precision.value,
         device=device,
         seed=seed,
-        refine_cameras=False,  # every view is scored with the camera that the protocol gives it
     )
     request = EvalRequest(
         scenes=tuple(scenes),

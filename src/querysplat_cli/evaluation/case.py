@@ -105,7 +105,8 @@ class CaseRunner:
 
     def run(self, row: Row) -> RowResult:
         """The scores of one row. Raises QuerySplatError when no scene can be made."""
-        settings = replace(self._settings, **dict(row.overrides))
+        # Every view is scored with the camera that the protocol gives it.
+        settings = replace(self._settings, refine_cameras=False, **dict(row.overrides))
         with matrix_products(check_precision(settings.precision)):
             return self._run(row, settings)
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from querysplat_cli.scene.photos import reduced
 from querysplat_cli.scene.views import Photo
 
 SHARES = (0.5, 0.6, 0.7, 0.85)
@@ -13,6 +14,7 @@ SHARES = (0.5, 0.6, 0.7, 0.85)
 SAME = 45.0
 """dB between a picture and itself, reduced and enlarged again, from which nothing is lost: 1.4 of 255 levels (RMS)."""
 SMALLEST = 160
+"""Longer side of working pictures, in pixels, below which stereo finds too little."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +29,7 @@ class Blurred:
 
 def blurred(photos: Sequence[Photo], usual: int) -> Blurred | None:
     """The smallest size at which no photo loses anything that it shows at the `usual` one; None where all need that."""
-    pictures = [_resized(photo.pixels, usual / max(photo.height, photo.width)) for photo in photos]
+    pictures = [reduced(photo.pixels, usual) for photo in photos]
     for share in SHARES:
         size = round(share * usual)
         if size < SMALLEST:
@@ -42,14 +44,8 @@ def blurred(photos: Sequence[Photo], usual: int) -> Blurred | None:
     return None
 
 
-def _resized(pixels: np.ndarray, factor: float) -> np.ndarray:
-    if factor >= 1:
-        return pixels
-    return cv2.resize(pixels, None, fx=factor, fy=factor, interpolation=cv2.INTER_AREA)
-
-
 def _psnr(picture: np.ndarray, share: float) -> float:
-    reduced = cv2.resize(picture.astype(np.float32), None, fx=share, fy=share, interpolation=cv2.INTER_AREA)
-    again = cv2.resize(reduced, (picture.shape[1], picture.shape[0]), interpolation=cv2.INTER_CUBIC)
+    smaller = cv2.resize(picture.astype(np.float32), None, fx=share, fy=share, interpolation=cv2.INTER_AREA)
+    again = cv2.resize(smaller, (picture.shape[1], picture.shape[0]), interpolation=cv2.INTER_CUBIC)
     error = float(np.square(again - picture).mean())
     return 10 * float(np.log10(255**2 / max(error, 1e-6)))

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from querysplat_cli.scene.sim3 import Sim3
@@ -84,6 +84,15 @@ class Cameras:
         local = torch.stack([(x - cx) / fx * depth, (y[:, None] - cy) / fy * depth, depth], -1)
         c2w = self.c2w
         return torch.einsum("vij,vrcj->vrci", c2w[:, :3, :3], local) + c2w[:, None, None, :3, 3]
+
+    def sees(self, points: Float[Tensor, "n 3"], view: int) -> Bool[Tensor, "n"]:
+        """Which world points lie before the camera of `view` and in its picture."""
+        w2c = self.w2c[view]
+        before = points @ w2c[2, :3] + w2c[2, 3] > 0
+        pixels = project(points[before], w2c, self.K[view])
+        seen = before.clone()
+        seen[before] = ((pixels >= 0) & (pixels < pixels.new_tensor([self.width, self.height]))).all(1)
+        return seen
 
     def to(self, target: torch.dtype | torch.device | str) -> "Cameras":
         return replace(self, w2c=self.w2c.to(target), K=self.K.to(target))

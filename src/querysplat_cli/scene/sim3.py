@@ -50,6 +50,14 @@ class Sim3:
         )
 
 
+def skew(vectors: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3 3"]:
+    """The matrices that take the cross product with `vectors` from the left; their exponentials turn about these."""
+    x, y, z = vectors.unbind(1)
+    zero = torch.zeros_like(x)
+    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
+    return torch.stack([torch.stack(row, 1) for row in rows], 1)
+
+
 def rotation_angles(rotations: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch"]:
     """Angles of rotations in degrees; accurate near 0 and near 180."""
     skew = rotations - rotations.mT

@@ -25,7 +25,7 @@ from querysplat_cli.training.losses import (
 )
 from querysplat_cli.training.passes import Sample
 from querysplat_cli.training.schedule import Weights
-from querysplat_cli.tto.optimise import tensors
+from querysplat_cli.tto.rendering_loss import tensors
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from torch import Tensor
 from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.scene.sim3 import DegenerateAlignment, align_cameras
+from querysplat_cli.scene.sim3 import DegenerateAlignment, align_cameras, skew
 
 RATE = 0.1
 """Pixels a step, before the rate falls."""
@@ -47,7 +47,7 @@ class RefinedCameras:
         poses = torch.stack(self._poses).to(start.w2c.device)
         w2c, K = start.w2c.double(), start.K.double()
         pixel = 1 / K[:, 0, :1]
-        turned = torch.linalg.matrix_exp(_skew(poses[:, :3] * pixel)) @ w2c[:, :3]
+        turned = torch.linalg.matrix_exp(skew(poses[:, :3] * pixel)) @ w2c[:, :3]
         moved = torch.cat([turned[:, :, :3], turned[:, :, 3:] + (poses[:, 3:] * pixel * self._depths)[:, :, None]], 2)
         w2c = torch.cat([moved, w2c[:, 3:]], 1)
         focal = torch.exp(self._zoom.to(K.device) / (0.5 * max(start.height, start.width)))
@@ -90,20 +90,11 @@ def refocused(others: Cameras, before: Cameras, after: Cameras) -> Cameras:
 
 def _median_depths(cameras: Cameras, gaussians: Gaussians) -> Float[Tensor, "views 1"]:
     """Of the centres in each picture; of all that lie before the camera where none is in the picture."""
+    means, cameras = gaussians.means.detach().double(), cameras.to(torch.float64)
     depths = []
-    for w2c, K in zip(cameras.w2c.double(), cameras.K.double(), strict=True):
-        local = gaussians.means.detach().double() @ w2c[:3, :3].T + w2c[:3, 3]
-        local = local[local[:, 2] > 0]
-        pixels = (local @ K.T)[:, :2] / local[:, 2:]
-        size = torch.tensor([cameras.width, cameras.height]).to(pixels)
-        inside = ((pixels >= 0) & (pixels < size)).all(1)
-        seen = local[inside, 2] if inside.any() else local[:, 2]
+    for view, w2c in enumerate(cameras.w2c):
+        z = means @ w2c[2, :3] + w2c[2, 3]
+        inside = cameras.sees(means, view)
+        seen = z[inside] if inside.any() else z[z > 0]
         depths.append(seen.median() if len(seen) else torch.ones_like(w2c[0, 0]))
     return torch.stack(depths)[:, None]
-
-
-def _skew(vectors: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3 3"]:
-    x, y, z = vectors.unbind(1)
-    zero = torch.zeros_like(x)
-    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
-    return torch.stack([torch.stack(row, 1) for row in rows], 1)

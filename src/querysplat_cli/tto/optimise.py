@@ -18,7 +18,7 @@ from querysplat_cli.prune.gaussians import Pruned
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.tto.cameras import RefinedCameras
-from querysplat_cli.tto.rendering_loss import RenderingLoss
+from querysplat_cli.tto.rendering_loss import RenderingLoss, tensors
 
 RISE = 2.0
 """A step is undone when the loss of its views exceeds the least seen of them by this factor. Views that pull in
@@ -223,11 +223,6 @@ def _fall(step: int, done: float, settings: TtoSettings) -> float:
 
 def _finite(some: list[Tensor]) -> bool:
     return all(bool(tensor.detach().isfinite().all()) for tensor in some)
-
-
-def tensors(holder: Variables) -> list[Tensor]:
-    """The tensors of a dataclass, in the order of its fields."""
-    return [getattr(holder, field.name) for field in fields(holder)]
 
 
 def _draws(views: int, at_once: int | None, generator: torch.Generator) -> Iterator[list[int]]:

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -29,8 +30,7 @@ class LossAndGradient:
 
     def send_back(self, gaussians: Gaussians, cameras: Cameras) -> None:
         """Add the gradient to what `gaussians`, and `cameras` where they ask for it, were made from."""
-        made = [getattr(gaussians, each.name) for each in fields(gaussians)]
-        slopes = [getattr(self.gradient, each.name) for each in fields(gaussians)]
+        made, slopes = tensors(gaussians), tensors(self.gradient)
         if self.camera_gradient:
             made += [cameras.w2c, cameras.K]
             slopes += self.camera_gradient
@@ -86,6 +86,11 @@ class RenderingLoss:
         with torch.no_grad():
             error = (picture.clamp(0, 1) - photo).square().mean(1)[mask].mean()
         return photometric_loss(picture, photo, mask), float(error)
+
+
+def tensors(holder: Any) -> list[Tensor]:
+    """The tensors of a dataclass, in the order of its fields."""
+    return [getattr(holder, each.name) for each in fields(holder)]
 
 
 def _gradient(leaf: Tensor) -> Tensor:
