@@ -65,7 +65,7 @@ def adapt(
 ) -> Adapted:
     """Go through the runs of `plan`, at least one; an interrupted one is the last.
 
-    The first prunes half-way; where that must not depend on what optimisation brings, it is done `at_once`.
+    The first prunes on the way; where that must not depend on what optimisation brings, it is done `at_once`.
     """
     variables, anchors, gaussians, kept = start.variables, start.anchors, start.gaussians, start.kept
     pruned: Pruned | None = None

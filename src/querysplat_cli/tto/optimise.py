@@ -23,7 +23,7 @@ from querysplat_cli.tto.rendering_loss import RenderingLoss, tensors
 RISE = 2.0
 """A step is undone when the loss of its views exceeds the least seen of them by this factor. Views that pull in
 different ways, and Adam's first steps, raise it by up to half on their own and come down again."""
-PRUNE_AFTER = 0.5
+PRUNE_AFTER = 0.25
 """The share of the steps after which Gaussians are pruned; the rest makes up for those that went."""
 PATIENCE = 30
 """Steps undone in a row before a run is given up; the rate has then fallen by 2³⁰."""
@@ -102,8 +102,8 @@ def optimise(
     """Adam (β 0.9, 0.999) on every tensor of `variables`, at `settings.lr` times its rate in `rates`.
 
     A step after which the loss rises beyond its noise, or anything stops being finite, is undone and the
-    rate halved. `pruning` chooses, half-way, the Gaussians that the other half goes on with. `refine_cameras` corrects
-    the cameras beside the variables. Ctrl-C ends the run and keeps what was reached.
+    rate halved. `pruning` chooses, at `PRUNE_AFTER`, the Gaussians that the rest goes on with. `refine_cameras`
+    corrects the cameras beside the variables. Ctrl-C ends the run and keeps what was reached.
     """
     everything = list(range(len(target.views)))
     with torch.no_grad():
@@ -129,7 +129,7 @@ def optimise(
             if pruning and not pruned and done >= PRUNE_AFTER and _finite(tensors(gaussians)):
                 pruned = pruning(gaussians.detach(), target)
                 gaussians = _staying(gaussians, pruned)
-                losses = target.values(gaussians, everything)
+                losses = [math.inf] * len(losses)
             here = target.value_and_gradient(gaussians, chosen) if _finite(tensors(gaussians)) else None
             if here:
                 here.send_back(gaussians, target.cameras)
