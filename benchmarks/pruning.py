@@ -43,7 +43,9 @@ class Row:
 
 def pruned_to(amount: Literal["auto"] | int, views: int) -> Pruning:
     tested = evenly_spaced(range(views), TESTED_VIEWS)
-    return lambda some, target: prune(some, target.cameras, amount, lambda fewer: target.psnr(fewer, tested))
+    return lambda some, target, steps: prune(
+        some, target.cameras, amount, lambda fewer: target.psnr(fewer, tested), steps
+    )
 
 
 def rows(name: str, sample: Sample, model: QuerySplat) -> list[Row]:

@@ -433,8 +433,10 @@ def _score_heldout(scene: BuiltScene, cameras: CameraPass) -> Quality | None:
     return score(scene.adapted.gaussians, *heldout) if heldout else None
 
 
-def _pruned(amount: Literal["auto"] | int, tested: list[int], gaussians: Gaussians, target: RenderingLoss) -> Pruned:
-    return prune(gaussians, target.cameras, amount, lambda some: target.psnr(some, tested))
+def _pruned(
+    amount: Literal["auto"] | int, tested: list[int], gaussians: Gaussians, target: RenderingLoss, steps_left: float
+) -> Pruned:
+    return prune(gaussians, target.cameras, amount, lambda some: target.psnr(some, tested), steps_left)
 
 
 def _savings(settings: ReconstructSettings, scene: BuiltScene, finest: Blurred | None) -> list[savings.Saving]:

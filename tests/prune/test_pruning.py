@@ -64,20 +64,21 @@ def test_importance_is_what_colours_the_picture_times_what_goes_with_it() -> Non
     bright.sh[:, 0] += 0.5 / SH_0
     whole, black = render(bright, wider).colour, torch.full_like(scene.sh, 0)
     black[:, 0] = -0.5 / SH_0
+    found = importance(scene, views)
     for each in range(len(scene)):
         others = torch.arange(len(scene)) != each
         gone = (whole - render(bright[others], wider).colour).square().sum()
         white = black.clone()
         white[each, 0] = 0.5 / SH_0
-        coloured = render(replace(scene, sh=white), wider).colour.square().sum()
-        expected = coloured * (gone + HIDDEN * coloured)
-        assert importance(scene, views)[each] == pytest.approx(float(expected), rel=0.4)
+        weight = render(replace(scene, sh=white), wider).colour[:, 0].sum()
+        expected = weight * (gone.sqrt() + HIDDEN * weight)
+        assert found[each] == pytest.approx(float(expected), rel=0.2)
 
 
 def test_what_no_photo_shows_goes_and_the_rest_stays() -> None:
     scene, views = wall_and_hidden(144), cameras(-0.1, 0.0, 0.1)
     target = photos(scene, views)
-    pruned = prune(scene, views, "auto", lambda some: target.psnr(some, [0, 1, 2]))
+    pruned = prune(scene, views, "auto", lambda some: target.psnr(some, [0, 1, 2]), math.inf)
     assert int(pruned.kept[:144].sum()) >= 140
     assert int(pruned.kept.sum()) == 144
     assert pruned.psnr_after == pytest.approx(target.psnr(scene[pruned.kept], [0, 1, 2]))
@@ -94,12 +95,20 @@ def test_of_two_that_coincide_the_second_goes_first() -> None:
 
 def test_a_number_keeps_those_of_most_importance() -> None:
     scene, views = wall_and_hidden(), cameras(-0.1, 0.0, 0.1)
-    pruned = prune(scene, views, 100, lambda some: float(len(some)))
+    pruned = prune(scene, views, 100, lambda some: float(len(some)), 0.0)
     assert int(pruned.kept.sum()) == 100
     found = importance(scene, views)
     assert found[pruned.kept].min() >= found[~pruned.kept].max()
     assert pruned.psnr_before - pruned.psnr_after == 94
-    assert prune(scene, views, 1000, lambda some: 0.0).kept.all()
+    assert prune(scene, views, 1000, lambda some: 0.0, 0.0).kept.all()
+
+
+@pytest.mark.parametrize("steps", [9.0, 11.0])
+def test_nothing_goes_that_the_steps_left_do_not_make_up_for(steps: float) -> None:
+    scene, views = wall_and_hidden(), cameras(-0.1, 0.0, 0.1)
+    pruned = prune(scene, views, "auto", lambda some: 30.0 if len(some) == len(scene) else 29.0, steps)
+    assert pruned.kept.all() == (steps == 9)
+    assert pruned.psnr_after == (30 if steps == 9 else 29)
 
 
 def test_half_stay_unless_they_are_few_for_the_pixels() -> None:
@@ -119,10 +128,10 @@ def test_optimisation_goes_on_with_those_that_stay() -> None:
         photos(replace(scene, sh=0.5 * scene.sh), views),
         TtoSettings(steps=10, lr=0.002),
         generator=torch.Generator().manual_seed(0),
-        pruning=lambda some, _: prune(some, views, 150, lambda each: 0.0),
+        pruning=lambda some, _, steps: prune(some, views, 150, lambda each: 0.0, steps),
     )
     assert result.loss_after < result.loss_before
-    assert {(step.step < 3, step.gaussians) for step in result.history} == {(True, 194), (False, 150)}
+    assert {(step.step < 4, step.gaussians) for step in result.history} == {(True, 194), (False, 150)}
     assert result.pruned is not None
     assert len(result.gaussians) == int(result.pruned.kept.sum()) == 150
 
@@ -134,7 +143,7 @@ def test_steps_after_a_costly_pruning_are_not_taken_for_failures() -> None:
         photos(scene, views),
         TtoSettings(steps=10, lr=0.002),
         generator=torch.Generator().manual_seed(0),
-        pruning=lambda some, _: prune(some, views, 100, lambda each: 0.0),
+        pruning=lambda some, _, steps: prune(some, views, 100, lambda each: 0.0, steps),
     )
     assert [step.gaussians for step in result.history[-5:]] == [100] * 5
     assert len(result.gaussians) == 194, "what is worse than the start is not kept"

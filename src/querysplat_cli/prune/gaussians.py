@@ -19,10 +19,12 @@ Amount = Literal["auto", "off"] | int
 SHARE = 0.5
 """What an automatic choice keeps. Optimisation makes up for the rest; what held-out views lose is in
 docs/benchmarks.md."""
+MENDED = 0.1
+"""dB on the input views that a step makes up for."""
 SCARCE = 100
 """Pixels of the photos for each Gaussian beyond which all are needed."""
 HIDDEN = 0.01
-"""What a Gaussian counts before others of its colour, beside one before nothing."""
+"""Change of colour that a Gaussian at least stands for, of 1."""
 
 
 @dataclass(frozen=True)
@@ -36,15 +38,25 @@ class Pruned:
 
 
 def prune(
-    gaussians: Gaussians, cameras: Cameras, amount: Literal["auto"] | int, psnr: Callable[[Gaussians], float]
+    gaussians: Gaussians,
+    cameras: Cameras,
+    amount: Literal["auto"] | int,
+    psnr: Callable[[Gaussians], float],
+    steps_left: float,
 ) -> Pruned:
-    """Leave out those of the least `importance`, down to those `staying`; `psnr` scores Gaussians on the photos."""
+    """Leave out those of the least `importance`, down to those `staying`; `psnr` scores Gaussians on the photos.
+
+    An automatic choice leaves out nothing where `steps_left` of optimisation are too few to make up for it.
+    """
     count = staying(len(gaussians), amount, cameras)
     with torch.no_grad():
         order = importance(gaussians, cameras).argsort(descending=True, stable=True)
         kept = torch.zeros(len(order), dtype=torch.bool, device=order.device)
         kept[order[:count]] = True
-        return Pruned(kept, psnr(gaussians), psnr(gaussians[kept]))
+        found = Pruned(kept, psnr(gaussians), psnr(gaussians[kept]))
+    if amount == "auto" and found.psnr_before - found.psnr_after > MENDED * steps_left:
+        return Pruned(torch.ones_like(kept), found.psnr_before, found.psnr_before)
+    return found
 
 
 def staying(count: int, amount: Amount, cameras: Cameras) -> int:
@@ -58,13 +70,13 @@ def staying(count: int, amount: Amount, cameras: Cameras) -> int:
 
 
 def importance(gaussians: Gaussians, cameras: Cameras) -> Float[Tensor, "n"]:
-    """How much of the pictures each Gaussian colours, Σ w², times what goes with it: Σ |ΔC|² + `HIDDEN` Σ w².
+    """How much of the pictures each Gaussian colours, W, times what goes with it, ‖ΔC‖ + `HIDDEN` W.
 
-    Sums are over pixels and channels, w are blending weights. The second term is for those that coincide: without any
-    one of them nothing changes, but the first of them must stay. A pixel's derivative by an opacity o is ΔC / o,
-    since blending is linear in every α; a backward pass from pixels of random sign gives the sums of squares in
-    expectation, for all Gaussians at once. Pictures reach a little beyond their borders, where a camera between two
-    others may look, and are brighter by half, so that what is black counts, too.
+    W is its blending weight, summed over pixels; ΔC how pixels change without it. The last term is for those that
+    coincide: without any one of them nothing changes, but the first must stay. A pixel's derivative by an opacity
+    o is ΔC / o, since blending is linear in every α, and a backward pass from pixels of random sign gives ‖ΔC‖² in
+    expectation, for all Gaussians at once. Pictures reach a little beyond their borders, where a camera
+    between two others may look, and are brighter by half, so that what is black counts, too.
     """
     wider, settings = _wider(cameras), RenderSettings()
     random = torch.Generator().manual_seed(0)
@@ -72,17 +84,17 @@ def importance(gaussians: Gaussians, cameras: Cameras) -> Float[Tensor, "n"]:
     sh[:, 0] += 0.5 / SH_0
     # No gradient passes the cap of α.
     opacities = gaussians.opacities.detach().clamp(max=0.99 * settings.alpha_max)
-    leaves = sh.requires_grad_(), opacities.requires_grad_()
-    scene = replace(gaussians.detach(), sh=sh, opacities=opacities)
-    coloured, gone = torch.zeros(2, len(gaussians)).to(sh)
+    scene = replace(gaussians.detach(), sh=sh.requires_grad_(), opacities=opacities.requires_grad_())
+    weight, change = torch.zeros(2, len(gaussians)).to(sh)
     for view in range(len(wider)):
         with torch.enable_grad():
             picture = render(scene, wider[[view]], settings=settings).colour
+            (by_sh,) = torch.autograd.grad(picture[:, 0].sum(), sh, retain_graph=True)
             signs = torch.randint(0, 2, picture.shape, generator=random).to(picture) * 2 - 1
-            by_sh, by_opacity = torch.autograd.grad((picture * signs).sum(), leaves)
-        coloured += (by_sh[:, 0] / SH_0).square().sum(1)
-        gone += (by_opacity * opacities.detach()).square()
-    return coloured * (gone + HIDDEN * coloured)
+            (by_opacity,) = torch.autograd.grad((picture * signs).sum(), opacities)
+        weight += by_sh[:, 0, 0] / SH_0
+        change += (by_opacity * opacities.detach()).square()
+    return weight * (change.sqrt() + HIDDEN * weight)
 
 
 def _wider(cameras: Cameras) -> Cameras:

@@ -72,7 +72,7 @@ def adapt(
     if pruning and at_once:
         with torch.no_grad():
             everything = decoded(model, variables, anchors, kept) if gaussians is None else gaussians
-        pruned, pruning = pruning(everything, target), None
+        pruned, pruning = pruning(everything, target, 0.0), None
         if gaussians is None:
             kept = _narrowed(kept, pruned.kept)
         else:

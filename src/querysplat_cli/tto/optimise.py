@@ -23,14 +23,14 @@ from querysplat_cli.tto.rendering_loss import RenderingLoss, tensors
 RISE = 2.0
 """A step is undone when the loss of its views exceeds the least seen of them by this factor. Views that pull in
 different ways, and Adam's first steps, raise it by up to half on their own and come down again."""
-PRUNE_AFTER = 0.25
+PRUNE_AFTER = 1 / 3
 """The share of the steps after which Gaussians are pruned; the rest makes up for those that went."""
 PATIENCE = 30
 """Steps undone in a row before a run is given up; the rate has then fallen by 2³⁰."""
 
 
-Pruning = Callable[[Gaussians, RenderingLoss], Pruned]
-"""What chooses the Gaussians that stay, by how they look in the target's views."""
+Pruning = Callable[[Gaussians, RenderingLoss, float], Pruned]
+"""What chooses the Gaussians that stay, by how they look in the target's views and by the number of steps to come."""
 V = TypeVar("V", bound="Variables")
 
 
@@ -127,7 +127,7 @@ def optimise(
             gaussians = _staying(decode(run.variables), pruned)
             target = run.aimed(target)
             if pruning and not pruned and done >= PRUNE_AFTER and _finite(tensors(gaussians)):
-                pruned = pruning(gaussians.detach(), target)
+                pruned = pruning(gaussians.detach(), target, step * (1 - done) / done)
                 gaussians = _staying(gaussians, pruned)
                 losses = [math.inf] * len(losses)
             here = target.value_and_gradient(gaussians, chosen) if _finite(tensors(gaussians)) else None
