@@ -242,6 +242,7 @@ class _Run(Generic[V]):
             self._adam.state[tensor] = {name: part[origin] if part.dim() else part for name, part in state.items()}
             if state:
                 self._adam.state[tensor]["exp_avg"][split] = 0
+                self._adam.state[tensor]["exp_avg_sq"][split] = 0
 
     def undo(self) -> None:
         """Back before the last step, at half the rate and without momentum."""
