@@ -58,7 +58,7 @@ def scene(model: QuerySplat, sample: Sample, share: float) -> Gaussians:
     if share < 1:
         usual = remember(model, located, sample.geometry, queries=None, target="kv").anchors
         assert usual is not None
-        queries = round(share * len(usual.opacities))
+        queries = int(share * len(usual.opacities))
     remembered = remember(model, located, sample.geometry, queries=queries, target="kv")
     assert remembered.anchors is not None
     (run,) = plan_tto(None, views=len(sample.views), gaussians=remembered.anchors.opacities.numel())
