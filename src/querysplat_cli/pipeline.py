@@ -308,15 +308,16 @@ def optimise_scene(
     stages: Stages,
     space: Space | None = None,
     amount: Amount = "off",
+    densify_to: int | None = None,
     refine_cameras: bool = False,
     weights: Path | None = None,
 ) -> Report:
     """Take up the scene in `path` (its folder or its .ply), optimise it further, and write it back.
 
-    `space` None goes on where the last run worked; `amount` of the Gaussians stay; `refine_cameras` corrects
-    the cameras, too. `weights` is where the model's
-    files are now, if not where they were. Raises QuerySplatError when memories are asked for whose Gaussians have
-    gone their own way.
+    `space` None goes on where the last run worked; `amount` of the Gaussians stay; in Gaussian space they are split
+    until there are `densify_to`; `refine_cameras` corrects the cameras, too. `weights` is where the model's files are
+    now, if not where they were. Raises QuerySplatError when memories are asked for whose Gaussians have gone their own
+    way, and when `densify_to` asks for splitting in feature space or for fewer Gaussians than there are.
     """
     with stages("read"):
         scene, before = read_scene(path)
@@ -328,6 +329,13 @@ def optimise_scene(
             raise QuerySplatError(
                 f"the Gaussians of {path} were optimised themselves, and its memories would undo that",
                 "Use --space gaussians, or make the scene again.",
+            )
+        if densify_to is not None and chosen == "features":
+            raise QuerySplatError("--densify splits Gaussians, which memories cannot follow", "Use --space gaussians.")
+        if densify_to is not None and amount == "off" and densify_to <= before["gaussians"]:
+            raise QuerySplatError(
+                f"--densify {densify_to}: the scene has {before['gaussians']:,} Gaussians already",
+                "Ask for more, or use --prune N for fewer.",
             )
         gaussians = read_ply(ply_path(path)) if apart else None
     with stages("tto") as progress:
@@ -346,7 +354,9 @@ def optimise_scene(
             )
         start = Start(scene.memories, scene.anchors, gaussians, None if apart else scene.kept)
         photos = scene.views, scene.cameras
-        adapted = _optimise(model, start, photos, plan, seed, amount, progress, refine_cameras=refine_cameras)
+        adapted = _optimise(
+            model, start, photos, plan, seed, amount, progress, densify_to=densify_to, refine_cameras=refine_cameras
+        )
         heldout = scene.heldout and (scene.heldout[0], refocused(scene.heldout[1], scene.cameras, adapted.cameras))
     with stages("score"):
         quality = {
@@ -388,6 +398,7 @@ def _optimise(
     amount: Amount,
     progress: Progress,
     *,
+    densify_to: int | None = None,
     refine_cameras: bool = False,
     everything: bool = False,
 ) -> Adapted:
@@ -419,6 +430,7 @@ def _optimise(
         progress=show,
         pruning=None if amount == "off" else partial(_pruned, amount, tested),
         at_once=amount != "auto",
+        densify_to=densify_to,
         refine_cameras=refine_cameras,
     )
     if not everything:

@@ -102,6 +102,7 @@ def _tto_entry(run: TtoRun, result: TtoResult) -> dict[str, Any]:
         "loss_before": round(result.loss_before, 5),
         "loss_after": round(result.loss_after, 5),
         "cameras": _cameras_entry(result.cameras_before, result.cameras),
+        "added": result.added,
         "undone": result.undone,
         "interrupted": result.interrupted,
         "curve": curve,

@@ -144,6 +144,24 @@ def test_a_scene_is_pruned_to_a_number(
     assert run(["inspect", str(ply.with_suffix("")), "-o", str(tmp_path / "inspected"), "-q"]) == 0
 
 
+def test_gaussians_are_split_up_to_a_number(
+    scene: tuple[Path, dict[str, Any]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source, before = scene
+    ply = Path(shutil.copy(source, tmp_path / "scene.ply"))
+    shutil.copytree(source.with_suffix(""), ply.with_suffix(""))
+    target = before["gaussians"] + 100
+    command = ["tto", str(ply), "--steps", "12", "--densify"]
+    assert run([*command, str(target)]) == ExitCode.BAD_INPUT
+    assert "Use --space gaussians" in capsys.readouterr().err
+    assert run([*command, str(before["gaussians"]), "--space", "gaussians"]) == ExitCode.BAD_INPUT
+    assert run([*command, str(target), "--space", "gaussians", "--json", "-q"]) == 0
+    after = json.loads(capsys.readouterr().out)
+    assert after["gaussians"] == target == len(read_ply(ply))
+    assert after["tto"][-1]["added"] == 100
+    assert after["quality"]["input"]["psnr"] > before["quality"]["input"]["psnr"]
+
+
 def test_everything_can_be_kept(
     room: Path, scene: tuple[Path, dict[str, Any]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -118,6 +118,8 @@ def _tto_text(run: dict[str, Any]) -> str:
     text = f"{steps} on {run['space']}, loss {run['loss_before']:.4f} → {run['loss_after']:.4f}"
     if run["cameras"]:
         text += f", cameras turned by {run['cameras']['degrees']:.3f}°"
+    if run["added"]:
+        text += f", {run['added']:,} Gaussians added"
     if run["undone"]:
         text += f", {run['undone']} undone"
     if run["interrupted"]:

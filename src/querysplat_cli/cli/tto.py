@@ -20,6 +20,12 @@ def tto(
         typer.Option(help="Optimise the memories, the Gaussians themselves, or both in turn; as last time by default."),
     ] = None,
     prune: Prune = "off",
+    densify: Annotated[
+        int | None,
+        typer.Option(
+            min=1, metavar="N", help="In Gaussian space: split Gaussians where photos and renders differ, up to N."
+        ),
+    ] = None,
     refine_cameras: RefineCameras = False,
     weights: Annotated[Path | None, typer.Option(help="The folder of downloaded weights, if not where it was.")] = None,
     device: Device = "auto",
@@ -45,6 +51,7 @@ def tto(
             stages=stages,
             space=None if space is None else space.value,
             amount=amount(prune),
+            densify_to=densify,
             refine_cameras=bool(refine_cameras),
             weights=weights,
         )

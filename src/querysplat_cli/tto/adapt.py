@@ -61,15 +61,17 @@ def adapt(
     progress: Callable[[TtoStep], None] = lambda step: None,
     pruning: Pruning | None = None,
     at_once: bool = False,
+    densify_to: int | None = None,
     refine_cameras: bool = False,
 ) -> Adapted:
     """Go through the runs of `plan`, at least one; an interrupted one is the last.
 
-    The first prunes on the way; where that must not depend on what optimisation brings, it is done `at_once`.
+    The first prunes on the way; where that must not depend on what optimisation brings, or Gaussians are to be split
+    until there are `densify_to`, it is done `at_once`. Only runs in Gaussian space split.
     """
     variables, anchors, gaussians, kept = start.variables, start.anchors, start.gaussians, start.kept
     pruned: Pruned | None = None
-    if pruning and at_once:
+    if pruning and (at_once or densify_to):
         with torch.no_grad():
             everything = decoded(model, variables, anchors, kept) if gaussians is None else gaussians
         pruned, pruning = pruning(everything, target, 0.0), None
@@ -107,6 +109,7 @@ def adapt(
                 generator=generator,
                 progress=progress,
                 pruning=pruning,
+                densify_to=densify_to,
                 refine_cameras=refine_cameras,
             )
         pruned, pruning = result.pruned or pruned, None

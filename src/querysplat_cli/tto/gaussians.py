@@ -8,6 +8,7 @@ thickness it would hardly move.
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from functools import partial
 
 import torch
 from jaxtyping import Float
@@ -15,7 +16,8 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.tto.optimise import Pruning, TtoResult, TtoSettings, TtoStep, optimise
+from querysplat_cli.tto.densify import densify
+from querysplat_cli.tto.optimise import Denser, Pruning, TtoResult, TtoSettings, TtoStep, optimise
 from querysplat_cli.tto.rendering_loss import RenderingLoss
 
 RATES = {"moves": 1.0, "turns": 0.5, "log_scales": 1.0, "logits": 2.0, "colours": 0.5, "bands": 0.1}
@@ -62,18 +64,29 @@ def optimise_gaussians(
     generator: torch.Generator,
     progress: Callable[[TtoStep], None] = lambda step: None,
     pruning: Pruning | None = None,
+    densify_to: int | None = None,
     refine_cameras: bool = False,
 ) -> TtoResult[Changes]:
-    """`optimise` for changes to `gaussians`."""
+    """`optimise` for changes to `gaussians`, which are split on the way until there are `densify_to`.
+
+    Changes are then those since the last time that some were split.
+    """
+
+    def denser(some: Gaussians, target: RenderingLoss, rounds: int) -> Denser[Changes]:
+        assert densify_to
+        more = densify(some, target, round(len(some) * (densify_to / len(some)) ** (1 / rounds)))
+        return Denser(Changes.none(more.gaussians), partial(changed, more.gaussians), more.origin)
+
     return optimise(
         Changes.none(gaussians),
-        lambda changes: changed(gaussians, changes),
+        partial(changed, gaussians),
         target,
         settings,
         rates=RATES,
         generator=generator,
         progress=progress,
         pruning=pruning,
+        densifying=denser if densify_to else None,
         refine_cameras=refine_cameras,
     )
 

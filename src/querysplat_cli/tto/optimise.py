@@ -12,6 +12,7 @@ from itertools import islice
 from typing import Any, ClassVar, Generic, Protocol, TypeVar, runtime_checkable
 
 import torch
+from jaxtyping import Int
 from torch import Tensor
 
 from querysplat_cli.prune.gaussians import Pruned
@@ -25,6 +26,8 @@ RISE = 2.0
 different ways, and Adam's first steps, raise it by up to half on their own and come down again."""
 PRUNE_AFTER = 1 / 3
 """The share of the steps after which Gaussians are pruned; the rest makes up for those that went."""
+DENSIFY_AFTER: tuple[float, ...] = (1 / 6, 1 / 3, 1 / 2)
+"""The shares of the steps after which Gaussians are split; what they gain, the rest has to find."""
 PATIENCE = 30
 """Steps undone in a row before a run is given up; the rate has then fallen by 2³⁰."""
 
@@ -41,6 +44,20 @@ class Variables(Protocol):
     __dataclass_fields__: ClassVar[dict[str, Any]]
 
     def map(self: V, change: Callable[[Tensor], Tensor]) -> V: ...
+
+
+@dataclass(frozen=True)
+class Denser(Generic[V]):
+    """Variables of more Gaussians, what decodes them, and for each of their rows the one that it was made of. Two rows
+    name one that was split."""
+
+    variables: V
+    decode: Callable[[V], Gaussians]
+    origin: Int[Tensor, "n"]
+
+
+Densifying = Callable[[Gaussians, RenderingLoss, int], Denser[V]]
+"""What splits Gaussians, given how many times it will be asked, this time included."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +89,8 @@ class TtoResult(Generic[V]):
     """The better of the first and the last state, by the loss over all views; steps undone on the way.
 
     `gaussians` is what the variables decode to, less what was `pruned`; `cameras` are those of the input views, which
-    were `cameras_before`. `interrupted` says that Ctrl-C ended the run early.
+    were `cameras_before`. `interrupted` says that Ctrl-C ended the run early, `added` how many more Gaussians splitting
+    made.
     """
 
     variables: V
@@ -85,6 +103,7 @@ class TtoResult(Generic[V]):
     undone: int = 0
     interrupted: bool = False
     pruned: Pruned | None = None
+    added: int = 0
 
 
 def optimise(
@@ -97,14 +116,18 @@ def optimise(
     generator: torch.Generator,
     progress: Callable[[TtoStep], None] = lambda step: None,
     pruning: Pruning | None = None,
+    densifying: Densifying[V] | None = None,
     refine_cameras: bool = False,
 ) -> TtoResult[V]:
     """Adam (β 0.9, 0.999) on every tensor of `variables`, at `settings.lr` times its rate in `rates`.
 
     A step after which the loss rises beyond its noise, or anything stops being finite, is undone and the
     rate halved. `pruning` chooses, at `PRUNE_AFTER`, the Gaussians that the rest goes on with. `refine_cameras`
-    corrects the cameras beside the variables. Ctrl-C ends the run and keeps what was reached.
+    corrects the cameras beside the variables. Ctrl-C ends the run and keeps what was reached. `densifying` splits
+    Gaussians, each time in the place of a step; it cannot go with `pruning`, which says what stays of those that there
+    were.
     """
+    assert not (pruning and densifying)
     everything = list(range(len(target.views)))
     with torch.no_grad():
         first = decode(variables)
@@ -118,6 +141,7 @@ def optimise(
     history: list[TtoStep] = []
     start, undone, in_a_row, interrupted = time.perf_counter(), 0, 0, False
     pruned: Pruned | None = None
+    waiting, added = (DENSIFY_AFTER if densifying else ()), 0
     draws = _draws(len(everything), settings.views_per_step, generator)
     try:
         for step, chosen in enumerate(islice(draws, settings.steps)):
@@ -145,6 +169,12 @@ def optimise(
             seconds = time.perf_counter() - start
             history.append(TtoStep(step, here.loss, here.psnr, seconds, len(gaussians)))
             progress(history[-1])
+            if densifying and waiting and done >= waiting[0]:
+                denser = densifying(gaussians.detach(), target, len(waiting))
+                waiting, decode, added = waiting[1:], denser.decode, added + len(denser.origin) - len(gaussians)
+                run.go_on(denser.variables, denser.origin)
+                losses = [math.inf] * len(losses)
+                continue
             run.step(_fall(step, done, settings))
     except KeyboardInterrupt:
         interrupted = True
@@ -156,7 +186,13 @@ def optimise(
     loss = target.value(gaussians, everything) if _finite(tensors(gaussians)) else math.inf
     if loss < before.loss_before:
         return replace(
-            found, variables=last, gaussians=gaussians, loss_after=loss, cameras=target.cameras, pruned=pruned
+            found,
+            variables=last,
+            gaussians=gaussians,
+            loss_after=loss,
+            cameras=target.cameras,
+            pruned=pruned,
+            added=added,
         )
     return found
 
@@ -196,6 +232,18 @@ class _Run(Generic[V]):
         self._adam.zero_grad(set_to_none=True)
         if self._refined:
             self._refined.step(share)
+
+    def go_on(self, variables: V, origin: Int[Tensor, "n"]) -> None:
+        """With other rows. Each keeps what is known of the gradients of the one it was made of, and its momentum unless
+        that one was split."""
+        known = [self._adam.state[tensor] for tensor in tensors(self.variables)]
+        self._start(variables)
+        split = origin.bincount()[origin] > 1
+        for tensor, state in zip(tensors(self.variables), known, strict=True):
+            self._adam.state[tensor] = {name: part[origin] if part.dim() else part for name, part in state.items()}
+            if state:
+                self._adam.state[tensor]["exp_avg"][split] = 0
+                self._adam.state[tensor]["exp_avg_sq"][split] = 0
 
     def undo(self) -> None:
         """Back before the last step, at half the rate and without momentum."""

@@ -1,0 +1,183 @@
+"""Splitting Gaussians where renders and photos disagree."""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+
+from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.gaussians import SH_0, Gaussians
+from querysplat_cli.scene.views import Views
+from querysplat_cli.splat.projection import rotation_matrices
+from querysplat_cli.splat.render import render
+from querysplat_cli.tto.densify import densify, disagreement, split
+from querysplat_cli.tto.gaussians import optimise_gaussians
+from querysplat_cli.tto.optimise import TtoResult, TtoSettings
+from querysplat_cli.tto.rendering_loss import RenderingLoss, tensors
+
+SIZE = 48
+
+
+def cameras(count: int, shift: float = 0.0) -> Cameras:
+    w2c = torch.eye(4).repeat(count, 1, 1)
+    w2c[:, 0, 3] = torch.linspace(0.15, -0.15, count) + shift
+    K = torch.tensor([[60.0, 0, SIZE / 2], [0, 60.0, SIZE / 2], [0, 0, 1]]).repeat(count, 1, 1)
+    return Cameras(w2c, K, SIZE, SIZE)
+
+
+def views(images: torch.Tensor) -> Views:
+    count = len(images)
+    masks = torch.ones(count, SIZE, SIZE, dtype=torch.bool)
+    return Views(images, masks, tuple(f"{i}.png" for i in range(count)), ((SIZE, SIZE),) * count)
+
+
+def wall(side: int, seed: int = 0) -> Gaussians:
+    """`side` × `side` round Gaussians of random colours in a plane two units away."""
+    line = (torch.arange(side) + 0.5) / side * 1.8 - 0.9
+    y, x = torch.meshgrid(line, line, indexing="ij")
+    n = side * side
+    return Gaussians(
+        means=torch.stack([x.ravel(), y.ravel(), torch.full((n,), 2.0)], 1),
+        quats=torch.tensor([1.0, 0, 0, 0]).repeat(n, 1),
+        scales=torch.full((n, 3), 0.8 / side),
+        opacities=torch.full((n,), 0.8),
+        sh=torch.rand(n, 1, 3, generator=torch.Generator().manual_seed(seed)) * 2 - 1,
+    )
+
+
+def ellipsoids(count: int, opacity: float) -> Gaussians:
+    random = torch.Generator().manual_seed(3)
+    return Gaussians(
+        means=torch.randn(count, 3, generator=random, dtype=torch.float64),
+        quats=torch.randn(count, 4, generator=random, dtype=torch.float64),
+        scales=torch.rand(count, 3, generator=random, dtype=torch.float64) + 0.1,
+        opacities=torch.full((count,), opacity, dtype=torch.float64),
+        sh=torch.randn(count, 4, 3, generator=random, dtype=torch.float64),
+    )
+
+
+def covariance(some: Gaussians) -> torch.Tensor:
+    axes = rotation_matrices(some.quats) * some.scales[:, None]
+    return axes @ axes.mT
+
+
+def test_two_halves_have_the_centre_and_covariance_of_the_whole() -> None:
+    whole = ellipsoids(20, 0.7)
+    one, other = split(whole)
+    torch.testing.assert_close((one.means + other.means) / 2, whole.means)
+    aside = (one.means - other.means)[:, :, None] / 2
+    torch.testing.assert_close(covariance(one) + aside @ aside.mT, covariance(whole))
+    torch.testing.assert_close(one.sh, whole.sh)
+
+
+@pytest.mark.parametrize("opacity", [0.01, 0.5, 0.99])
+def test_two_halves_cover_as_much_as_the_whole(opacity: float) -> None:
+    """The integral of α = 1 − (1 − α₁)(1 − α₂) over the plane that the longest axis lies in."""
+    whole = replace(ellipsoids(1, opacity), quats=torch.tensor([[1.0, 0, 0, 0]]).double())
+    whole = replace(whole, means=torch.zeros(1, 3).double(), scales=torch.tensor([[2.0, 1.0, 0.5]]).double())
+    line = torch.linspace(-16, 16, 801, dtype=torch.float64)
+    points = torch.stack(torch.meshgrid(line, line, indexing="ij"), -1)
+
+    def alpha(some: Gaussians) -> torch.Tensor:
+        return some.opacities * torch.exp(-0.5 * ((points - some.means[0, :2]) / some.scales[0, :2]).square().sum(-1))
+
+    one, other = split(whole)
+    together = 1 - (1 - alpha(one)) * (1 - alpha(other))
+    assert float(together.sum() * (line[1] - line[0]) ** 2) == pytest.approx(opacity * 2 * math.pi * 2, rel=1e-9)
+
+
+@pytest.mark.parametrize(("opacity", "most"), [(0.1, 0.05), (0.5, 0.09), (0.9, 0.19)])
+def test_splitting_hardly_changes_the_picture(opacity: float, most: float) -> None:
+    whole = Gaussians(
+        means=torch.tensor([[0.0, 0.1, 2.0]]).double(),
+        quats=torch.tensor([[1.0, 0.2, 0.1, 0.4]]).double(),
+        scales=torch.tensor([[0.3, 0.15, 0.1]]).double(),
+        opacities=torch.tensor([opacity]).double(),
+        sh=torch.ones(1, 1, 3).double(),
+    )
+    one, other = split(whole)
+    halves = Gaussians(*(torch.cat(pair) for pair in zip(tensors(one), tensors(other), strict=True)))
+    before, after = (render(some, cameras(1).to(torch.float64)).colour for some in (whole, halves))
+    assert float((after - before).norm() / before.norm()) < most
+
+
+def test_disagreement_is_the_error_under_each_gaussian() -> None:
+    """Of one Gaussian alone: Σ α·|picture − photo|, where α is what the renderer says."""
+    one = Gaussians(
+        means=torch.tensor([[0.0, 0.0, 2.0]]),
+        quats=torch.tensor([[1.0, 0, 0, 0]]),
+        scales=torch.full((1, 3), 0.2),
+        opacities=torch.tensor([0.7]),
+        sh=torch.full((1, 1, 3), -0.5 / SH_0),  # black
+    )
+    photos = torch.rand(2, 3, SIZE, SIZE, generator=torch.Generator().manual_seed(0))
+    target = RenderingLoss(views(photos), cameras(2))
+    expected = (render(one, cameras(2)).alpha * photos.mean(1)).sum()
+    torch.testing.assert_close(disagreement(one, target), expected[None], rtol=1e-4, atol=0)
+
+
+def test_those_that_are_wrong_are_split() -> None:
+    some = wall(6)
+    target = RenderingLoss(views(render(some, cameras(3)).colour), cameras(3))
+    wrong = torch.tensor([8, 21])
+    sh = some.sh.clone()
+    sh[wrong] += 1.0
+    more = densify(replace(some, sh=sh), target, 38)
+    assert len(more.gaussians) == 38
+    assert more.origin.unique().equal(torch.arange(36))
+    assert (more.origin.bincount() == 2).nonzero()[:, 0].equal(wrong)
+    once = more.origin.bincount()[more.origin] == 1
+    torch.testing.assert_close(more.gaussians.means[once], some.means[more.origin[once]])
+    assert len(densify(some, target, 1000).gaussians) == 72
+    assert len(densify(some, target, 5).gaussians) == 36
+
+
+def optimised(densify_to: int | None, steps: int = 90, lr: float = 0.1, **options: object) -> TtoResult:
+    """Sixteen Gaussians, of one grey, on photos of 144 colours."""
+    target = RenderingLoss(views(render(wall(12), cameras(4)).colour.clamp(0, 1)), cameras(4))
+    grey = wall(4)
+    return optimise_gaussians(
+        replace(grey, sh=torch.zeros_like(grey.sh)),
+        target,
+        TtoSettings(steps, lr),
+        generator=torch.Generator().manual_seed(0),
+        densify_to=densify_to,
+        **options,  # type: ignore[arg-type]
+    )
+
+
+def test_a_coarse_scene_gains_where_nobody_looked() -> None:
+    """Coarse Gaussians on fine photos: with splitting, a view between the photos comes out better."""
+    between = cameras(4, shift=0.05)
+    truth = render(wall(12), between).colour.clamp(0, 1)
+    plain, split_up = optimised(None), optimised(100)
+    errors = [(render(each.gaussians, between).colour - truth).square().mean() for each in (plain, split_up)]
+    assert errors[1] < 0.7 * errors[0]
+    assert (plain.added, split_up.added) == (0, 84)
+    assert [step.gaussians for step in split_up.history if step.gaussians > 16][-1] == 100 == len(split_up.gaussians)
+
+
+def test_splitting_is_repeatable() -> None:
+    one, two = optimised(60, steps=20), optimised(60, steps=20)
+    assert all(a.equal(b) for a, b in zip(tensors(one.gaussians), tensors(two.gaussians), strict=True))
+
+
+@pytest.mark.parametrize("lr", [3.0, 1e30], ids=["too large", "overflowing"])
+def test_steps_after_a_split_are_undone(lr: float) -> None:
+    result = optimised(100, steps=60, lr=lr)
+    assert result.undone > 0
+    assert result.loss_after <= result.loss_before
+    assert result.added == len(result.gaussians) - 16
+    assert all(bool(part.isfinite().all()) for part in tensors(result.gaussians))
+
+
+def test_interrupting_after_a_split_keeps_it() -> None:
+    def interrupt(step: object) -> None:
+        if getattr(step, "step", 0) == 40:
+            raise KeyboardInterrupt
+
+    result = optimised(100, progress=interrupt)
+    assert result.interrupted
+    assert result.loss_after < result.loss_before
+    assert 16 < len(result.gaussians) < 100
