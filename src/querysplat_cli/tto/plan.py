@@ -15,6 +15,8 @@ which helps a fresh scene (held out, dtu106 gains 0.3 dB and fortress loses 0.1)
 RELEASE_STEPS, RELEASE_LEARNING_RATE = 20, 5e-3
 """The authors' release, for learned queries."""
 VIEWS_PER_STEP = 3
+FEW_VIEWS = 5
+"""Up to so many, much of what lies between two views is seen by one or none, and stays covered."""
 STEPS = (30, 150)
 """Fewest and most steps of an automatic plan; what more of them bring on held-out photos is little."""
 MOST_STEPS = 300
@@ -60,6 +62,7 @@ def plan_tto(
         views_per_step=VIEWS_PER_STEP if views > VIEWS_PER_STEP else None,
         warm_up=RESUMED_WARM_UP if resumed else 0,
         seconds=seconds,
+        keep_cover=1 < views <= FEW_VIEWS,
     )
     return _runs(space, settings)
 
