@@ -12,7 +12,7 @@ from querysplat_cli.splat.render import render
 from querysplat_cli.tto.cover import BETWEEN, WEIGHT, Cover
 from querysplat_cli.tto.gaussians import optimise_gaussians
 from querysplat_cli.tto.optimise import TtoSettings
-from querysplat_cli.tto.plan import FEW_VIEWS, plan_tto
+from querysplat_cli.tto.plan import FEW_VIEWS, PASSES, STEPS, VIEWS_PER_STEP, plan_tto
 from querysplat_cli.tto.rendering_loss import LossAndGradient, RenderingLoss
 
 SIZE = 32
@@ -102,3 +102,12 @@ def test_photos_open_no_hole_where_none_of_them_looks() -> None:
 def test_a_few_views_keep_their_cover() -> None:
     kept = {views: plan_tto(10, views=views, gaussians=100)[0].settings.keep_cover for views in range(1, FEW_VIEWS + 2)}
     assert [views for views, keep in kept.items() if keep] == list(range(2, FEW_VIEWS + 1))
+
+
+def test_an_automatic_plan_shows_a_few_photos_only_so_often() -> None:
+    for views in (1, 2, 3, 4, 5, 12, 100):
+        (run,) = plan_tto(None, views=views, gaussians=100)
+        shown = run.settings.steps * min(views, VIEWS_PER_STEP) / views
+        assert shown <= PASSES
+        assert run.settings.steps == STEPS[1] or shown > PASSES - 1
+    assert plan_tto(90, views=2, gaussians=100)[0].settings.steps == 90

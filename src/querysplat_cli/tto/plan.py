@@ -19,6 +19,8 @@ FEW_VIEWS = 5
 """Up to so many, much of what lies between two views is seen by one or none, and stays covered."""
 STEPS = (30, 150)
 """Fewest and most steps of an automatic plan; what more of them bring on held-out photos is little."""
+PASSES = 40
+"""How often an automatic plan shows each photo at most: it knows a few photos by heart then."""
 MOST_STEPS = 300
 """However much time there is."""
 WORK = 16.0
@@ -54,7 +56,8 @@ def plan_tto(
     if space != "gaussians":
         cost += DECODING[0] + DECODING[1] * gaussians
     if steps is None:
-        steps = min(max(int(WORK / cost), STEPS[0]), STEPS[1]) if seconds is None else MOST_STEPS
+        enough = PASSES * views // min(views, VIEWS_PER_STEP)
+        steps = min(max(int(WORK / cost), STEPS[0]), STEPS[1], enough) if seconds is None else MOST_STEPS
     usual = RESUMED_LEARNING_RATE if resumed else LEARNING_RATE
     settings = TtoSettings(
         steps=steps,
