@@ -15,12 +15,11 @@ which helps a fresh scene (held out, dtu106 gains 0.3 dB and fortress loses 0.1)
 RELEASE_STEPS, RELEASE_LEARNING_RATE = 20, 5e-3
 """The authors' release, for learned queries."""
 VIEWS_PER_STEP = 3
-FEW_VIEWS = 5
-"""Up to so many, much of what lies between two views is seen by one or none, and stays covered."""
+FEW_VIEWS, PASSES = 4, 40
+"""Of so few photos, an automatic plan shows each at most so many times: they are known by heart then. What lies between
+them stays covered, because much of it is seen by one of them or by none; five photos of kermit already lose by that."""
 STEPS = (30, 150)
 """Fewest and most steps of an automatic plan; what more of them bring on held-out photos is little."""
-PASSES = 40
-"""How often an automatic plan shows each photo at most: it knows a few photos by heart then."""
 MOST_STEPS = 300
 """However much time there is."""
 WORK = 16.0
@@ -56,8 +55,9 @@ def plan_tto(
     if space != "gaussians":
         cost += DECODING[0] + DECODING[1] * gaussians
     if steps is None:
-        enough = PASSES * views // min(views, VIEWS_PER_STEP)
-        steps = min(max(int(WORK / cost), STEPS[0]), STEPS[1], enough) if seconds is None else MOST_STEPS
+        steps = min(max(int(WORK / cost), STEPS[0]), STEPS[1]) if seconds is None else MOST_STEPS
+        if views <= FEW_VIEWS and seconds is None:
+            steps = min(steps, PASSES * views // min(views, VIEWS_PER_STEP))
     usual = RESUMED_LEARNING_RATE if resumed else LEARNING_RATE
     settings = TtoSettings(
         steps=steps,
