@@ -19,6 +19,7 @@ from querysplat_cli.prune.gaussians import Pruned
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.tto.cameras import RefinedCameras
+from querysplat_cli.tto.cover import Cover
 from querysplat_cli.tto.rendering_loss import RenderingLoss, tensors
 
 RISE = 2.0
@@ -64,13 +65,15 @@ Densifying = Callable[[Gaussians, RenderingLoss, int], Denser[V]]
 class TtoSettings:
     """How to optimise. `views_per_step` None takes every view in every step, as the paper's release does;
     a number draws that many, each view once before any comes again. The rate rises over `warm_up` steps and
-    falls to a tenth along a cosine. With `seconds`, a run ends when they are over, and its rate falls with the time."""
+    falls to a tenth along a cosine. With `seconds`, a run ends when they are over, and its rate falls with the time.
+    With `keep_cover`, what the scene covers between the views stays covered."""
 
     steps: int
     lr: float
     views_per_step: int | None = None
     warm_up: int = 0
     seconds: float | None = None
+    keep_cover: bool = False
 
 
 @dataclass(frozen=True)
@@ -137,6 +140,7 @@ def optimise(
     if not settings.steps:
         return before
     refined = RefinedCameras(target.cameras, first) if refine_cameras else None
+    cover = Cover.of(first, target.cameras) if settings.keep_cover else None
     run = _Run(variables, settings.lr, rates, refined)
     history: list[TtoStep] = []
     start, undone, in_a_row, interrupted = time.perf_counter(), 0, 0, False
@@ -156,6 +160,7 @@ def optimise(
                 losses = [math.inf] * len(losses)
             here = target.value_and_gradient(gaussians, chosen) if _finite(tensors(gaussians)) else None
             if here:
+                here = cover.held(here, gaussians, step) if cover else here
                 here.send_back(gaussians, target.cameras)
             if here is None or not run.finite_gradient() or _risen(here.losses, losses, chosen):
                 undone, in_a_row = undone + 1, in_a_row + 1

@@ -15,6 +15,9 @@ which helps a fresh scene (held out, dtu106 gains 0.3 dB and fortress loses 0.1)
 RELEASE_STEPS, RELEASE_LEARNING_RATE = 20, 5e-3
 """The authors' release, for learned queries."""
 VIEWS_PER_STEP = 3
+FEW_VIEWS, PASSES = 4, 40
+"""Of so few photos, an automatic plan shows each at most so many times: they are known by heart then. What lies between
+them stays covered, because much of it is seen by one of them or by none; five photos of kermit already lose by that."""
 STEPS = (30, 150)
 """Fewest and most steps of an automatic plan; what more of them bring on held-out photos is little."""
 MOST_STEPS = 300
@@ -53,6 +56,8 @@ def plan_tto(
         cost += DECODING[0] + DECODING[1] * gaussians
     if steps is None:
         steps = min(max(int(WORK / cost), STEPS[0]), STEPS[1]) if seconds is None else MOST_STEPS
+        if views <= FEW_VIEWS and seconds is None:
+            steps = min(steps, PASSES * views // min(views, VIEWS_PER_STEP))
     usual = RESUMED_LEARNING_RATE if resumed else LEARNING_RATE
     settings = TtoSettings(
         steps=steps,
@@ -60,6 +65,7 @@ def plan_tto(
         views_per_step=VIEWS_PER_STEP if views > VIEWS_PER_STEP else None,
         warm_up=RESUMED_WARM_UP if resumed else 0,
         seconds=seconds,
+        keep_cover=1 < views <= FEW_VIEWS,
     )
     return _runs(space, settings)
 
