@@ -62,7 +62,7 @@ def of_adapted(adapted: Adapted) -> list[Saving]:
         found.append(
             Saving(
                 GAUSSIANS,
-                "those of the least weight in the photos",
+                "those that the pictures miss least",
                 f"{gone:,} of {len(pruned.kept):,}",
                 gone * ply_bytes(bands),
                 _seconds(adapted.runs[0][1]),

@@ -93,6 +93,7 @@ def _saving_text(part: dict[str, Any]) -> str:
         text += f", {part['seconds']:.1f} s" if part["seconds"] >= 0 else f"; took {-part['seconds']:.1f} s more"
     if part["psnr_lost"] is not None:
         text += f"; cost {part['psnr_lost']:.2f} dB on the photos"
+        text += " before optimisation went on" if part["what"] == "Gaussians" and part["seconds"] is not None else ""
     return text
 
 
