@@ -25,6 +25,7 @@ from querysplat_cli.drawing import new_figure, save_figure
 from querysplat_cli.encoders.base import Located
 from querysplat_cli.model.checkpoints import load
 from querysplat_cli.model.querysplat import QuerySplat
+from querysplat_cli.prune.gaussians import staying
 from querysplat_cli.quality import score
 from querysplat_cli.remembering import remember
 from querysplat_cli.report import machine
@@ -107,12 +108,12 @@ def curves(name: str, sample: Sample, model: QuerySplat, steps: int | None) -> d
     remembered = remember(model, located, sample.geometry, queries=None, target="kv")
     assert remembered.anchors is not None
     start = Start(remembered.variables.map(torch.Tensor.float), remembered.anchors)
+    count = remembered.anchors.opacities.numel()
+    stay = staying(count, "auto", sample.cameras)
     found = {}
     for space in get_args(Space):
-        gaussians = remembered.anchors.opacities.numel()
-        found[space] = curve(
-            model, start, sample, plan_tto(steps, views=len(sample.views), gaussians=gaussians, space=space)
-        )
+        plan = plan_tto(steps, views=len(sample.views), gaussians=count, staying=stay, space=space)
+        found[space] = curve(model, start, sample, plan)
         line = "  ".join(f"{point['seconds']:.1f} s {point['psnr']:.2f}" for point in found[space])
         print(f"{name:<10} {space:<10} {line}", flush=True)
     return {"set": name, "inputs": len(sample.views), "heldout": len(sample.targets), "curves": found}

@@ -21,7 +21,7 @@ from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.precision import check_precision, matrix_products
 from querysplat_cli.progress import Progress, Stages
 from querysplat_cli.prune.bands import without_idle_bands
-from querysplat_cli.prune.gaussians import Amount, Pruned, prune
+from querysplat_cli.prune.gaussians import Amount, Pruned, prune, staying
 from querysplat_cli.prune.resolution import Blurred, blurred
 from querysplat_cli.prune.views import near_duplicates
 from querysplat_cli.quality import Quality, score
@@ -260,11 +260,12 @@ def build_scene(
         if budget:
             seconds, enough = optimising_seconds(budget, stages.elapsed() - before, count, scenes)
             more = enough or scenes == 1
-        space = settings.tto_space
+        space, amount = settings.tto_space, "off" if settings.keep_everything else settings.prune
         if anchors is None:
             plan = plan_release(settings.tto or 0, space=space, seconds=seconds)
         else:
-            plan = plan_tto(settings.tto, views=len(views), gaussians=count, space=space, seconds=seconds)
+            stay = staying(count, amount, cameras)
+            plan = plan_tto(settings.tto, views=len(views), gaussians=count, staying=stay, space=space, seconds=seconds)
         steps = sum(run.settings.steps for run in plan)
         variables = remembered.variables.map(torch.Tensor.float) if steps else remembered.variables
         adapted = _optimise(
@@ -273,7 +274,7 @@ def build_scene(
             (views, cameras),
             plan,
             settings.seed,
-            "off" if settings.keep_everything else settings.prune,
+            amount,
             progress,
             refine_cameras=_refines(settings.refine_cameras, located),
             everything=settings.keep_everything,
@@ -343,7 +344,13 @@ def optimise_scene(
         else:
             count = before["gaussians"]
             plan = plan_tto(
-                steps, views=len(scene.views), gaussians=count, space=chosen, lr=lr, resumed=chosen in spaces
+                steps,
+                views=len(scene.views),
+                gaussians=count if chosen == "gaussians" else scene.anchors.opacities.numel(),
+                staying=staying(count, amount, scene.cameras),
+                space=chosen,
+                lr=lr,
+                resumed=chosen in spaces,
             )
         start = Start(scene.memories, scene.anchors, gaussians, None if apart else scene.kept)
         photos = scene.views, scene.cameras
@@ -438,8 +445,10 @@ def _score_heldout(scene: BuiltScene, cameras: CameraPass) -> Quality | None:
     return score(scene.adapted.gaussians, *heldout) if heldout else None
 
 
-def _pruned(amount: Literal["auto"] | int, tested: list[int], gaussians: Gaussians, target: RenderingLoss) -> Pruned:
-    return prune(gaussians, target.cameras, amount, lambda some: target.psnr(some, tested))
+def _pruned(
+    amount: Literal["auto"] | int, tested: list[int], gaussians: Gaussians, target: RenderingLoss, steps_left: float
+) -> Pruned:
+    return prune(gaussians, target.cameras, amount, lambda some: target.psnr(some, tested), steps_left)
 
 
 def _savings(settings: ReconstructSettings, scene: BuiltScene, finest: Blurred | None) -> list[savings.Saving]:

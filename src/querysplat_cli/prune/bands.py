@@ -3,8 +3,10 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from querysplat_cli.prune.gaussians import LOSS
 from querysplat_cli.scene.gaussians import Gaussians
+
+LOSS = 0.02
+"""dB that leaving them out may cost on the input views."""
 
 
 @dataclass(frozen=True)

@@ -11,21 +11,26 @@ from torch import Tensor
 
 from querysplat_cli.model.anchors import BORDER
 from querysplat_cli.scene.cameras import Cameras
-from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.splat.render import contributions
+from querysplat_cli.scene.gaussians import SH_0, Gaussians
+from querysplat_cli.splat.render import RenderSettings, render
 
 Amount = Literal["auto", "off"] | int
-"""How many Gaussians stay: as many as count, all, or at most so many."""
-LOSS = 0.02
-"""dB that an automatic choice may cost on the input views before optimisation goes on; what held-out views lose
-by it is in docs/benchmarks.md."""
-HALVINGS = 5
-"""The share is found to 1/32."""
+"""How many Gaussians stay: as many as are needed, all, or at most so many."""
+SHARE = 0.5
+"""What an automatic choice keeps. Optimisation makes up for the rest; what held-out views lose is in
+docs/benchmarks.md."""
+MENDED = 0.1
+"""dB on the input views that a step makes up for."""
+SCARCE = 100
+"""Pixels of the photos for each Gaussian beyond which all are needed."""
+HIDDEN = 0.01
+"""Change of colour that a Gaussian at least stands for, of 1."""
 
 
 @dataclass(frozen=True)
 class Pruned:
-    """Which of N Gaussians stay, and the PSNR (dB, input views) with all of them and without the others."""
+    """Which of N Gaussians stay, and the PSNR (dB, input views) with all of them and without the others, before
+    optimisation goes on."""
 
     kept: Bool[Tensor, "n"]
     psnr_before: float
@@ -33,42 +38,67 @@ class Pruned:
 
 
 def prune(
-    gaussians: Gaussians, cameras: Cameras, amount: Literal["auto"] | int, psnr: Callable[[Gaussians], float]
+    gaussians: Gaussians,
+    cameras: Cameras,
+    amount: Literal["auto"] | int,
+    psnr: Callable[[Gaussians], float],
+    steps_left: float,
 ) -> Pruned:
-    """Leave out those of the least `weights`.
+    """Leave out those of the least `importance`, down to those `staying`; `psnr` scores Gaussians on the photos.
 
-    "auto" leaves out as many as cost at most `LOSS` by `psnr`, which scores Gaussians on the photos; a number
-    is that of those that stay.
+    An automatic choice leaves out nothing where `steps_left` of optimisation are too few to make up for it.
     """
+    count = staying(len(gaussians), amount, cameras)
     with torch.no_grad():
-        everything = psnr(gaussians)
-        order = weights(gaussians, cameras).argsort(stable=True)
-        if amount != "auto":
-            kept = _all_but(order, max(0, len(order) - amount))
-            return Pruned(kept, everything, psnr(gaussians[kept]))
-        least, most, found = 0.0, 1.0, Pruned(_all_but(order, 0), everything, everything)
-        for _ in range(HALVINGS):
-            share = (least + most) / 2
-            kept = _all_but(order, int(share * len(order)))
-            after = psnr(gaussians[kept])
-            if everything - after <= LOSS:
-                least, found = share, Pruned(kept, everything, after)
-            else:
-                most = share
+        order = importance(gaussians, cameras).argsort(descending=True, stable=True)
+        kept = torch.zeros(len(order), dtype=torch.bool, device=order.device)
+        kept[order[:count]] = True
+        found = Pruned(kept, psnr(gaussians), psnr(gaussians[kept]))
+    if amount == "auto" and found.psnr_before - found.psnr_after > MENDED * steps_left:
+        return Pruned(torch.ones_like(kept), found.psnr_before, found.psnr_before)
     return found
 
 
-def weights(gaussians: Gaussians, cameras: Cameras) -> Float[Tensor, "n"]:
-    """`contributions` to the pictures and to what lies a little beyond their borders, where a camera between two
-    others may look."""
+def staying(count: int, amount: Amount, cameras: Cameras) -> int:
+    """How many of `count` Gaussians are kept for the photos of `cameras`."""
+    if amount == "off":
+        return count
+    if amount == "auto":
+        scarce = len(cameras) * cameras.height * cameras.width // SCARCE
+        return max(int(SHARE * count), min(count, scarce))
+    return min(count, amount)
+
+
+def importance(gaussians: Gaussians, cameras: Cameras) -> Float[Tensor, "n"]:
+    """How much of the pictures each Gaussian colours, W, times what goes with it, ‖ΔC‖ + `HIDDEN` W.
+
+    W is its blending weight, summed over pixels; ΔC how pixels change without it. The last term is for those that
+    coincide: without any one of them nothing changes, but the first must stay. A pixel's derivative by an opacity
+    o is ΔC / o, since blending is linear in every α, and a backward pass from pixels of random sign gives ‖ΔC‖² in
+    expectation, for all Gaussians at once. Pictures reach a little beyond their borders, where a camera
+    between two others may look, and are brighter by half, so that what is black counts, too.
+    """
+    wider, settings = _wider(cameras), RenderSettings()
+    random = torch.Generator().manual_seed(0)
+    sh = gaussians.sh.detach().clone()
+    sh[:, 0] += 0.5 / SH_0
+    # No gradient passes the cap of α.
+    opacities = gaussians.opacities.detach().clamp(max=0.99 * settings.alpha_max)
+    scene = replace(gaussians.detach(), sh=sh.requires_grad_(), opacities=opacities.requires_grad_())
+    weight, change = torch.zeros(2, len(gaussians)).to(sh)
+    for view in range(len(wider)):
+        with torch.enable_grad():
+            picture = render(scene, wider[[view]], settings=settings).colour
+            (by_sh,) = torch.autograd.grad(picture[:, 0].sum(), sh, retain_graph=True)
+            signs = torch.randint(0, 2, picture.shape, generator=random).to(picture) * 2 - 1
+            (by_opacity,) = torch.autograd.grad((picture * signs).sum(), opacities)
+        weight += by_sh[:, 0, 0] / SH_0
+        change += (by_opacity * opacities.detach()).square()
+    return weight * (change.sqrt() + HIDDEN * weight)
+
+
+def _wider(cameras: Cameras) -> Cameras:
     margin = math.ceil(BORDER * max(cameras.height, cameras.width))
     K = cameras.K.clone()
     K[:, :2, 2] += margin
-    wider = replace(cameras, K=K, height=cameras.height + 2 * margin, width=cameras.width + 2 * margin)
-    return contributions(gaussians, wider)
-
-
-def _all_but(order: Tensor, count: int) -> Bool[Tensor, "n"]:
-    kept = torch.ones(len(order), dtype=torch.bool, device=order.device)
-    kept[order[:count]] = False
-    return kept
+    return replace(cameras, K=K, height=cameras.height + 2 * margin, width=cameras.width + 2 * margin)

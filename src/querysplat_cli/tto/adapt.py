@@ -66,7 +66,7 @@ def adapt(
 ) -> Adapted:
     """Go through the runs of `plan`, at least one; an interrupted one is the last.
 
-    The first prunes half-way; where that must not depend on what optimisation brings, or Gaussians are to be split
+    The first prunes on the way; where that must not depend on what optimisation brings, or Gaussians are to be split
     until there are `densify_to`, it is done `at_once`. Only runs in Gaussian space split.
     """
     variables, anchors, gaussians, kept = start.variables, start.anchors, start.gaussians, start.kept
@@ -74,7 +74,7 @@ def adapt(
     if pruning and (at_once or densify_to):
         with torch.no_grad():
             everything = decoded(model, variables, anchors, kept) if gaussians is None else gaussians
-        pruned, pruning = pruning(everything, target), None
+        pruned, pruning = pruning(everything, target, 0.0), None
         if gaussians is None:
             kept = _narrowed(kept, pruned.kept)
         else:

@@ -19,12 +19,13 @@ from querysplat_cli.prune.gaussians import Pruned
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.tto.cameras import RefinedCameras
+from querysplat_cli.tto.cover import Cover
 from querysplat_cli.tto.rendering_loss import RenderingLoss, tensors
 
 RISE = 2.0
 """A step is undone when the loss of its views exceeds the least seen of them by this factor. Views that pull in
 different ways, and Adam's first steps, raise it by up to half on their own and come down again."""
-PRUNE_AFTER = 0.5
+PRUNE_AFTER = 1 / 3
 """The share of the steps after which Gaussians are pruned; the rest makes up for those that went."""
 DENSIFY_AFTER: tuple[float, ...] = (1 / 6, 1 / 3, 1 / 2)
 """The shares of the steps after which Gaussians are split; what they gain, the rest has to find."""
@@ -32,8 +33,8 @@ PATIENCE = 30
 """Steps undone in a row before a run is given up; the rate has then fallen by 2³⁰."""
 
 
-Pruning = Callable[[Gaussians, RenderingLoss], Pruned]
-"""What chooses the Gaussians that stay, by how they look in the target's views."""
+Pruning = Callable[[Gaussians, RenderingLoss, float], Pruned]
+"""What chooses the Gaussians that stay, by how they look in the target's views and by the number of steps to come."""
 V = TypeVar("V", bound="Variables")
 
 
@@ -64,13 +65,15 @@ Densifying = Callable[[Gaussians, RenderingLoss, int], Denser[V]]
 class TtoSettings:
     """How to optimise. `views_per_step` None takes every view in every step, as the paper's release does;
     a number draws that many, each view once before any comes again. The rate rises over `warm_up` steps and
-    falls to a tenth along a cosine. With `seconds`, a run ends when they are over, and its rate falls with the time."""
+    falls to a tenth along a cosine. With `seconds`, a run ends when they are over, and its rate falls with the time.
+    With `keep_cover`, what the scene covers between the views stays covered."""
 
     steps: int
     lr: float
     views_per_step: int | None = None
     warm_up: int = 0
     seconds: float | None = None
+    keep_cover: bool = False
 
 
 @dataclass(frozen=True)
@@ -122,9 +125,10 @@ def optimise(
     """Adam (β 0.9, 0.999) on every tensor of `variables`, at `settings.lr` times its rate in `rates`.
 
     A step after which the loss rises beyond its noise, or anything stops being finite, is undone and the
-    rate halved. `pruning` chooses, half-way, the Gaussians that the other half goes on with. `refine_cameras` corrects
-    the cameras beside the variables. Ctrl-C ends the run and keeps what was reached. `densifying` splits Gaussians,
-    each time in the place of a step; it cannot go with `pruning`, which says what stays of those that there were.
+    rate halved. `pruning` chooses, at `PRUNE_AFTER`, the Gaussians that the rest goes on with. `refine_cameras`
+    corrects the cameras beside the variables. Ctrl-C ends the run and keeps what was reached. `densifying` splits
+    Gaussians, each time in the place of a step; it cannot go with `pruning`, which says what stays of those that there
+    were.
     """
     assert not (pruning and densifying)
     everything = list(range(len(target.views)))
@@ -136,6 +140,7 @@ def optimise(
     if not settings.steps:
         return before
     refined = RefinedCameras(target.cameras, first) if refine_cameras else None
+    cover = Cover.of(first, target.cameras) if settings.keep_cover else None
     run = _Run(variables, decode, settings.lr, rates, refined)
     history: list[TtoStep] = []
     start, undone, in_a_row, interrupted = time.perf_counter(), 0, 0, False
@@ -150,11 +155,12 @@ def optimise(
             gaussians = _staying(run.decode(run.variables), pruned)
             target = run.aimed(target)
             if pruning and not pruned and done >= PRUNE_AFTER and _finite(tensors(gaussians)):
-                pruned = pruning(gaussians.detach(), target)
+                pruned = pruning(gaussians.detach(), target, step * (1 - done) / done)
                 gaussians = _staying(gaussians, pruned)
-                losses = target.values(gaussians, everything)
+                losses = [math.inf] * len(losses)
             here = target.value_and_gradient(gaussians, chosen) if _finite(tensors(gaussians)) else None
             if here:
+                here = cover.held(here, gaussians, step) if cover else here
                 here.send_back(gaussians, target.cameras)
             if here is None or not run.finite_gradient() or _risen(here.losses, losses, chosen):
                 undone, in_a_row = undone + 1, in_a_row + 1
@@ -171,7 +177,7 @@ def optimise(
             if densifying and waiting and done >= waiting[0]:
                 run.go_on(densifying(gaussians.detach(), target, len(waiting)))
                 waiting = waiting[1:]
-                losses = target.values(run.decode(run.variables), everything)
+                losses = [math.inf] * len(losses)
                 continue
             run.step(_fall(step, done, settings))
     except KeyboardInterrupt:

@@ -76,8 +76,8 @@ class RenderingLoss:
             (loss / len(chosen)).backward()
             losses.append(float(loss.detach()))
             errors.append(error)
-        camera_gradient = (_gradient(w2c), _gradient(K)) if asked else None
-        return LossAndGradient(losses, _decibels(errors), leaves.map(_gradient), camera_gradient)
+        camera_gradient = (gradient_of(w2c), gradient_of(K)) if asked else None
+        return LossAndGradient(losses, _decibels(errors), leaves.map(gradient_of), camera_gradient)
 
     def _view(self, gaussians: Gaussians, cameras: Cameras, view: int) -> tuple[Tensor, float]:
         """Loss and mean squared error of one view."""
@@ -93,7 +93,8 @@ def tensors(holder: Any) -> list[Tensor]:
     return [getattr(holder, each.name) for each in fields(holder)]
 
 
-def _gradient(leaf: Tensor) -> Tensor:
+def gradient_of(leaf: Tensor) -> Tensor:
+    """Zeros where nothing reached the leaf."""
     return torch.zeros_like(leaf) if leaf.grad is None else leaf.grad
 
 
