@@ -41,7 +41,8 @@ def split(gaussians: Gaussians) -> tuple[Gaussians, Gaussians]:
     asks, the integral of α stays as it was, over a picture that sees the axis from the side: 2wp − a·p² = opacity
     for their opacity p, with a = w·exp(−APART²/w²)/2 from where they overlap.
     """
-    rows, longest = torch.arange(len(gaussians)), gaussians.scales.argmax(1)
+    longest = gaussians.scales.argmax(1)
+    rows = torch.arange(len(longest), device=longest.device)
     narrower = math.sqrt(1 - APART**2)
     overlap = narrower * math.exp(-((APART / narrower) ** 2)) / 2
     axis = rotation_matrices(gaussians.quats)[rows, :, longest]

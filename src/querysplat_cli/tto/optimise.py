@@ -141,18 +141,18 @@ def optimise(
         return before
     refined = RefinedCameras(target.cameras, first) if refine_cameras else None
     cover = Cover.of(first, target.cameras) if settings.keep_cover else None
-    run = _Run(variables, settings.lr, rates, refined)
+    run = _Run(variables, decode, settings.lr, rates, refined)
     history: list[TtoStep] = []
     start, undone, in_a_row, interrupted = time.perf_counter(), 0, 0, False
     pruned: Pruned | None = None
-    waiting, added = (DENSIFY_AFTER if densifying else ()), 0
+    waiting = DENSIFY_AFTER if densifying else ()
     draws = _draws(len(everything), settings.views_per_step, generator)
     try:
         for step, chosen in enumerate(islice(draws, settings.steps)):
             done = _done(step, time.perf_counter() - start, settings)
             if done >= 1:
                 break
-            gaussians = _staying(decode(run.variables), pruned)
+            gaussians = _staying(run.decode(run.variables), pruned)
             target = run.aimed(target)
             if pruning and not pruned and done >= PRUNE_AFTER and _finite(tensors(gaussians)):
                 pruned = pruning(gaussians.detach(), target, step * (1 - done) / done)
@@ -175,9 +175,8 @@ def optimise(
             history.append(TtoStep(step, here.loss, here.psnr, seconds, len(gaussians)))
             progress(history[-1])
             if densifying and waiting and done >= waiting[0]:
-                denser = densifying(gaussians.detach(), target, len(waiting))
-                waiting, decode, added = waiting[1:], denser.decode, added + len(denser.origin) - len(gaussians)
-                run.go_on(denser.variables, denser.origin)
+                run.go_on(densifying(gaussians.detach(), target, len(waiting)))
+                waiting = waiting[1:]
                 losses = [math.inf] * len(losses)
                 continue
             run.step(_fall(step, done, settings))
@@ -186,7 +185,7 @@ def optimise(
     found = replace(before, history=tuple(history), undone=undone, interrupted=interrupted)
     last = run.variables.map(Tensor.detach)
     with torch.no_grad():
-        gaussians = _staying(decode(last), pruned)
+        gaussians = _staying(run.decode(last), pruned)
         target = run.aimed(target)
     loss = target.value(gaussians, everything) if _finite(tensors(gaussians)) else math.inf
     if loss < before.loss_before:
@@ -197,7 +196,7 @@ def optimise(
             loss_after=loss,
             cameras=target.cameras,
             pruned=pruned,
-            added=added,
+            added=len(gaussians) - len(first) if densifying else 0,
         )
     return found
 
@@ -209,16 +208,24 @@ def _staying(gaussians: Gaussians, pruned: Pruned | None) -> Gaussians:
 class _Run(Generic[V]):
     """Variables under Adam, cameras where these are refined, and the way back over the last step."""
 
-    def __init__(self, variables: V, lr: float, rates: Mapping[str, float], refined: RefinedCameras | None) -> None:
+    def __init__(
+        self,
+        variables: V,
+        decode: Callable[[V], Gaussians],
+        lr: float,
+        rates: Mapping[str, float],
+        refined: RefinedCameras | None,
+    ) -> None:
         self._lr, self._rates, self._refined = lr, rates, refined
-        self._start(variables)
+        self._start(variables, decode)
 
     def aimed(self, target: RenderingLoss) -> RenderingLoss:
         """The target as the cameras are now."""
         return replace(target, cameras=self._refined.now()) if self._refined else target
 
-    def _start(self, variables: V) -> None:
-        self.variables = variables.map(lambda tensor: tensor.detach().clone().requires_grad_())
+    def _start(self, variables: V, decode: Callable[[V], Gaussians]) -> None:
+        leaves = variables.map(lambda tensor: tensor.detach().clone().requires_grad_())
+        self.variables, self.decode = leaves, decode  # at once, wherever Ctrl-C comes
         self._before = variables.map(lambda tensor: tensor.detach().clone())
         named = {field.name: getattr(self.variables, field.name) for field in fields(self.variables)}
         groups = [{"params": [tensor], "rate": self._rates[name]} for name, tensor in named.items()]
@@ -238,11 +245,11 @@ class _Run(Generic[V]):
         if self._refined:
             self._refined.step(share)
 
-    def go_on(self, variables: V, origin: Int[Tensor, "n"]) -> None:
-        """With other rows. Each keeps what is known of the gradients of the one it was made of, and its momentum unless
-        that one was split."""
+    def go_on(self, denser: Denser[V]) -> None:
+        """With more rows. Each keeps what Adam knows of the one it was made of, unless that one was split."""
         known = [self._adam.state[tensor] for tensor in tensors(self.variables)]
-        self._start(variables)
+        self._start(denser.variables, denser.decode)
+        origin = denser.origin
         split = origin.bincount()[origin] > 1
         for tensor, state in zip(tensors(self.variables), known, strict=True):
             self._adam.state[tensor] = {name: part[origin] if part.dim() else part for name, part in state.items()}
@@ -255,7 +262,7 @@ class _Run(Generic[V]):
         if self._refined:
             self._refined.undo()
         self._lr /= 2
-        self._start(self._before)
+        self._start(self._before, self.decode)
 
 
 def _risen(now: list[float], least: list[float], chosen: list[int]) -> bool:
