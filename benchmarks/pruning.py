@@ -28,7 +28,7 @@ from querysplat_cli.report import machine
 from querysplat_cli.training.passes import Sample
 from querysplat_cli.tto.features import optimise_memories
 from querysplat_cli.tto.optimise import Pruning
-from querysplat_cli.tto.plan import plan_tto
+from querysplat_cli.tto.plan import QUERIES, plan_tto
 from querysplat_cli.tto.rendering_loss import RenderingLoss
 from reconstruct import SETS
 
@@ -50,7 +50,7 @@ def pruned_to(amount: Literal["auto"] | int, views: int) -> Pruning:
 
 def rows(name: str, sample: Sample, model: QuerySplat) -> list[Row]:
     located = Located(sample.views, sample.cameras, torch.zeros(0, 3), ())
-    remembered = remember(model, located, sample.geometry, queries=None, target="kv")
+    remembered = remember(model, located, sample.geometry, queries=None, about=QUERIES, target="kv")
     assert remembered.anchors is not None
     count = remembered.anchors.opacities.numel()
     target = RenderingLoss(sample.views, sample.cameras)

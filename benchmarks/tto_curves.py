@@ -32,7 +32,7 @@ from querysplat_cli.report import machine
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.training.passes import Sample
 from querysplat_cli.tto.adapt import Start, adapt
-from querysplat_cli.tto.plan import Space, TtoRun, plan_tto
+from querysplat_cli.tto.plan import QUERIES, Space, TtoRun, plan_tto
 from querysplat_cli.tto.rendering_loss import LossAndGradient, RenderingLoss
 from reconstruct import SETS
 
@@ -105,7 +105,7 @@ def curve(model: QuerySplat, start: Start, sample: Sample, plan: tuple[TtoRun, .
 
 def curves(name: str, sample: Sample, model: QuerySplat, steps: int | None) -> dict[str, Any]:
     located = Located(sample.views, sample.cameras, torch.zeros(0, 3), ())
-    remembered = remember(model, located, sample.geometry, queries=None, target="kv")
+    remembered = remember(model, located, sample.geometry, queries=None, about=QUERIES, target="kv")
     assert remembered.anchors is not None
     start = Start(remembered.variables.map(torch.Tensor.float), remembered.anchors)
     count = remembered.anchors.opacities.numel()

@@ -48,7 +48,7 @@ from querysplat_cli.store import StoredScene, ply_path, read_scene, scene_folder
 from querysplat_cli.tto.adapt import Adapted, Start, adapt
 from querysplat_cli.tto.cameras import refinable, refocused
 from querysplat_cli.tto.optimise import TtoStep
-from querysplat_cli.tto.plan import RELEASE_STEPS, Space, TtoRun, plan_release, plan_tto
+from querysplat_cli.tto.plan import QUERIES, RELEASE_STEPS, Space, TtoRun, plan_release, plan_tto
 from querysplat_cli.tto.rendering_loss import RenderingLoss
 
 MISFIT = 0.5
@@ -248,6 +248,7 @@ def build_scene(
             located,
             geometry,
             queries=settings.queries,
+            about=None if settings.keep_everything or settings.tto == 0 else QUERIES,
             target=settings.tto_target,
             everything=settings.keep_everything,
         )

@@ -40,13 +40,14 @@ def remember(
     geometry: Geometry,
     *,
     queries: int | None,
+    about: int | None = None,
     target: Target,
     everything: bool = False,
 ) -> Remembered:
     """Memories or features on the CPU; with anchors, only the rows that some anchor attends to.
 
-    `queries` bounds the anchors; with `everything` those that other views make superfluous stay. Raises
-    QuerySplatError when the model cannot read such features.
+    `queries` bounds the anchors, `about` those in the photos as far as it can; with `everything` those that other
+    views make superfluous stay. Raises QuerySplatError when the model cannot read such features.
     """
     views, cameras = located.views, located.cameras
     model.check_features(geometry.features, cameras.height, cameras.width)
@@ -65,6 +66,7 @@ def remember(
             geometry.confidence,
             patch=geometry.patch,
             queries=queries,
+            about=about,
             everything=everything,
         )
         anchors = with_feedback(anchors, views, cameras)

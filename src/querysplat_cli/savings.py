@@ -46,8 +46,8 @@ def queries(report: AnchorReport, adapted: Adapted) -> Saving:
     gone = CELLS**2 * (report.redundant + report.hiding)
     return Saving(
         "queries",
-        f"of {report.blocks:,} blocks, {report.redundant:,} show what another view shows at least as finely "
-        f"and {report.hiding:,} would hide surfaces seen by others",
+        f"of {report.blocks:,} blocks of {report.side} pixels, {report.redundant:,} show what another view shows at "
+        f"least as finely and {report.hiding:,} would hide surfaces seen by others",
         f"{gone:,} Gaussians",
         bytes=gone * ply_bytes(adapted.gaussians.sh.shape[1]),
     )

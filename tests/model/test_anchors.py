@@ -12,6 +12,7 @@ from querysplat_cli.model.anchors import (
     BORDER_COARSER,
     FEATURES,
     FILL,
+    FINEST,
     AnchorReport,
     Anchors,
     build_anchors,
@@ -41,8 +42,8 @@ def plane(shifts: list[float], seed: int = 0) -> tuple[Views, Cameras, torch.Ten
     return views, Cameras(w2c, K, HEIGHT, WIDTH), torch.full(masks.shape, DEPTH), torch.ones(masks.shape)
 
 
-def build(*scene: object, queries: int | None = None) -> tuple[Anchors, AnchorReport]:
-    return build_anchors(*scene, patch=6, queries=queries)  # type: ignore[arg-type]
+def build(*scene: object, queries: int | None = None, about: int | None = None) -> tuple[Anchors, AnchorReport]:
+    return build_anchors(*scene, patch=6, queries=queries, about=about)  # type: ignore[arg-type]
 
 
 def test_one_view_of_a_plane() -> None:
@@ -110,6 +111,19 @@ def test_a_limit_that_cannot_be_kept_is_refused() -> None:
     assert build(*apart, queries=3)[1].kept == 3
     with pytest.raises(QuerySplatError, match="--queries 2: these photos need 3"):
         build(*apart, queries=2)
+
+
+@pytest.mark.parametrize("about", [BLOCKS, BLOCKS - 1, 20])
+def test_about_so_many_queries_cut_the_photos_and_leave_what_lies_beyond(about: int) -> None:
+    _, report = build(*plane([0.0]), about=about)
+    assert report.kept <= about
+    assert (report.side == FINEST) == (about == BLOCKS)
+    assert report.beyond > 0
+
+
+def test_about_so_many_queries_are_more_where_photos_are_more() -> None:
+    apart = plane([0.0, 1000.0, 2000.0])
+    assert build(*apart, about=2)[1].kept == 3
 
 
 def test_neighbours_are_the_nearest_patches() -> None:

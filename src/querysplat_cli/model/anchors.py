@@ -22,6 +22,8 @@ from querysplat_cli.scene.views import Views
 
 CELLS = 3
 """Cells along a block's side; a query owns CELLS² Gaussians."""
+FINEST = 2 * CELLS
+"""Pixels along the side of the smallest blocks."""
 COMPARED_VIEWS = 16
 """Each view is compared with this many nearest others, so that time stays linear in the views."""
 DEPTH_AGREEMENT = 0.03
@@ -86,7 +88,8 @@ class Anchors:
 
 @dataclass(frozen=True)
 class AnchorReport:
-    """How many blocks the pictures have, and why some carry no query; `beyond` are the queries beside them."""
+    """How many blocks of `side` pixels the pictures have, and why some carry no query; `beyond` are the queries beside
+    them."""
 
     blocks: int
     kept: int
@@ -94,6 +97,7 @@ class AnchorReport:
     hiding: int
     empty: int
     beyond: int = 0
+    side: int = FINEST
 
 
 def build_anchors(
@@ -104,6 +108,7 @@ def build_anchors(
     *,
     patch: int,
     queries: int | None = None,
+    about: int | None = None,
     near: int = 4,
     everything: bool = False,
 ) -> tuple[Anchors, AnchorReport]:
@@ -112,17 +117,20 @@ def build_anchors(
     Memory rows are the patches of `patch` pixels, view by view, row by row; each query attends to the
     `near` nearest of them in space. `queries` limits their number by cutting the pictures more coarsely;
     None keeps a block for each patch that shows something no other view shows as well, or, with `everything`,
-    for each patch. Queries beyond the borders come last, as many as the limit leaves room for. Raises
-    QuerySplatError when photos that show different things are more than `queries`.
+    for each patch. Queries beyond the borders come last, as many as the limit leaves room for. `about` is a limit for
+    those within alone, and only as far as it can be kept. Raises QuerySplatError when photos that show
+    different things are more than `queries`.
     """
-    block = 2 * CELLS
+    block, limit = FINEST, about if queries is None else queries
     while True:
         cells = _cells(views, cameras, depth, confidence, block // CELLS)
         seen = _compare_views(cells, views, cameras, depth, confidence)
         keep, report = _choose_blocks(cells, seen, cameras, block // CELLS, everything)
-        if queries is None or report.kept <= queries:
+        if limit is None or report.kept <= limit:
             break
         if block >= max(cameras.height, cameras.width):
+            if queries is None:
+                break
             raise QuerySplatError(
                 f"--queries {queries}: these photos need {report.kept}, even one for a whole photo", "Ask for more."
             )
@@ -150,7 +158,7 @@ def build_anchors(
         appearance=memory,
         queries=_neighbours(centres, spacing, centres, near),
     )
-    return anchors, replace(report, beyond=len(border.point))
+    return anchors, replace(report, beyond=len(border.point), side=block)
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,9 @@ FEW_VIEWS, PASSES = 4, 40
 them stays covered, because much of it is seen by one of them or by none; five photos of kermit already lose by that."""
 STEPS = (30, 150)
 """Fewest and most steps of an automatic plan; what more of them bring on held-out photos is little."""
+QUERIES = 10_000
+"""With those beyond the photos' borders, about as many as leave an automatic plan sixty steps. Photos that would carry
+more are cut more coarsely: finer queries show more only after steps for which there is no time."""
 MOST_STEPS = 300
 """However much time there is."""
 WORK = 16.0
