@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 import torch
 
+from querysplat_cli import pipeline
 from querysplat_cli.cli import run
 from querysplat_cli.errors import ExitCode
 from querysplat_cli.prune.gaussians import MENDED
@@ -172,6 +173,23 @@ def test_everything_can_be_kept(
     report = json.loads(capsys.readouterr().out)
     assert report["gaussians"] > 1.5 * usual["gaussians"]
     assert {part["what"] for part in report["left_out"]} == {"LPIPS loss"}
+
+
+@pytest.mark.parametrize(("steps", "finest"), [("0", True), ("2", False)])
+def test_scenes_to_be_optimised_have_no_more_queries_than_there_is_time_for(
+    room: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    steps: str,
+    finest: bool,
+) -> None:
+    monkeypatch.setattr(pipeline, "QUERIES", 300)
+    command = ["reconstruct", str(room), "-o", str(tmp_path / "a.ply"), "--max-size", "192", "--json", "-q"]
+    assert run([*command, "--tto", steps]) == 0
+    report = json.loads(capsys.readouterr().out)
+    (queries,) = (part for part in report["left_out"] if part["what"] == "queries")
+    assert ("blocks of 6 pixels" in queries["why"]) == finest
 
 
 def test_gaussians_that_were_optimised_themselves_are_not_decoded_again(

@@ -39,7 +39,9 @@ class TtoSpace(StrEnum):
 
 Prune = Annotated[
     str,
-    typer.Option(metavar="auto|off|N", help="Leave out Gaussians that change nothing (auto), or all but N."),
+    typer.Option(
+        metavar="auto|off|N", help="Leave out the half of the Gaussians that is needed least (auto), or all but N."
+    ),
 ]
 
 

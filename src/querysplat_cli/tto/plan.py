@@ -21,11 +21,11 @@ them stays covered, because much of it is seen by one of them or by none; five p
 STEPS = (30, 150)
 """Fewest and most steps of an automatic plan; what more of them bring on held-out photos is little."""
 QUERIES = 10_000
-"""With those beyond the photos' borders, about as many as leave an automatic plan fifty steps. Photos that would carry
+"""With those beyond the photos' borders, about as many as leave an automatic plan forty-five steps. Photos that would carry
 more are cut more coarsely: finer queries show more only after steps for which there is no time."""
 MOST_STEPS = 300
 """However much time there is."""
-WORK = 16.0
+WORK = 14.0
 DECODING, SPLATTING = (0.045, 1.2e-6), (0.05, 1.55e-6)
 """An automatic plan stays within `WORK` seconds. A step takes these, and these for each Gaussian, to decode the
 memories and to splat three views of 448 × 336, on the two cores that this was measured on. It counts on these
