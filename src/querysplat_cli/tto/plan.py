@@ -21,8 +21,8 @@ them stays covered, because much of it is seen by one of them or by none; five p
 STEPS = (30, 150)
 """Fewest and most steps of an automatic plan; what more of them bring on held-out photos is little."""
 QUERIES = 10_000
-"""With those beyond the photos' borders, about as many as leave an automatic plan forty-five steps. Photos that would carry
-more are cut more coarsely: finer queries show more only after steps for which there is no time."""
+"""With those beyond the photos' borders, about as many as leave an automatic plan forty-five steps. Photos that would
+carry more are cut more coarsely: finer queries show more only after steps for which there is no time."""
 MOST_STEPS = 300
 """However much time there is."""
 WORK = 14.0
