@@ -19,12 +19,12 @@ import torch
 
 from feedforward import SEED, SIZE, real
 from pruning import pruned_to
-from querysplat_cli.encoders.base import Located
+from querysplat_cli.encoders.base import PosedViews
 from querysplat_cli.model.checkpoints import load
 from querysplat_cli.model.querysplat import QuerySplat
-from querysplat_cli.quality import score
-from querysplat_cli.remembering import remember
-from querysplat_cli.report import machine
+from querysplat_cli.queries.prepare import prepare
+from querysplat_cli.reporting.report import machine
+from querysplat_cli.reporting.view_scores import score
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.training.passes import Sample
 from querysplat_cli.tto.features import optimise_memories
@@ -53,19 +53,19 @@ class Row:
 
 def scene(model: QuerySplat, sample: Sample, share: float) -> Gaussians:
     """A scene of a `share` of the usual queries."""
-    located = Located(sample.views, sample.cameras, torch.zeros(0, 3), ())
+    posed = PosedViews(sample.views, sample.cameras, torch.zeros(0, 3), ())
     queries = None
     if share < 1:
-        usual = remember(model, located, sample.geometry, queries=None, target="kv").anchors
+        usual = prepare(model, posed, sample.geometry, queries=None, target="kv").anchors
         assert usual is not None
         queries = int(share * len(usual.opacities))
-    remembered = remember(model, located, sample.geometry, queries=queries, target="kv")
-    assert remembered.anchors is not None
-    (run,) = plan_tto(None, views=len(sample.views), gaussians=remembered.anchors.opacities.numel())
+    prepared = prepare(model, posed, sample.geometry, queries=queries, target="kv")
+    assert prepared.anchors is not None
+    (run,) = plan_tto(None, views=len(sample.views), gaussians=prepared.anchors.opacities.numel())
     result = optimise_memories(
         model,
-        remembered.variables.map(torch.Tensor.float),
-        remembered.anchors,
+        prepared.variables.map(torch.Tensor.float),
+        prepared.anchors,
         RenderingLoss(sample.views, sample.cameras),
         run.settings,
         generator=torch.Generator().manual_seed(SEED),

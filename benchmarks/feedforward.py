@@ -17,14 +17,14 @@ from typing import Any
 
 import torch
 
-from querysplat_cli.encoders.base import Located
+from querysplat_cli.encoders.base import PosedViews
+from querysplat_cli.encoders.holdout import camera_passes
 from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.evaluation.baseline import back_project
-from querysplat_cli.holdout import locate_passes
 from querysplat_cli.model.checkpoints import load
-from querysplat_cli.quality import score
-from querysplat_cli.remembering import remember
-from querysplat_cli.report import machine
+from querysplat_cli.queries.prepare import prepare
+from querysplat_cli.reporting.report import machine
+from querysplat_cli.reporting.view_scores import score
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.photos import find_photos, load_photos
 from querysplat_cli.training.config import load_config
@@ -51,16 +51,16 @@ def passed(data: Path, name: str, size: int) -> Sample:
     """What the encoder finds of the inputs, and the held-out views."""
     encoder = find_encoder("classical")
     photos, _ = load_photos(find_photos(photos_of(data, name)))
-    chosen = locate_passes(
+    chosen = camera_passes(
         photos,
         4,
         "joint",
-        lambda some: encoder.locate(some, max_size=size, seed=SEED, known=None, progress=silent),
+        lambda some: encoder.estimate_cameras(some, max_size=size, seed=SEED, known=None, progress=silent),
         poses_known=True,
     ).chosen
     assert chosen.heldout
     inputs = chosen.inputs
-    geometry = encoder.perceive(inputs, seed=SEED, progress=silent)
+    geometry = encoder.estimate_geometry(inputs, seed=SEED, progress=silent)
     return Sample(inputs.views, inputs.cameras, geometry, *chosen.heldout)
 
 
@@ -88,15 +88,15 @@ def rows(name: str, sample: Sample, models: list[str], steps: list[int], backgro
     assert sample.geometry.depth is not None
     depth = back_project(sample.views, sample.cameras, sample.geometry.depth)
     found = [{"set": name, "row": "depth", "steps": 0, **scores(depth)}]
-    located = Located(sample.views, sample.cameras, torch.zeros(0, 3), ())
+    posed = PosedViews(sample.views, sample.cameras, torch.zeros(0, 3), ())
     for given in models:
         model = load(given)
-        remembered = remember(model, located, sample.geometry, queries=None, target="kv")
+        prepared = prepare(model, posed, sample.geometry, queries=None, target="kv")
         for count in steps:
             result = optimise_memories(
                 model,
-                remembered.variables,
-                remembered.anchors,
+                prepared.variables,
+                prepared.anchors,
                 RenderingLoss(sample.views, sample.cameras),
                 TtoSettings(count, LEARNING_RATE, VIEWS_PER_STEP),
                 generator=torch.Generator().manual_seed(SEED),

@@ -24,15 +24,15 @@ from torch.nn import functional as F
 
 from feedforward import SEED, silent
 from pruning import pruned_to
-from querysplat_cli.encoders.base import Located
+from querysplat_cli.encoders.base import PosedViews
+from querysplat_cli.encoders.holdout import take
 from querysplat_cli.encoders.registry import find_encoder
-from querysplat_cli.holdout import take
 from querysplat_cli.model.checkpoints import load
 from querysplat_cli.model.querysplat import QuerySplat
-from querysplat_cli.prune.gaussians import staying
-from querysplat_cli.quality import score
-from querysplat_cli.remembering import remember
-from querysplat_cli.report import machine
+from querysplat_cli.prune.gaussians import target_count
+from querysplat_cli.queries.prepare import prepare
+from querysplat_cli.reporting.report import machine
+from querysplat_cli.reporting.view_scores import score
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.formats.known import read_known_cameras
 from querysplat_cli.scene.gaussians import Gaussians
@@ -40,7 +40,7 @@ from querysplat_cli.scene.paths import interpolate
 from querysplat_cli.scene.photos import find_photos, load_photos
 from querysplat_cli.scene.sim3 import skew
 from querysplat_cli.splat.render import render
-from querysplat_cli.training.passes import Sample, prepare, read_sample, write_sample
+from querysplat_cli.training.passes import Sample, make_sample, read_sample, write_sample
 from querysplat_cli.tto.features import optimise_memories
 from querysplat_cli.tto.plan import STEPS, plan_tto
 from querysplat_cli.tto.rendering_loss import RenderingLoss
@@ -93,25 +93,25 @@ def passed(data: Path, case: str, size: int, *, free: bool) -> Sample:
     encoder = find_encoder("classical")
     if free or name == "fox":
         known = None if free else read_known_cameras(data / "dl3dv" / "fox")
-        return prepare(photos, names, encoder, known=known, max_size=size, seed=SEED)
-    everything = encoder.locate(photos, max_size=size, seed=SEED, known=None, progress=silent)
+        return make_sample(photos, names, encoder, known=known, max_size=size, seed=SEED)
+    everything = encoder.estimate_cameras(photos, max_size=size, seed=SEED, known=None, progress=silent)
     rows = [row for row, each in enumerate(everything.views.names) if each in names]
     others = [row for row in range(len(everything.views)) if row not in rows]
     own = take(everything, rows)
-    geometry = encoder.perceive(own, seed=SEED, progress=silent)
+    geometry = encoder.estimate_geometry(own, seed=SEED, progress=silent)
     return Sample(own.views, own.cameras, geometry, everything.views[others], everything.cameras[others])
 
 
 def scenes(model: QuerySplat, sample: Sample) -> tuple[int, list[Gaussians]]:
     """Steps by default; feed-forward, optimised without a guard, and by default."""
-    located = Located(sample.views, sample.cameras, torch.zeros(0, 3), ())
-    remembered = remember(model, located, sample.geometry, queries=None, target="kv")
-    variables, anchors = remembered.variables.map(torch.Tensor.float), remembered.anchors
+    posed = PosedViews(sample.views, sample.cameras, torch.zeros(0, 3), ())
+    prepared = prepare(model, posed, sample.geometry, queries=None, target="kv")
+    variables, anchors = prepared.variables.map(torch.Tensor.float), prepared.anchors
     with torch.no_grad():
         found = [model.decode(variables, anchors)]
     count, views = len(found[0]), len(sample.views)
     plans = [
-        plan_tto(steps, views=views, gaussians=count, staying=staying(count, "auto", sample.cameras))[0].settings
+        plan_tto(steps, views=views, gaussians=count, staying=target_count(count, "auto", sample.cameras))[0].settings
         for steps in (STEPS[1], None)
     ]
     plans[0] = replace(plans[0], keep_cover=False)

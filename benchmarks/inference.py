@@ -23,13 +23,13 @@ from typing import Any
 import torch
 
 import full_size
-from querysplat_cli.device import peak_gib
 from querysplat_cli.encoders.vggt_omega.model import CONFIG, VggtOmega
-from querysplat_cli.memory import RUNTIME
 from querysplat_cli.model.config import preset
 from querysplat_cli.model.querysplat import QuerySplat
-from querysplat_cli.precision import check_precision, matrix_products
-from querysplat_cli.report import machine
+from querysplat_cli.pipeline.memory import RUNTIME
+from querysplat_cli.reporting.report import machine
+from querysplat_cli.runtime.device import peak_gib
+from querysplat_cli.runtime.precision import check_precision, matrix_products
 
 VIEWS = [1, 4, 12, 48, 100, 300]
 QUERIES = [1024, 8192]
@@ -61,8 +61,8 @@ def measure(
         _forget_peak(device)
         if encoder is not None:
             mixture = (0.25,) * 4
-            row["encoder"] = _seconds(lambda: encoder.perceive(images, mixture=mixture, depth=False), device, runs)
-            features = encoder.perceive(images, mixture=mixture, depth=False).features
+            row["encoder"] = _seconds(lambda: encoder.predict(images, mixture=mixture, depth=False), device, runs)
+            features = encoder.predict(images, mixture=mixture, depth=False).features
             # As the road does: decoding needs nothing of it.
             encoder.to("meta")
         if decoder is not None:
@@ -73,7 +73,7 @@ def measure(
             for count in sorted(queries, reverse=True):
                 decoder.keep_queries(count)
                 row[f"decoder_{count}"] = _seconds(
-                    lambda: decoder.decode(decoder.remember(features, images, cameras)), device, runs
+                    lambda: decoder.decode(decoder.encode(features, images, cameras)), device, runs
                 )
     if encoder is not None and PAPER_QUERIES in queries and decoder is not None:
         row["total"] = row["encoder"] + row[f"decoder_{PAPER_QUERIES}"]
@@ -133,8 +133,8 @@ def foretold() -> str:
         weights = sum(tensor.nbytes for tensor in encoder.state_dict().values()) + decoder.weight_bytes
         needed = []
         for views in VIEWS:
-            perceiving = weights + CONFIG.working_bytes(views, SIZE, name == "bf16", mixed=True, depth=False)
-            needed.append((RUNTIME + max(perceiving, decoder.bytes_needed(views, SIZE, SPECIALS))) / 2**30)
+            encoding = weights + CONFIG.working_bytes(views, SIZE, name == "bf16", mixed=True, depth=False)
+            needed.append((RUNTIME + max(encoding, decoder.bytes_needed(views, SIZE, SPECIALS))) / 2**30)
         lines.append(f"| {name} | {' | '.join(f'{each:.1f}' for each in needed)} |")
     return "\n".join(lines)
 

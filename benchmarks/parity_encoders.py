@@ -8,8 +8,8 @@ from torch import nn
 
 from golden import Fixture, Tensors
 from parity_model import querysplat_outputs
-from querysplat_cli.encoders.config import VgmConfig
-from querysplat_cli.encoders.pose import decode_pose, encode_pose
+from querysplat_cli.encoders.transformer.config import VgmConfig
+from querysplat_cli.encoders.transformer.pose import decode_pose, encode_pose
 from querysplat_cli.encoders.vggt import heads as vggt_heads
 from querysplat_cli.encoders.vggt.aggregator import VggtAggregator
 from querysplat_cli.encoders.vggt_omega import heads as omega_heads
@@ -166,7 +166,7 @@ def pipeline(fixture: Fixture) -> Tensors:
         encoding = camera_head(found[-1][:, : config.special_tokens])
         cameras = decode_pose(encoding, *images.shape[-2:])
         depth, confidence = depth_head([each[:, config.special_tokens :] for each in found], _grid(settings))
-        memories = model.remember(found, images, cameras)
+        memories = model.encode(found, images, cameras)
         lens = [cameras.K[:, i, j] for i, j in ((0, 0), (1, 1), (0, 2), (1, 2))]
         rows.append(
             {

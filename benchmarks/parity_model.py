@@ -79,7 +79,7 @@ def appearance_memory(fixture: Fixture, model: QuerySplat, scene: Tensors) -> Te
 
 def querysplat(fixture: Fixture, model: QuerySplat, scene: Tensors) -> Tensors:
     images = scene["images"]
-    memories = model.remember(_layers(fixture, scene), images, pinholes(scene, *images.shape[-2:]))
+    memories = model.encode(_layers(fixture, scene), images, pinholes(scene, *images.shape[-2:]))
     tokens = model.geometry_tokens(memories)
     return {"geometry_tokens": tokens, **querysplat_outputs(model.decode(memories))}
 

@@ -23,9 +23,9 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor
 
 import full_size
-from querysplat_cli.device import peak_gib
-from querysplat_cli.precision import check_precision, matrix_products
-from querysplat_cli.report import machine
+from querysplat_cli.reporting.report import machine
+from querysplat_cli.runtime.device import peak_gib
+from querysplat_cli.runtime.precision import check_precision, matrix_products
 from querysplat_cli.splat.render import render
 
 SIZE = 512
@@ -40,7 +40,7 @@ def outputs(precision: str, views: int, queries: int, device: torch.device) -> d
     with torch.no_grad(), matrix_products(exact):
         encoder = full_size.vggt_omega(exact, device)
         start = time.perf_counter()
-        found = encoder.perceive(images, mixture=(0.25,) * 4, depth=False)
+        found = encoder.predict(images, mixture=(0.25,) * 4, depth=False)
         _wait(device)
         seconds.append(time.perf_counter() - start)
         del encoder
@@ -48,7 +48,7 @@ def outputs(precision: str, views: int, queries: int, device: torch.device) -> d
         decoder = full_size.querysplat(exact, device)
         decoder.keep_queries(queries)
         start = time.perf_counter()
-        made = decoder.decode(decoder.remember(found.features, images, cameras))
+        made = decoder.decode(decoder.encode(found.features, images, cameras))
         _wait(device)
         seconds.append(time.perf_counter() - start)
         picture = render(made, cameras[[0]]).colour

@@ -18,15 +18,15 @@ from typing import Literal
 import torch
 
 from feedforward import SEED, SIZE, real
-from querysplat_cli.encoders.base import Located
-from querysplat_cli.memory import evenly_spaced
+from querysplat_cli.encoders.base import PosedViews
 from querysplat_cli.model.checkpoints import load
 from querysplat_cli.model.querysplat import QuerySplat
-from querysplat_cli.pipeline import TESTED_VIEWS
-from querysplat_cli.prune.gaussians import Amount, prune, staying
-from querysplat_cli.quality import score
-from querysplat_cli.remembering import remember
-from querysplat_cli.report import machine
+from querysplat_cli.pipeline.memory import evenly_spaced
+from querysplat_cli.pipeline.reconstruct import TESTED_VIEWS
+from querysplat_cli.prune.gaussians import Amount, prune, target_count
+from querysplat_cli.queries.prepare import prepare
+from querysplat_cli.reporting.report import machine
+from querysplat_cli.reporting.view_scores import score
 from querysplat_cli.training.passes import Sample
 from querysplat_cli.tto.features import optimise_memories
 from querysplat_cli.tto.optimise import Pruning
@@ -63,20 +63,20 @@ def pruned_to(amount: Literal["auto"] | int, views: int) -> Pruning:
 
 
 def rows(name: str, sample: Sample, model: QuerySplat) -> list[Row]:
-    located = Located(sample.views, sample.cameras, torch.zeros(0, 3), ())
+    posed = PosedViews(sample.views, sample.cameras, torch.zeros(0, 3), ())
     found = []
     for what, (about, share) in CASES.items():
-        remembered = remember(model, located, sample.geometry, queries=None, about=about, target="kv")
-        assert remembered.anchors is not None
-        count = remembered.anchors.opacities.numel()
+        prepared = prepare(model, posed, sample.geometry, queries=None, about=about, target="kv")
+        assert prepared.anchors is not None
+        count = prepared.anchors.opacities.numel()
         amount: Amount = count // 3 if share == "third" else share
-        stay = staying(count, "auto", sample.cameras)
+        stay = target_count(count, "auto", sample.cameras)
         (run,) = plan_tto(None, views=len(sample.views), gaussians=count, staying=stay)
         start = time.perf_counter()
         result = optimise_memories(
             model,
-            remembered.variables.map(torch.Tensor.float),
-            remembered.anchors,
+            prepared.variables.map(torch.Tensor.float),
+            prepared.anchors,
             RenderingLoss(sample.views, sample.cameras),
             run.settings,
             generator=torch.Generator().manual_seed(SEED),

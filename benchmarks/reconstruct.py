@@ -14,7 +14,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from querysplat_cli.report import machine
+from querysplat_cli.reporting.report import machine
 
 SETS = ("fortress", "dtu106", "sceaux", "kermit", "riverview", "fox")
 FOX_VIEWS = 12
@@ -39,10 +39,10 @@ def reconstruct(photos: list[Path], folder: Path, cameras: str, options: list[st
 
 def splatted_depth(photos: list[Path]) -> float:
     """Held-out PSNR of the encoder's depth, splatted as it is, with joint cameras."""
+    from querysplat_cli.encoders.holdout import camera_passes
     from querysplat_cli.encoders.registry import find_encoder
     from querysplat_cli.evaluation.baseline import back_project
-    from querysplat_cli.holdout import locate_passes
-    from querysplat_cli.quality import score
+    from querysplat_cli.reporting.view_scores import score
     from querysplat_cli.scene.photos import find_photos, load_photos
 
     def silent(text: str, fraction: float) -> None:
@@ -50,18 +50,16 @@ def splatted_depth(photos: list[Path]) -> float:
 
     encoder = find_encoder("classical")
     loaded, _ = load_photos(find_photos(photos), progress=silent)
-    passes = locate_passes(
+    passes = camera_passes(
         loaded,
         4,
         "joint",
-        lambda some: encoder.locate(some, max_size=448, seed=42, known=None, progress=silent),
+        lambda some: encoder.estimate_cameras(some, max_size=448, seed=42, known=None, progress=silent),
         poses_known=True,
     )
-    located, heldout = passes.chosen.inputs, passes.chosen.heldout
-    geometry = encoder.perceive(located, seed=42, progress=silent)
-    return (
-        score(back_project(located.views, located.cameras, geometry.depth), *heldout).psnr if heldout else float("nan")
-    )
+    posed, heldout = passes.chosen.inputs, passes.chosen.heldout
+    geometry = encoder.estimate_geometry(posed, seed=42, progress=silent)
+    return score(back_project(posed.views, posed.cameras, geometry.depth), *heldout).psnr if heldout else float("nan")
 
 
 def main() -> None:

@@ -17,17 +17,17 @@ from typing import Any
 import torch
 
 from feedforward import SEED, silent
-from querysplat_cli.encoders.base import Located
+from querysplat_cli.encoders.base import PosedViews
+from querysplat_cli.encoders.holdout import camera_passes
 from querysplat_cli.encoders.registry import find_encoder
-from querysplat_cli.holdout import locate_passes
 from querysplat_cli.model.checkpoints import load
-from querysplat_cli.quality import score
-from querysplat_cli.remembering import remember
-from querysplat_cli.report import machine
+from querysplat_cli.queries.prepare import prepare
+from querysplat_cli.reporting.report import machine
+from querysplat_cli.reporting.view_scores import score
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.photos import find_photos, load_photos
 from querysplat_cli.scene.sim3 import align_cameras, skew
-from querysplat_cli.tto.cameras import refocused
+from querysplat_cli.tto.cameras import with_refined_focal
 from querysplat_cli.tto.features import optimise_memories
 from querysplat_cli.tto.optimise import TtoSettings
 from querysplat_cli.tto.plan import LEARNING_RATE, VIEWS_PER_STEP
@@ -47,30 +47,30 @@ def rows(data: Path, name: str, amounts: list[float], steps: int) -> list[dict[s
     encoder = find_encoder("classical")
     photos, _ = load_photos(find_photos(photos_of(data, name)))
 
-    def locate(some: Any) -> Located:
-        return encoder.locate(some, max_size=encoder.size, seed=SEED, known=None, progress=silent)
+    def estimate_cameras(some: Any) -> PosedViews:
+        return encoder.estimate_cameras(some, max_size=encoder.size, seed=SEED, known=None, progress=silent)
 
-    passes = locate_passes(photos, 4, "joint", locate, poses_known=True).chosen
+    passes = camera_passes(photos, 4, "joint", estimate_cameras, poses_known=True).chosen
     assert passes.heldout
     views, theirs = passes.heldout
     model, found = load("compact"), []
     for pixels in amounts:
-        located = replace(passes.inputs, cameras=turned(passes.inputs.cameras, pixels))
-        geometry = encoder.perceive(located, seed=SEED, progress=silent)
-        remembered = remember(model, located, geometry, queries=None, target="kv")
+        posed = replace(passes.inputs, cameras=turned(passes.inputs.cameras, pixels))
+        geometry = encoder.estimate_geometry(posed, seed=SEED, progress=silent)
+        prepared = prepare(model, posed, geometry, queries=None, target="kv")
         for refine in (False, True):
             result = optimise_memories(
                 model,
-                remembered.variables,
-                remembered.anchors,
-                RenderingLoss(located.views, located.cameras),
+                prepared.variables,
+                prepared.anchors,
+                RenderingLoss(posed.views, posed.cameras),
                 TtoSettings(steps, LEARNING_RATE, VIEWS_PER_STEP),
                 generator=torch.Generator().manual_seed(SEED),
                 refine_cameras=refine,
             )
             similarity = align_cameras(passes.inputs.cameras.w2c, result.cameras.w2c)
-            cameras = refocused(theirs.transformed(similarity), located.cameras, result.cameras)
-            inputs = score(result.gaussians, located.views, result.cameras).psnr
+            cameras = with_refined_focal(theirs.transformed(similarity), posed.cameras, result.cameras)
+            inputs = score(result.gaussians, posed.views, result.cameras).psnr
             heldout = score(result.gaussians, views, cameras).psnr
             seconds = result.history[-1].seconds
             row = {"set": name, "turned": pixels, "refined": refine}

@@ -32,8 +32,8 @@ import numba
 import numpy as np
 import torch
 
-from querysplat_cli.device import peak_gib
-from querysplat_cli.report import machine
+from querysplat_cli.reporting.report import machine
+from querysplat_cli.runtime.device import peak_gib
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.splat.render import RenderSettings, render

@@ -23,7 +23,7 @@ import numpy as np
 import torch
 
 import splat
-from querysplat_cli.drawing import new_figure, save_figure
+from querysplat_cli.runtime.figures import new_figure, save_figure
 from querysplat_cli.splat.render import RenderSettings, render
 
 EXACT = RenderSettings(alpha_min=1e-8, transmittance_min=0.0)

@@ -23,9 +23,9 @@ import torch
 from torch import Tensor
 
 import stiff_steps
-from querysplat_cli.drawing import new_figure, save_figure
-from querysplat_cli.errors import QuerySplatError
-from querysplat_cli.report import machine
+from querysplat_cli.reporting.report import machine
+from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.figures import new_figure, save_figure
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.splat.render import RenderSettings, render

@@ -21,14 +21,14 @@ import torch
 
 from feedforward import SEED, SIZE, real
 from pruning import pruned_to
-from querysplat_cli.drawing import new_figure, save_figure
-from querysplat_cli.encoders.base import Located
+from querysplat_cli.encoders.base import PosedViews
 from querysplat_cli.model.checkpoints import load
 from querysplat_cli.model.querysplat import QuerySplat
-from querysplat_cli.prune.gaussians import staying
-from querysplat_cli.quality import score
-from querysplat_cli.remembering import remember
-from querysplat_cli.report import machine
+from querysplat_cli.prune.gaussians import target_count
+from querysplat_cli.queries.prepare import prepare
+from querysplat_cli.reporting.report import machine
+from querysplat_cli.reporting.view_scores import score
+from querysplat_cli.runtime.figures import new_figure, save_figure
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.training.passes import Sample
 from querysplat_cli.tto.adapt import Start, adapt
@@ -104,12 +104,12 @@ def curve(model: QuerySplat, start: Start, sample: Sample, plan: tuple[TtoRun, .
 
 
 def curves(name: str, sample: Sample, model: QuerySplat, steps: int | None) -> dict[str, Any]:
-    located = Located(sample.views, sample.cameras, torch.zeros(0, 3), ())
-    remembered = remember(model, located, sample.geometry, queries=None, about=QUERIES, target="kv")
-    assert remembered.anchors is not None
-    start = Start(remembered.variables.map(torch.Tensor.float), remembered.anchors)
-    count = remembered.anchors.opacities.numel()
-    stay = staying(count, "auto", sample.cameras)
+    posed = PosedViews(sample.views, sample.cameras, torch.zeros(0, 3), ())
+    prepared = prepare(model, posed, sample.geometry, queries=None, about=QUERIES, target="kv")
+    assert prepared.anchors is not None
+    start = Start(prepared.variables.map(torch.Tensor.float), prepared.anchors)
+    count = prepared.anchors.opacities.numel()
+    stay = target_count(count, "auto", sample.cameras)
     found = {}
     for space in get_args(Space):
         plan = plan_tto(steps, views=len(sample.views), gaussians=count, staying=stay, space=space)

@@ -7,10 +7,10 @@ from pathlib import Path
 import torch
 from safetensors.torch import save_file
 
-from querysplat_cli.encoders.config import VgmConfig
+from querysplat_cli.encoders.transformer.config import VgmConfig
+from querysplat_cli.encoders.transformer.vgm import Vgm
 from querysplat_cli.encoders.vggt.model import Vggt
 from querysplat_cli.encoders.vggt_omega.model import VggtOmega
-from querysplat_cli.encoders.vgm import Vgm
 from querysplat_cli.model.checkpoints import our_name
 from querysplat_cli.model.config import ModelConfig
 from querysplat_cli.model.querysplat import QuerySplat

@@ -37,7 +37,7 @@ def test_random_weights_have_the_types_of_their_precision() -> None:
     assert state["aggregator.frame_blocks.0.norm1.weight"].dtype == torch.float32
     assert state["camera_head.trunk.0.mlp.fc1.weight"].dtype == torch.float32
     assert not any(tensor.is_meta for tensor in state.values())
-    found = made.perceive(full_size.photos(2, 64, torch.device("cpu")), depth=False)
+    found = made.predict(full_size.photos(2, 64, torch.device("cpu")), depth=False)
     assert all(layer.isfinite().all() for layer in found.features)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from querysplat_cli.cli import run
-from querysplat_cli.errors import ExitCode, ImpossibleScene, MissingPart
+from querysplat_cli.runtime.errors import ExitCode, ImpossibleScene, MissingPart
 
 
 def one_error(capsys: pytest.CaptureFixture[str]) -> str:
@@ -101,7 +101,7 @@ def test_exit_codes(
     def fail(*arguments: object, **options: object) -> None:
         raise raised
 
-    monkeypatch.setattr("querysplat_cli.pipeline.load_photos", fail)
+    monkeypatch.setattr("querysplat_cli.pipeline.reconstruct.load_photos", fail)
     assert run(["reconstruct", str(photo(tmp_path / "p.png")), "-o", str(tmp_path / "s.ply"), "-q"]) == code
     one_error(capsys)
     assert [path.name for path in tmp_path.iterdir()] == ["p.png"]
@@ -110,7 +110,7 @@ def test_exit_codes(
 def test_a_bug_keeps_its_traceback(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("querysplat_cli.pipeline.load_photos", lambda *a, **k: 1 / 0)
+    monkeypatch.setattr("querysplat_cli.pipeline.reconstruct.load_photos", lambda *a, **k: 1 / 0)
     assert run(["reconstruct", str(photo(tmp_path / "p.png")), "-o", str(tmp_path / "s.ply"), "-q"]) == ExitCode.BUG
     assert "ZeroDivisionError" in capsys.readouterr().err
 

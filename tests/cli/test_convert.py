@@ -13,7 +13,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from querysplat_cli.cli import run
-from querysplat_cli.errors import ExitCode
+from querysplat_cli.runtime.errors import ExitCode
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.formats.dataset import find_scenes
 from querysplat_cli.scene.formats.known import read_known_cameras

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from querysplat_cli.cli import run
-from querysplat_cli.errors import ExitCode
+from querysplat_cli.runtime.errors import ExitCode
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.formats.ply import write_ply
 from querysplat_cli.scene.formats.transforms import write_cameras

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from querysplat_cli.cli import run
-from querysplat_cli.errors import ExitCode
+from querysplat_cli.runtime.errors import ExitCode
 from querysplat_cli.training.config import StageSettings
 from training_scenes import toml, training
 

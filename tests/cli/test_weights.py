@@ -7,9 +7,9 @@ from types import ModuleType
 
 import pytest
 
-from querysplat_cli.catalogue import WEIGHTS, find_weights, sha256
 from querysplat_cli.cli import run
-from querysplat_cli.errors import ExitCode, MissingPart
+from querysplat_cli.runtime.errors import ExitCode, MissingPart
+from querysplat_cli.runtime.weight_registry import WEIGHTS, find_weights, sha256
 from tiny_weights import write_weights
 
 

@@ -10,9 +10,9 @@ import pytest
 import torch
 from synthetic import FOCAL, WIDTH, arc, camera, photograph, photographs, room, wall
 
-from querysplat_cli.encoders.base import Located
-from querysplat_cli.encoders.classical.cameras import locate
-from querysplat_cli.errors import ExitCode, ImpossibleScene
+from querysplat_cli.encoders.base import PosedViews
+from querysplat_cli.encoders.classical.cameras import estimate_cameras
+from querysplat_cli.runtime.errors import ExitCode, ImpossibleScene
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.sim3 import align_cameras
 from querysplat_cli.scene.views import Photo
@@ -20,16 +20,16 @@ from querysplat_cli.scene.views import Photo
 SIZE = 256
 
 
-def place(photos: Sequence[Photo], **options: object) -> Located:
-    return locate(photos, max_size=SIZE, seed=0, progress=lambda text, fraction: None, **options)  # type: ignore[arg-type]
+def place(photos: Sequence[Photo], **options: object) -> PosedViews:
+    return estimate_cameras(photos, max_size=SIZE, seed=0, progress=lambda text, fraction: None, **options)  # type: ignore[arg-type]
 
 
-def pose_error(located: Located, photos: Sequence[Photo], lenses: Sequence[PhotoCamera]) -> tuple[float, float]:
+def pose_error(posed: PosedViews, photos: Sequence[Photo], lenses: Sequence[PhotoCamera]) -> tuple[float, float]:
     """Largest rotation error in degrees, and largest displacement in units of the cameras' extent."""
     names = [photo.name for photo in photos]
-    truth = torch.from_numpy(np.stack([lenses[names.index(name)].w2c for name in located.views.names]))
-    similarity = align_cameras(located.cameras.w2c.double(), truth)
-    found = located.cameras.to(torch.float64).transformed(similarity)
+    truth = torch.from_numpy(np.stack([lenses[names.index(name)].w2c for name in posed.views.names]))
+    similarity = align_cameras(posed.cameras.w2c.double(), truth)
+    found = posed.cameras.to(torch.float64).transformed(similarity)
     turn = found.w2c[:, :3, :3] @ truth[:, :3, :3].mT - torch.eye(3)
     centres = -(truth[:, :3, :3].mT @ truth[:, :3, 3:])[..., 0]
     # |R − 1| = 2·√2·sin(angle / 2) in the Frobenius norm.
@@ -44,57 +44,57 @@ def six() -> list[Photo]:
 
 
 @pytest.fixture(scope="module")
-def located(six: list[Photo]) -> Located:
+def posed(six: list[Photo]) -> PosedViews:
     return place(six)
 
 
-def test_poses_and_focal_length(six: list[Photo], located: Located) -> None:
-    degrees, shift = pose_error(located, six, arc(6))
+def test_poses_and_focal_length(six: list[Photo], posed: PosedViews) -> None:
+    degrees, shift = pose_error(posed, six, arc(6))
     assert degrees < 0.2
     assert shift < 0.003
-    assert located.cameras.K[:, 0, 0].numpy() == pytest.approx(FOCAL * SIZE / WIDTH, rel=0.03)
-    assert not located.doubts
-    assert not located.left_out
+    assert posed.cameras.K[:, 0, 0].numpy() == pytest.approx(FOCAL * SIZE / WIDTH, rel=0.03)
+    assert not posed.warnings
+    assert not posed.left_out
 
 
-def test_the_frame(located: Located) -> None:
-    assert torch.equal(located.cameras.w2c[0], torch.eye(4))
+def test_the_frame(posed: PosedViews) -> None:
+    assert torch.equal(posed.cameras.w2c[0], torch.eye(4))
     local = [
-        located.points[rows] @ w2c[2, :3] + w2c[2, 3]
-        for rows, w2c in zip(located.visibility, located.cameras.w2c, strict=True)
+        posed.points[rows] @ w2c[2, :3] + w2c[2, 3]
+        for rows, w2c in zip(posed.visibility, posed.cameras.w2c, strict=True)
     ]
     assert float(np.median(torch.cat(local))) == pytest.approx(1, abs=1e-4)
     assert all((depths > 0).all() for depths in local)
 
 
-def test_points_lie_on_the_surfaces(six: list[Photo], located: Located) -> None:
+def test_points_lie_on_the_surfaces(six: list[Photo], posed: PosedViews) -> None:
     """Seen from two views, a point has the same colour: its projection lands on the same surface."""
-    shared = np.intersect1d(located.visibility[2], located.visibility[3])
+    shared = np.intersect1d(posed.visibility[2], posed.visibility[3])
     assert len(shared) > 100
     colours = []
     for view in (2, 3):
-        points = located.points[shared] @ located.cameras.w2c[view, :3, :3].T + located.cameras.w2c[view, :3, 3]
-        pixels = points @ located.cameras.K[view].T
+        points = posed.points[shared] @ posed.cameras.w2c[view, :3, :3].T + posed.cameras.w2c[view, :3, 3]
+        pixels = points @ posed.cameras.K[view].T
         column, row = (pixels[:, :2] / pixels[:, 2:]).long().unbind(1)
-        colours.append(located.views.images[view][:, row, column])
+        colours.append(posed.views.images[view][:, row, column])
     assert float((colours[0] - colours[1]).abs().median()) < 0.05
 
 
-def test_canvas(located: Located) -> None:
-    height, width = located.views.images.shape[-2:]
+def test_canvas(posed: PosedViews) -> None:
+    height, width = posed.views.images.shape[-2:]
     assert (height, width) == (192, 264)
-    assert set(located.views.sizes) == {(192, 256)}
-    assert located.views.masks[:, :, :256].all()
-    assert not located.views.masks[:, :, 256:].any()
-    assert located.cameras.K[0, :2, 2].tolist() == pytest.approx([128, 96], abs=1)
+    assert set(posed.views.sizes) == {(192, 256)}
+    assert posed.views.masks[:, :, :256].all()
+    assert not posed.views.masks[:, :, 256:].any()
+    assert posed.cameras.K[0, :2, 2].tolist() == pytest.approx([128, 96], abs=1)
 
 
-def test_same_photos_same_bits(six: list[Photo], located: Located) -> None:
+def test_same_photos_same_bits(six: list[Photo], posed: PosedViews) -> None:
     again = place(six)
-    assert torch.equal(again.cameras.w2c, located.cameras.w2c)
-    assert torch.equal(again.cameras.K, located.cameras.K)
-    assert torch.equal(again.points, located.points)
-    assert torch.equal(again.views.images, located.views.images)
+    assert torch.equal(again.cameras.w2c, posed.cameras.w2c)
+    assert torch.equal(again.cameras.K, posed.cameras.K)
+    assert torch.equal(again.points, posed.points)
+    assert torch.equal(again.views.images, posed.views.images)
 
 
 def test_lens_distortion_is_removed() -> None:
@@ -115,11 +115,11 @@ def test_two_photos_and_what_exif_adds(six: list[Photo]) -> None:
     lenses = arc(6)[2:4]
     alone = place(six[2:4])
     assert pose_error(alone, six, arc(6))[0] < 3
-    assert any("focal" in doubt for doubt in alone.doubts)
+    assert any("focal" in doubt for doubt in alone.warnings)
     photos = [photograph(room(), lens, f"{i}.png", FOCAL) for i, lens in enumerate(lenses)]
     stated = place(photos)
     assert pose_error(stated, photos, lenses)[0] < 0.2
-    assert not stated.doubts
+    assert not stated.warnings
 
 
 def test_photos_of_mixed_sizes_and_lenses() -> None:
@@ -168,7 +168,7 @@ def test_copies_are_used_once(six: list[Photo]) -> None:
     found = place([six[0], copy])
     assert found.views.names == ("0.png",)
     assert found.left_out[0].why == "it is the same picture as 0.png"
-    assert "one photo" in found.doubts[0]
+    assert "one photo" in found.warnings[0]
 
 
 @pytest.mark.parametrize("focal", [None, 400.0])
@@ -177,7 +177,7 @@ def test_one_photo(six: list[Photo], focal: float | None) -> None:
     assert torch.equal(found.cameras.w2c, torch.eye(4)[None])
     assert found.cameras.K[0, 0, 0].item() == pytest.approx((focal or 1.2 * WIDTH) * SIZE / WIDTH)
     assert len(found.points) == 0
-    assert ("45°" if focal is None else "44°") in found.doubts[0]
+    assert ("45°" if focal is None else "44°") in found.warnings[0]
 
 
 @pytest.mark.parametrize(
@@ -193,7 +193,7 @@ def test_pure_rotation_is_said_plainly(focal: float) -> None:
     relative = np.stack([lens.w2c[:3, :3] @ lenses[0].w2c[:3, :3].T for lens in lenses])
     assert found.cameras.w2c[:, :3, :3].numpy() == pytest.approx(relative, abs=0.003)
     assert len(found.points) == 0
-    assert "did not move" in found.doubts[0]
+    assert "did not move" in found.warnings[0]
 
 
 def test_no_overlap() -> None:
@@ -218,12 +218,12 @@ def test_small_baselines(step: float) -> None:
     found = place(photos)
     assert len(found.views) == 4
     if step == 0.005:
-        assert "did not move" in found.doubts[0]
+        assert "did not move" in found.warnings[0]
         return
     degrees, shift = pose_error(found, photos, lenses)
     assert degrees < 0.1
     assert shift < 0.01
-    assert any("hardly moved" in doubt for doubt in found.doubts) == (step == 0.03)
+    assert any("hardly moved" in doubt for doubt in found.warnings) == (step == 0.03)
 
 
 @pytest.mark.slow
@@ -234,14 +234,14 @@ def test_forward_motion() -> None:
     degrees, shift = pose_error(found, photos, lenses)
     assert degrees < 0.1
     assert shift < 0.02
-    assert any("along its viewing direction" in doubt for doubt in found.doubts)
+    assert any("along its viewing direction" in doubt for doubt in found.warnings)
 
 
 @pytest.mark.slow
 def test_a_flat_scene_is_doubtful() -> None:
     found = place(photographs(wall(), arc(5)))
     assert len(found.views) == 5
-    assert any("one plane" in doubt for doubt in found.doubts)
+    assert any("one plane" in doubt for doubt in found.warnings)
 
 
 def test_nothing_is_left_behind_by_ctrl_c(six: list[Photo], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -253,7 +253,7 @@ def test_nothing_is_left_behind_by_ctrl_c(six: list[Photo], tmp_path: Path, monk
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        locate(six[:2], max_size=SIZE, seed=0, progress=interrupt)
+        estimate_cameras(six[:2], max_size=SIZE, seed=0, progress=interrupt)
     assert not list(tmp_path.iterdir())
 
 

@@ -8,11 +8,10 @@ import pytest
 import torch
 from synthetic import arc, photograph, photographs, room
 
-from querysplat_cli.encoders.base import Located
-from querysplat_cli.encoders.classical.cameras import locate
-from querysplat_cli.encoders.classical.sparse_model import rescaled
-from querysplat_cli.errors import ImpossibleScene
-from querysplat_cli.scene.cameras import PhotoCamera
+from querysplat_cli.encoders.base import PosedViews
+from querysplat_cli.encoders.classical.cameras import estimate_cameras
+from querysplat_cli.runtime.errors import ImpossibleScene
+from querysplat_cli.scene.cameras import PhotoCamera, rescaled
 from querysplat_cli.scene.views import Photo
 
 LENSES = arc(4, distortion=(-0.1, 0.02, 0.001, -0.001))
@@ -23,8 +22,8 @@ def photos() -> list[Photo]:
     return photographs(room(), LENSES)
 
 
-def place(photos: list[Photo], known: Mapping[str, PhotoCamera]) -> Located:
-    return locate(photos, max_size=256, seed=0, progress=lambda text, fraction: None, known=known)
+def place(photos: list[Photo], known: Mapping[str, PhotoCamera]) -> PosedViews:
+    return estimate_cameras(photos, max_size=256, seed=0, progress=lambda text, fraction: None, known=known)
 
 
 def given(lenses: list[PhotoCamera]) -> dict[str, PhotoCamera]:
@@ -32,27 +31,27 @@ def given(lenses: list[PhotoCamera]) -> dict[str, PhotoCamera]:
 
 
 @pytest.fixture(scope="module")
-def located(photos: list[Photo]) -> Located:
+def posed(photos: list[Photo]) -> PosedViews:
     return place(photos, given(LENSES))
 
 
-def test_poses_are_kept_up_to_origin_and_scale(located: Located) -> None:
+def test_poses_are_kept_up_to_origin_and_scale(posed: PosedViews) -> None:
     origin = np.linalg.inv(LENSES[0].w2c)
     expected = np.stack([lens.w2c @ origin for lens in LENSES])
-    found = located.cameras.w2c.double().numpy()
+    found = posed.cameras.w2c.double().numpy()
     assert found[:, :3, :3] == pytest.approx(expected[:, :3, :3], abs=1e-6)
     scale = np.linalg.norm(found[3, :3, 3]) / np.linalg.norm(expected[3, :3, 3])
     assert found[:, :3, 3] == pytest.approx(scale * expected[:, :3, 3], abs=1e-6)
-    assert torch.equal(located.cameras.w2c[0], torch.eye(4))
-    assert not located.doubts
+    assert torch.equal(posed.cameras.w2c[0], torch.eye(4))
+    assert not posed.warnings
 
 
-def test_points_are_where_the_room_is(located: Located) -> None:
+def test_points_are_where_the_room_is(posed: PosedViews) -> None:
     origin = np.linalg.inv(LENSES[0].w2c)
-    scale = located.cameras.centres[3].norm().item() / np.linalg.norm(
+    scale = posed.cameras.centres[3].norm().item() / np.linalg.norm(
         (LENSES[3].w2c @ origin)[:3, :3].T @ (LENSES[3].w2c @ origin)[:3, 3]
     )
-    world = located.points.double().numpy() / scale @ origin[:3, :3].T + origin[:3, 3]
+    world = posed.points.double().numpy() / scale @ origin[:3, :3].T + origin[:3, 3]
     assert len(world) > 300
     surfaces = np.stack([np.abs((world - plane.corner) @ _normal(plane.across, plane.down)) for plane in room()], 1)
     assert np.median(surfaces.min(1)) < 0.01
@@ -63,20 +62,20 @@ def _normal(across: tuple[float, ...], down: tuple[float, ...]) -> np.ndarray:
     return normal / np.linalg.norm(normal)
 
 
-def test_the_views_are_those_of_pinhole_cameras(located: Located) -> None:
+def test_the_views_are_those_of_pinhole_cameras(posed: PosedViews) -> None:
     for view, lens in enumerate(LENSES):
-        K, (height, width) = located.cameras.K[view].tolist(), located.views.sizes[view]
+        K, (height, width) = posed.cameras.K[view].tolist(), posed.views.sizes[view]
         straight = PhotoCamera(lens.w2c, (K[0][0], K[1][1]), (K[0][2], K[1][2]), (0.0,) * 4, height, width)
         expected = torch.from_numpy(photograph(room(), straight, "").pixels).permute(2, 0, 1) / 255
-        difference = (located.views.images[view][:, :height, :width] - expected).abs()
+        difference = (posed.views.images[view][:, :height, :width] - expected).abs()
         assert float(difference.median()) < 0.02
         assert float(difference.quantile(0.9)) < 0.06
 
 
-def test_cameras_of_photos_at_another_size(photos: list[Photo], located: Located) -> None:
+def test_cameras_of_photos_at_another_size(photos: list[Photo], posed: PosedViews) -> None:
     found = place(photos, given([rescaled(lens, 960, 1280) for lens in LENSES]))
-    assert found.cameras.K.numpy() == pytest.approx(located.cameras.K.numpy(), rel=1e-5)
-    assert not found.doubts
+    assert found.cameras.K.numpy() == pytest.approx(posed.cameras.K.numpy(), rel=1e-5)
+    assert not found.warnings
 
 
 def test_photos_without_a_usable_camera_are_named(photos: list[Photo]) -> None:
@@ -101,4 +100,4 @@ def test_names_that_do_not_match(photos: list[Photo]) -> None:
 
 def test_wrong_cameras_are_doubted(photos: list[Photo]) -> None:
     found = place(photos, given([LENSES[i] for i in (2, 0, 3, 1)]))
-    assert any("agree with the cameras" in doubt for doubt in found.doubts)
+    assert any("agree with the cameras" in doubt for doubt in found.warnings)

@@ -11,14 +11,14 @@ from hypothesis import strategies as st
 from synthetic import arc, camera
 
 from querysplat_cli.encoders.classical.encoder import ClassicalEncoder
-from querysplat_cli.encoders.classical.epipolar import epipolar_error, misfit, rays, supported
+from querysplat_cli.encoders.classical.epipolar import epipolar_error, median_epipolar_error, rays, supported
 from querysplat_cli.encoders.classical.matches import Matches, Pair
-from querysplat_cli.encoders.classical.sparse_model import SparseModel, normalised, rescaled
-from querysplat_cli.encoders.classical.trust import doubts, is_flat, median_angle
-from querysplat_cli.encoders.classical.undistort import undistorted
+from querysplat_cli.encoders.classical.sparse_model import SparseModel, normalised
+from querysplat_cli.encoders.classical.trust import camera_warnings, is_flat, median_angle
 from querysplat_cli.encoders.registry import find_encoder
-from querysplat_cli.errors import QuerySplatError
-from querysplat_cli.scene.cameras import PhotoCamera
+from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.scene.cameras import PhotoCamera, rescaled
+from querysplat_cli.scene.undistort import undistorted
 from querysplat_cli.scene.views import Photo
 
 
@@ -69,29 +69,29 @@ def test_support_finds_a_turned_camera(cloud: np.ndarray) -> None:
     model, matches = scene(arc(4), cloud)
     assert supported(model, matches).share == 1
     assert supported(model, matches).sound
-    assert not doubts(model, matches)
+    assert not camera_warnings(model, matches)
     bent = replace(model, cameras={**model.cameras, 1: model.cameras[2], 2: model.cameras[1]})
     assert not supported(bent, matches).sound
-    assert "agree with the cameras" in doubts(bent, matches)[0]
+    assert "agree with the cameras" in camera_warnings(bent, matches)[0]
 
 
 def test_misfit_is_the_median_distance_from_epipolar_lines(cloud: np.ndarray) -> None:
     model, matches = scene([camera((0, 0, 0), (0, 0, 5)), camera((1, 0, 0), (1, 0, 5))], cloud)
-    exact = misfit(model, matches)
+    exact = median_epipolar_error(model, matches)
     assert exact is not None
     assert exact < 1e-9
     pair = matches.pairs[0]
     shifted = replace(matches, pairs=(replace(pair, second_pixels=pair.second_pixels + np.array([0, 2])),))
     longer = max(model.cameras[0].height, model.cameras[0].width)
-    assert misfit(model, shifted) == pytest.approx(2 / 2**0.5 / longer, rel=1e-6)
-    assert misfit(model, replace(matches, pairs=())) is None
+    assert median_epipolar_error(model, shifted) == pytest.approx(2 / 2**0.5 / longer, rel=1e-6)
+    assert median_epipolar_error(model, replace(matches, pairs=())) is None
 
 
 def test_support_needs_points(cloud: np.ndarray) -> None:
     model, matches = scene(arc(4), cloud)
     bare = SparseModel(model.cameras, cloud[:10], {i: np.arange(10) for i in model.cameras})
     assert supported(bare, matches).score < 0.2 * supported(model, matches).score
-    assert "only 10 points" in doubts(bare, matches)[0]
+    assert "only 10 points" in camera_warnings(bare, matches)[0]
 
 
 def test_angle_of_a_right_triangle() -> None:
@@ -176,14 +176,14 @@ def test_registry() -> None:
 def test_doubts_about_the_lens(cloud: np.ndarray) -> None:
     model, matches = scene(arc(4), cloud)
     stated = replace(matches, focals=(600.0,) * 4)
-    assert "focal length found differs by -49%" in doubts(model, stated)[0]
-    assert not doubts(model, replace(matches, focals=(320.0,) * 4))
+    assert "focal length found differs by -49%" in camera_warnings(model, stated)[0]
+    assert not camera_warnings(model, replace(matches, focals=(320.0,) * 4))
 
 
 def test_points_behind_cameras_are_doubted(cloud: np.ndarray) -> None:
     model, matches = scene(arc(4), cloud)
     behind = replace(model, points=np.concatenate([cloud[:250], -cloud[250:]]))
-    assert any("behind" in doubt for doubt in doubts(behind, matches))
+    assert any("behind" in doubt for doubt in camera_warnings(behind, matches))
 
 
 def test_visibility_is_integer(cloud: np.ndarray) -> None:

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from querysplat_cli.encoders.base import Located
-from querysplat_cli.encoders.classical.cameras import locate
+from querysplat_cli.encoders.base import PosedViews
+from querysplat_cli.encoders.classical.cameras import estimate_cameras
 from querysplat_cli.scene.sim3 import align_cameras
 from querysplat_cli.scene.views import Photo
 
@@ -21,8 +21,8 @@ def photos(data: Path, name: str) -> list[Photo]:
     return [Photo(file.name, file, cv2.cvtColor(cv2.imread(str(file)), cv2.COLOR_BGR2RGB)) for file in files]
 
 
-def place(chosen: list[Photo]) -> Located:
-    return locate(chosen, max_size=448, seed=42, progress=lambda text, fraction: None)
+def place(chosen: list[Photo]) -> PosedViews:
+    return estimate_cameras(chosen, max_size=448, seed=42, progress=lambda text, fraction: None)
 
 
 def evenly(items: list[Photo], count: int) -> list[Photo]:
@@ -37,7 +37,7 @@ def test_every_photo_is_placed(real_photos: Path, name: str, part: str) -> None:
     chosen = [photo for i, photo in enumerate(everything) if part == "all" or i % 4]
     found = place(chosen)
     assert found.views.names == tuple(photo.name for photo in chosen)
-    assert not found.doubts
+    assert not found.warnings
     assert len(found.points) > 500
 
 

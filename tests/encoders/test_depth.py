@@ -5,9 +5,9 @@ import pytest
 import torch
 from synthetic import Plane, camera, photograph, texture
 
-from querysplat_cli.encoders.base import Geometry, Located
+from querysplat_cli.encoders.base import Geometry, PosedViews
 from querysplat_cli.encoders.classical.consistency import carve, confirm
-from querysplat_cli.encoders.classical.depth import perceive
+from querysplat_cli.encoders.classical.depth import estimate_geometry
 from querysplat_cli.encoders.classical.neighbours import choose_sources, inverse_range
 from querysplat_cli.encoders.classical.semiglobal import aggregate, choose
 from querysplat_cli.encoders.classical.sweep import UNSEEN, WORST, cost_volume, plane_homography
@@ -40,7 +40,7 @@ def true_depth(planes, lens) -> np.ndarray:
     return nearest
 
 
-def located(planes, places, look=(0, 0, 1000.0), points=True) -> tuple[Located, np.ndarray]:
+def posed(planes, places, look=(0, 0, 1000.0), points=True) -> tuple[PosedViews, np.ndarray]:
     """Views of the planes from the places, with every 12th pixel of the first as a sparse point; true depths."""
     lenses = [camera(place, look, size=SIZE, focal=FOCAL) for place in places]
     pictures = [photograph(planes, lens, f"{i}.png").pixels for i, lens in enumerate(lenses)]
@@ -57,11 +57,11 @@ def located(planes, places, look=(0, 0, 1000.0), points=True) -> tuple[Located, 
     names = tuple(f"{i}.png" for i in range(len(places)))
     views = Views(images, torch.ones(len(places), *SIZE, dtype=torch.bool), names, (SIZE,) * len(places))
     seen = tuple(torch.arange(len(cloud)) for _ in places)
-    return Located(views, Cameras(w2c, K, *SIZE), cloud, seen), depth
+    return PosedViews(views, Cameras(w2c, K, *SIZE), cloud, seen), depth
 
 
-def seen_depth(scene: Located) -> Geometry:
-    geometry = perceive(scene, seed=0, progress=lambda text, fraction: None)
+def seen_depth(scene: PosedViews) -> Geometry:
+    geometry = estimate_geometry(scene, seed=0, progress=lambda text, fraction: None)
     assert bool((geometry.depth > 0).all())
     assert bool(geometry.depth.isfinite().all())
     assert 0 <= float(geometry.confidence.min()) <= float(geometry.confidence.max()) <= 1
@@ -74,8 +74,8 @@ def relative_error(geometry: Geometry, truth: np.ndarray, view: int = 0, border:
 
 
 @pytest.fixture(scope="module")
-def slanted() -> tuple[Located, np.ndarray, Geometry]:
-    scene, truth = located(SLANTED, SIDEWAYS)
+def slanted() -> tuple[PosedViews, np.ndarray, Geometry]:
+    scene, truth = posed(SLANTED, SIDEWAYS)
     return scene, truth, seen_depth(scene)
 
 
@@ -86,11 +86,11 @@ def test_a_slanted_plane_is_measured_to_a_fraction_of_a_pixel_of_disparity(slant
     assert np.median(error) < 0.004
     assert np.percentile(error, 95) < 0.02
     assert float(geometry.confidence[0].mean()) > 0.8
-    assert geometry.doubts == ()
+    assert geometry.warnings == ()
 
 
 def test_the_edge_between_two_layers_lies_where_it_is():
-    scene, truth = located(TWO_LAYERS, SIDEWAYS)
+    scene, truth = posed(TWO_LAYERS, SIDEWAYS)
     error = relative_error(seen_depth(scene), truth)
     edge = np.abs(np.diff(truth[0], axis=1, prepend=5)) + np.abs(np.diff(truth[0], axis=0, prepend=5)) > 1
     near_edge = np.asarray(torch.nn.functional.max_pool2d(torch.from_numpy(edge[None] * 1.0), 9, 1, 4)[0] > 0)
@@ -100,13 +100,13 @@ def test_the_edge_between_two_layers_lies_where_it_is():
 
 
 def test_two_views_are_enough():
-    scene, truth = located(SLANTED, SIDEWAYS[:2])
+    scene, truth = posed(SLANTED, SIDEWAYS[:2])
     error = relative_error(seen_depth(scene), truth, border=24)
     assert np.median(error) < 0.01
 
 
 def test_forward_motion_with_the_epipole_in_the_picture():
-    scene, truth = located(SLANTED, [(0, 0, 0), (0.02, 0, 0.8), (0, 0.02, -0.6)])
+    scene, truth = posed(SLANTED, [(0, 0, 0), (0.02, 0, 0.8), (0, 0.02, -0.6)])
     error = relative_error(seen_depth(scene), truth, border=24)
     rows, columns = np.mgrid[: error.shape[0], : error.shape[1]]
     away = np.hypot(rows - error.shape[0] / 2, columns - error.shape[1] / 2) > 30
@@ -114,9 +114,9 @@ def test_forward_motion_with_the_epipole_in_the_picture():
 
 
 def test_a_depth_range_of_one_to_a_thousand():
-    scene, _ = located(SLANTED, SIDEWAYS)
+    scene, _ = posed(SLANTED, SIDEWAYS)
     points = torch.tensor([[0.0, 0, 1], [0.1, 0, 10], [0, 1, 100], [1, 1, 1000]]).repeat(3, 1)
-    wide = Located(scene.views, scene.cameras, points, tuple(torch.arange(12) for _ in SIDEWAYS))
+    wide = PosedViews(scene.views, scene.cameras, points, tuple(torch.arange(12) for _ in SIDEWAYS))
     limits = inverse_range(wide, 0)
     assert limits.far < 1e-3
     assert limits.near > 1
@@ -132,7 +132,7 @@ def test_masked_pixels_do_not_vote_and_have_no_confidence(slanted):
     images = scene.views.images.clone()
     images[~masks[:, None].expand_as(images)] = 0.5
     views = Views(images, masks, scene.views.names, scene.views.sizes)
-    geometry = seen_depth(Located(views, scene.cameras, scene.points, scene.visibility))
+    geometry = seen_depth(PosedViews(views, scene.cameras, scene.points, scene.visibility))
     assert float(geometry.confidence[~masks].max()) == 0
     error = np.abs(geometry.depth[0].numpy() / truth[0] - 1)[12:-12, 60:-12]
     assert np.median(error) < 0.01
@@ -140,18 +140,18 @@ def test_masked_pixels_do_not_vote_and_have_no_confidence(slanted):
 
 def test_one_view_is_a_guess_and_says_so(slanted):
     scene, _, _ = slanted
-    alone = Located(scene.views[[0]], scene.cameras[[0]], torch.zeros(0, 3), (torch.zeros(0, dtype=torch.long),))
+    alone = PosedViews(scene.views[[0]], scene.cameras[[0]], torch.zeros(0, 3), (torch.zeros(0, dtype=torch.long),))
     geometry = seen_depth(alone)
     assert float(geometry.confidence.max()) == 0
     assert geometry.depth.unique().tolist() == [1.0]
-    assert "parallax" in geometry.doubts[0]
+    assert "parallax" in geometry.warnings[0]
 
 
 def test_cameras_at_one_place_measure_nothing():
-    scene, _ = located(SLANTED, [(0, 0, 0), (0, 0, 0)])
+    scene, _ = posed(SLANTED, [(0, 0, 0), (0, 0, 0)])
     geometry = seen_depth(scene)
     assert float(geometry.confidence.max()) == 0
-    assert geometry.doubts
+    assert geometry.warnings
 
 
 def test_the_same_photos_give_the_same_bits(slanted):
@@ -165,7 +165,7 @@ def test_sources_share_points_and_stand_apart(slanted):
     scene, _, _ = slanted
     assert sorted(choose_sources(scene, 0)) == [1, 2, 3]
     strangers = (scene.visibility[0], *(torch.zeros(0, dtype=torch.long) for _ in range(3)))
-    assert choose_sources(Located(scene.views, scene.cameras, scene.points, strangers), 0) == []
+    assert choose_sources(PosedViews(scene.views, scene.cameras, scene.points, strangers), 0) == []
 
 
 def test_a_plane_homography_maps_as_the_plane_does():

@@ -4,7 +4,7 @@ import math
 
 import torch
 
-from querysplat_cli.encoders.base import Located
+from querysplat_cli.encoders.base import PosedViews
 from querysplat_cli.encoders.classical.features import CHANNELS, PATCH, patch_features
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.views import Views
@@ -21,7 +21,7 @@ def features_of_a_wall(depth: float) -> torch.Tensor:
     image[0, :, :, ::2] += 0.25 * torch.tensor([1.0, 1, 1])[:, None, None]
     masks = torch.ones(1, height, width, dtype=torch.bool)
     views = Views(image, masks, ("wall.png",), ((height, width),))
-    scene = Located(views, Cameras(w2c, K, height, width), torch.zeros(0, 3), (torch.zeros(0, dtype=torch.long),))
+    scene = PosedViews(views, Cameras(w2c, K, height, width), torch.zeros(0, 3), (torch.zeros(0, dtype=torch.long),))
     rows = patch_features(scene, torch.full((1, height, width), depth), torch.full((1, height, width), 0.5))
     assert rows.shape == (1, (height // PATCH) * (width // PATCH), CHANNELS)
     return rows.reshape(height // PATCH, width // PATCH, CHANNELS)

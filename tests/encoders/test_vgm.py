@@ -10,16 +10,16 @@ from hypothesis import strategies as st
 from safetensors.torch import load_file, save_file
 
 from querysplat_cli.encoders.base import Encoder, EncoderOptions
-from querysplat_cli.encoders.config import VgmConfig
-from querysplat_cli.encoders.pose import decode_pose, encode_pose
 from querysplat_cli.encoders.registry import find_encoder
+from querysplat_cli.encoders.transformer.config import VgmConfig
+from querysplat_cli.encoders.transformer.pose import decode_pose, encode_pose
+from querysplat_cli.encoders.transformer.vgm import Vgm, load_vgm
 from querysplat_cli.encoders.vggt.model import CONFIG as VGGT_CONFIG
 from querysplat_cli.encoders.vggt.model import Vggt
 from querysplat_cli.encoders.vggt_omega.model import CONFIG as OMEGA_CONFIG
 from querysplat_cli.encoders.vggt_omega.model import VggtOmega
-from querysplat_cli.encoders.vgm import Vgm, load_vgm
-from querysplat_cli.errors import MissingPart, QuerySplatError
 from querysplat_cli.model.memories import LayerMixer
+from querysplat_cli.runtime.errors import MissingPart, QuerySplatError
 from tiny_weights import MODEL, OMEGA, VGGT, write_model, write_vgm
 
 KINDS = [(VggtOmega, OMEGA), (Vggt, VGGT)]
@@ -44,8 +44,8 @@ def test_a_mixture_is_what_the_model_would_mix(tmp_path: Path, make: type[Vgm], 
     vgm = write_vgm(tmp_path / "a.safetensors", make, config)
     model = write_model(tmp_path / "model.safetensors")
     images = photos(3, 2 * config.patch, 3 * config.patch)
-    layers = vgm.perceive(images, depth=False).features
-    (mixed,) = vgm.perceive(images, mixture=model.layer_weights, depth=False).features
+    layers = vgm.predict(images, depth=False).features
+    (mixed,) = vgm.predict(images, mixture=model.layer_weights, depth=False).features
     assert isinstance(model.layer_mixer, LayerMixer)
     expected = model.layer_mixer(layers, model.eye_token)
     torch.testing.assert_close(model.layer_mixer((mixed,), model.eye_token), expected, rtol=1e-4, atol=1e-5)
@@ -57,7 +57,7 @@ def test_a_mixture_is_what_the_model_would_mix(tmp_path: Path, make: type[Vgm], 
 def test_shapes_of_any_aspect(tmp_path: Path, make: type[Vgm], config: VgmConfig, rows: int, views: int) -> None:
     vgm = write_vgm(tmp_path / "a.safetensors", make, config)
     height, width = rows * config.patch, 3 * config.patch
-    found = vgm.perceive(photos(views, height, width))
+    found = vgm.predict(photos(views, height, width))
     assert [tuple(layer.shape) for layer in found.features] == [(views, 5 + 3 * rows, 2 * config.width)] * 4
     assert found.depth is not None
     assert found.confidence is not None
@@ -72,7 +72,7 @@ def test_shapes_of_any_aspect(tmp_path: Path, make: type[Vgm], config: VgmConfig
 def test_pictures_that_are_no_whole_patches_are_refused(tmp_path: Path, make: type[Vgm], config: VgmConfig) -> None:
     vgm = write_vgm(tmp_path / "a.safetensors", make, config)
     with pytest.raises(QuerySplatError, match="do not divide"):
-        vgm.perceive(photos(1, 3 * config.patch, 3 * config.patch + 1))
+        vgm.predict(photos(1, 3 * config.patch, 3 * config.patch + 1))
 
 
 def test_register_blocks_leave_patches_alone(tmp_path: Path) -> None:
@@ -92,7 +92,7 @@ def test_half_precision_is_near(tmp_path: Path) -> None:
     assert rough.aggregator.frame_blocks[0].norm1.weight.dtype == torch.float32
     assert {tensor.dtype for tensor in rough.dense_head.state_dict().values()} == {torch.float32}
     images = photos(3)
-    a, b = exact.perceive(images), rough.perceive(images)
+    a, b = exact.predict(images), rough.predict(images)
     assert a.features[-1].dtype == b.features[-1].dtype == torch.float32
     error = (a.features[-1] - b.features[-1]).norm() / a.features[-1].norm()
     assert 1e-4 < error < 0.05
@@ -154,9 +154,9 @@ def test_encoders_are_exchanged_without_touching_the_decoders(tmp_path: Path) ->
     for name in ("vggt_omega", "vggt"):
         encoder = find_encoder(name, EncoderOptions(tmp_path, mixture=model.layer_weights, depth=False))
         assert isinstance(encoder, Encoder)
-        found = encoder._model.perceive(images, mixture=model.layer_weights, depth=False)
+        found = encoder._model.predict(images, mixture=model.layer_weights, depth=False)
         model.check_features(found.features, 112, 112)
-        made.append(model.decode(model.remember(found.features, images, found.cameras)))
+        made.append(model.decode(model.encode(found.features, images, found.cameras)))
         assert len(made[-1]) == MODEL.query_count * MODEL.gaussians_per_query
     assert not torch.allclose(made[0].means, made[1].means)
 

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from querysplat_cli.cli import run
-from querysplat_cli.errors import ExitCode
+from querysplat_cli.runtime.errors import ExitCode
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "evaluation"))
 from evaluation_scenes import write_room

@@ -9,8 +9,8 @@ import torch
 from test_road import take_photos
 
 from querysplat_cli.cli import run
-from querysplat_cli.errors import ExitCode
-from querysplat_cli.inspection import on_patches
+from querysplat_cli.commands.inspect import on_patches
+from querysplat_cli.runtime.errors import ExitCode
 from tiny_weights import write_weights
 
 pytest.importorskip("matplotlib")

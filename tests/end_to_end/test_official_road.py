@@ -8,7 +8,7 @@ import pytest
 from test_road import take_photos
 
 from querysplat_cli.cli import run
-from querysplat_cli.errors import ExitCode
+from querysplat_cli.runtime.errors import ExitCode
 from querysplat_cli.scene.formats.ply import read_ply
 from tiny_weights import MODEL, write_weights
 
@@ -134,7 +134,7 @@ def test_poses_are_refused(room: Path, tmp_path: Path, capsys: pytest.CaptureFix
 def test_too_little_memory_is_said_before_any_work(
     room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("querysplat_cli.pipeline.free_bytes", lambda device: 2**20)
+    monkeypatch.setattr("querysplat_cli.pipeline.reconstruct.free_bytes", lambda device: 2**20)
     assert run(command(room, tmp_path / "a.ply")) == ExitCode.BAD_INPUT
     assert "GiB" in capsys.readouterr().err
 

@@ -15,10 +15,10 @@ import numpy as np
 import pytest
 import torch
 
-from querysplat_cli import pipeline
 from querysplat_cli.cli import run
-from querysplat_cli.errors import ExitCode
+from querysplat_cli.pipeline import reconstruct as pipeline
 from querysplat_cli.prune.gaussians import MENDED
+from querysplat_cli.runtime.errors import ExitCode
 from querysplat_cli.scene.formats.ply import read_ply
 from querysplat_cli.scene.formats.transforms import read_cameras
 from querysplat_cli.training.procedural import cast, make_scene, walk
@@ -131,7 +131,7 @@ def test_tto_takes_the_scene_up(scene: tuple[Path, dict[str, Any]], capsys: pyte
 def test_a_scene_is_pruned_to_a_number(
     scene: tuple[Path, dict[str, Any]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """What stays is remembered: taking the scene up again brings nothing back."""
+    """What stays is prepared: taking the scene up again brings nothing back."""
     source, before = scene
     ply = Path(shutil.copy(source, tmp_path / "scene.ply"))
     shutil.copytree(source.with_suffix(""), ply.with_suffix(""))

@@ -7,11 +7,11 @@ import pytest
 import torch
 from evaluation_scenes import write_room
 
-from querysplat_cli.encoders.base import Located
-from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.encoders.base import PosedViews
 from querysplat_cli.evaluation.case import CaseRunner, lenses_of
 from querysplat_cli.evaluation.protocol import Protocol
-from querysplat_cli.pipeline import ReconstructSettings
+from querysplat_cli.pipeline.reconstruct import ReconstructSettings
+from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.fit import Fit, network_views
 from querysplat_cli.scene.formats.dataset import find_scenes
@@ -19,18 +19,18 @@ from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.views import Photo
 
 
-def located(sizes: list[tuple[int, int]], fit: Fit) -> Located:
+def posed(sizes: list[tuple[int, int]], fit: Fit) -> PosedViews:
     """Photos as a network of 112 pixels sees them, each with its optical axis in the middle."""
     photos = [Photo(f"{i}.png", Path(f"{i}.png"), np.zeros((*size, 3), np.uint8)) for i, size in enumerate(sizes)]
     views = network_views(photos, 112, 16, fit)
     height, width = views.sizes[0]
     K = torch.tensor([[100.0, 0, width / 2], [0, 100, height / 2], [0, 0, 1]]).expand(len(sizes), 3, 3)
     cameras = Cameras(torch.eye(4).expand(len(sizes), 4, 4), K, height, width)
-    return Located(views, cameras, torch.zeros(0, 3), (torch.zeros(0, dtype=torch.long),) * len(sizes))
+    return PosedViews(views, cameras, torch.zeros(0, 3), (torch.zeros(0, dtype=torch.long),) * len(sizes))
 
 
 def test_a_padded_photos_camera_is_that_of_the_photo_alone() -> None:
-    lenses = lenses_of(located([(128, 256), (256, 128), (200, 200)], "pad"))
+    lenses = lenses_of(posed([(128, 256), (256, 128), (200, 200)], "pad"))
     assert [(lens.height, lens.width) for lens in lenses.values()] == [(56, 112), (112, 56), (112, 112)]
     for lens in lenses.values():
         assert lens.principal == (lens.width / 2, lens.height / 2)
@@ -45,6 +45,6 @@ def test_what_was_cut_off_is_not_made_up(tmp_path: Path) -> None:
     name = scene.frames[0].name
     _, shown = runner.photos[name]
     speck = Gaussians(*(torch.ones(1, *shape) for shape in ((3,), (4,), (3,), (), (1, 3))))
-    square = lenses_of(located([(shown.height, shown.width)], "crop"))["0.png"]
+    square = lenses_of(posed([(shown.height, shown.width)], "crop"))["0.png"]
     with pytest.raises(QuerySplatError, match=f"saw only 112 × 112 of {name}"):
         runner.judge(speck, {name: square}, "")

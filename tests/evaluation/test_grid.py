@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.evaluation.grid import axes, read_axis, rows
+from querysplat_cli.runtime.errors import QuerySplatError
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,8 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from querysplat_cli.errors import MissingPart, QuerySplatError
 from querysplat_cli.evaluation.lpips import BACKBONES, Lpips, LpipsFiles, find_lpips, load_lpips
+from querysplat_cli.runtime.errors import MissingPart, QuerySplatError
 
 VGG = [64, 64, "M", 128, 128, "M", 256, 256, 256, "M", 512, 512, 512, "M", 512, 512, 512, "M"]
 WIDTHS = {"vgg": (64, 128, 256, 512, 512), "alex": (64, 192, 384, 256, 256)}

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.evaluation.poses import area_under_recall, compare_cameras, draw_trajectories
+from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.sim3 import DegenerateAlignment
 

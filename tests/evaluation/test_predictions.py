@@ -10,13 +10,13 @@ import torch
 from evaluation_scenes import write_room
 from scipy.spatial.transform import Rotation
 
-from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.evaluation.baseline import back_project
 from querysplat_cli.evaluation.case import CaseRunner, RowResult, joined
 from querysplat_cli.evaluation.metrics import EQUAL
 from querysplat_cli.evaluation.predictions import score_prediction
 from querysplat_cli.evaluation.protocol import Protocol
-from querysplat_cli.pipeline import ReconstructSettings
+from querysplat_cli.pipeline.reconstruct import ReconstructSettings
+from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.formats.dataset import CapturedScene, find_scenes
 from querysplat_cli.scene.formats.ply import write_ply
@@ -24,7 +24,7 @@ from querysplat_cli.scene.formats.transforms import write_transforms
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.sim3 import Sim3
 from querysplat_cli.scene.views import Views
-from querysplat_cli.splat.moving import moved
+from querysplat_cli.splat.transform import transform_gaussians
 
 PICKED = {"input": (0, 3, 6), "interp": (1, 4), "extrap": (7,)}
 
@@ -96,7 +96,7 @@ def test_a_scene_in_another_frame_scores_the_same(runner: CaseRunner, scene: Gau
     )
     folder = tmp_path / "split" / "case"
     folder.mkdir(parents=True)
-    write_ply(folder / "gaussians.ply", moved(scene, similarity))
+    write_ply(folder / "gaussians.ply", transform_gaussians(scene, similarity))
     inputs = {frame.name: runner.known[frame.name] for frame in runner.groups["input"]}
     bare = Cameras(torch.stack([torch.from_numpy(a.w2c) for a in inputs.values()]), torch.eye(3).repeat(3, 1, 1), 1, 1)
     theirs = {

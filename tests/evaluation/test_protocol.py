@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import torch
 
-from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.evaluation.protocol import Protocol, photograph
+from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
 from querysplat_cli.scene.views import Photo

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import torch
 
-from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.evaluation.case import RowResult, ViewScore
 from querysplat_cli.evaluation.costs import Cost
 from querysplat_cli.evaluation.metrics import Scores
@@ -18,6 +17,7 @@ from querysplat_cli.evaluation.results import Place, merge, places, prepare, run
 from querysplat_cli.evaluation.splits import Case, FrameRef, Split
 from querysplat_cli.evaluation.summary import summarise
 from querysplat_cli.evaluation.sweep import Point, Spread, frontier, write_curves
+from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.formats.dataset import Frame
 
@@ -39,7 +39,7 @@ def result(*interp: float, seconds: float = 2.0, gaussians: int = 10) -> RowResu
         "interp": [view(i + 1, float(psnr)) for i, psnr in enumerate(interp)],
         "extrap": [],
     }
-    missing = {"input": {}, "interp": {}, "extrap": {"9.png": "it was not located"}}
+    missing = {"input": {}, "interp": {}, "extrap": {"9.png": "it has no camera"}}
     return RowResult(views, missing, {"cameras": Cost(1.0, 0.5), "tto": Cost(seconds, 0.75)}, gaussians, ())
 
 

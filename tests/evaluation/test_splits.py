@@ -7,7 +7,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from querysplat_cli.errors import ImpossibleScene, QuerySplatError
 from querysplat_cli.evaluation.generate import INTERVALS, SCALES, TARGETS, generate
 from querysplat_cli.evaluation.splits import (
     Case,
@@ -19,6 +18,7 @@ from querysplat_cli.evaluation.splits import (
     write_index,
     write_split,
 )
+from querysplat_cli.runtime.errors import ImpossibleScene, QuerySplatError
 from querysplat_cli.scene.formats.dataset import CapturedScene, Frame
 
 

@@ -99,6 +99,6 @@ def test_a_frozen_branch_of_scale_zero_is_skipped_and_changes_nothing(monkeypatc
     learning = decoder(tokens, keys, values)
     decoder.requires_grad_(False)
     for block in decoder.blocks:
-        for branch in (block.among, block.mlp):
+        for branch in (block.self_attention, block.mlp):
             monkeypatch.setattr(branch, "forward", None)
     assert torch.equal(decoder(tokens, keys, values), learning)

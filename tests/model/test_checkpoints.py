@@ -13,12 +13,12 @@ from model_scenes import compact
 from safetensors.torch import load_file as read_safetensors
 from safetensors.torch import save_file
 
-from querysplat_cli.errors import MissingPart, QuerySplatError
 from querysplat_cli.model.checkpoints import load, load_file, official_config, our_name, save
 from querysplat_cli.model.config import ModelConfig, preset, preset_names
 from querysplat_cli.model.initialise import initial_model
 from querysplat_cli.model.querysplat import QuerySplat
-from querysplat_cli.tensor_files import check_tensors
+from querysplat_cli.runtime.checkpoint_files import check_tensors
+from querysplat_cli.runtime.errors import MissingPart, QuerySplatError
 from querysplat_cli.training.config import load_config
 from tiny_weights import MODEL, official_names, write_model
 
@@ -35,7 +35,7 @@ def test_every_official_name_has_its_own_place() -> None:
     assert len(names) == 521
     assert {our_name(name) for name in names} == state.keys()
     assert our_name("enc_dec_backbone.decoder_blocks.11.gs_self_attn.gs_self_attn.proj.bias") == (
-        "geometry_decoder.blocks.11.among.out_proj.bias"
+        "geometry_decoder.blocks.11.self_attention.out_proj.bias"
     )
     check_tensors(model, {our_name(name): state[our_name(name)] for name in names}, "the table")
 

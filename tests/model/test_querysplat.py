@@ -6,12 +6,12 @@ import pytest
 import torch
 from model_scenes import PATCHES, VIEWS, anchors, compact, memories, photos
 
-from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.model.config import ModelConfig, preset
 from querysplat_cli.model.heads import assemble
 from querysplat_cli.model.initialise import initial_model
 from querysplat_cli.model.memories import Memories, attended_rows, plucker_rays
 from querysplat_cli.model.querysplat import QuerySplat
+from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.gaussians import SH_0
 from tiny_weights import MODEL as TINY
 
@@ -27,7 +27,7 @@ def test_initial_model_gives_the_prior() -> None:
     config = compact()
     model = initial_model(config, seed=3).requires_grad_(False)
     scene = anchors(config)
-    seen = model.remember(*photos(config))
+    seen = model.encode(*photos(config))
     assert len(seen.geometry_keys) == len(seen.appearance_keys) == VIEWS * PATCHES
     assert not seen.geometry_values.any()
     assert not seen.appearance_values.any()
@@ -44,7 +44,7 @@ def test_values_drive_every_property_of_every_gaussian_from_the_start() -> None:
     config = compact()
     model = initial_model(config, seed=0).requires_grad_(False)
     scene = anchors(config)
-    start = model.remember(*photos(config))
+    start = model.encode(*photos(config))
     for name, field in (("means", "geometry_values"), ("scales", "geometry_values"), ("quats", "geometry_values"),
                         ("opacities", "appearance_values"), ("sh", "appearance_values")):  # fmt: skip
         variables = start.map(lambda tensor: tensor.detach().clone().requires_grad_())

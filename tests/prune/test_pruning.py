@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from querysplat_cli.prune.bands import without_idle_bands
-from querysplat_cli.prune.gaussians import HIDDEN, importance, prune, staying
+from querysplat_cli.prune.gaussians import HIDDEN, importance, prune, target_count
 from querysplat_cli.prune.views import near_duplicates
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
@@ -113,12 +113,12 @@ def test_nothing_goes_that_the_steps_left_do_not_make_up_for(steps: float) -> No
 
 def test_half_stay_unless_they_are_few_for_the_pixels() -> None:
     views = cameras(0.0, 0.1, 0.2)  # 3 · 32 · 32 = 3072 pixels
-    assert staying(1000, "auto", views) == 500
-    assert staying(50, "auto", views) == 30
-    assert staying(20, "auto", views) == 20
-    assert staying(1000, "off", views) == 1000
-    assert staying(1000, 400, views) == 400
-    assert staying(300, 400, views) == 300
+    assert target_count(1000, "auto", views) == 500
+    assert target_count(50, "auto", views) == 30
+    assert target_count(20, "auto", views) == 20
+    assert target_count(1000, "off", views) == 1000
+    assert target_count(1000, 400, views) == 400
+    assert target_count(300, 400, views) == 300
 
 
 def test_optimisation_goes_on_with_those_that_stay() -> None:

@@ -11,7 +11,7 @@ import pytest
 import torch
 from PIL import Image
 
-from querysplat_cli.errors import MissingPart, QuerySplatError
+from querysplat_cli.runtime.errors import MissingPart, QuerySplatError
 from querysplat_cli.scene.formats.compressed import read_sog, read_spz, write_spz
 from querysplat_cli.scene.gaussians import Gaussians
 

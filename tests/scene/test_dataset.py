@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
-from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.formats.colmap import write_colmap
 from querysplat_cli.scene.formats.dataset import ZipMember, fetch, find_scenes
 

@@ -8,7 +8,7 @@ from typing import NoReturn
 
 import pytest
 
-from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.files import atomic_folder, atomic_path, check_writable, refuse_existing, sole_writer
 
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from plyfile import PlyData, PlyElement
 from safetensors.torch import load_file
 
-from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.formats.ply import columns, export_rows, read_ply, write_ply
 from querysplat_cli.scene.gaussians import Gaussians
 

@@ -11,7 +11,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.formats.known import read_known_cameras
 from querysplat_cli.scene.formats.transforms import (

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from splat_scenes import as_kernel_sees, assert_agree, outcome
 from torch import Tensor
 
-from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.sim3 import Sim3

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from splat_scenes import as_kernel_sees, assert_agree, outcome
 
-from querysplat_cli.errors import MissingPart, QuerySplatError
+from querysplat_cli.runtime.errors import MissingPart, QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.splat.projection import colours

@@ -10,10 +10,10 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.model.config import ModelConfig, preset
 from querysplat_cli.model.initialise import initial_model
 from querysplat_cli.model.querysplat import QuerySplat
+from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.training.config import as_table, from_table, load_config, training_presets
 
 

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 import torch
 
-from querysplat_cli.encoders.base import Geometry, Located
-from querysplat_cli.errors import ImpossibleScene, QuerySplatError
-from querysplat_cli.progress import Progress
+from querysplat_cli.encoders.base import Geometry, PosedViews
+from querysplat_cli.runtime.errors import ImpossibleScene, QuerySplatError
+from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.sim3 import Sim3
 from querysplat_cli.scene.views import Photo, Views
 from querysplat_cli.training.config import DataSettings, SourceSettings
 from querysplat_cli.training.data import Kept, Samples, cache_folder, prepare_samples
-from querysplat_cli.training.passes import prepare, read_sample, write_sample
+from querysplat_cli.training.passes import make_sample, read_sample, write_sample
 from training_scenes import sample, training
 
 
@@ -29,7 +29,7 @@ class Surveyor:
         self._loses = loses
         self.passes: list[tuple[str, ...]] = []
 
-    def locate(self, photos, *, max_size: int, seed: int, progress: Progress, known=None) -> Located:  # type: ignore[no-untyped-def]
+    def estimate_cameras(self, photos, *, max_size: int, seed: int, progress: Progress, known=None) -> PosedViews:  # type: ignore[no-untyped-def]
         photos = [photo for photo in photos if photo.name != self._loses]
         self.passes.append(tuple(photo.name for photo in photos))
         true = places()
@@ -39,13 +39,13 @@ class Surveyor:
         names, sizes = tuple(photo.name for photo in photos), ((12, 18),) * len(photos)
         views = Views(images, torch.ones(len(photos), 12, 18, dtype=torch.bool), names, sizes)
         nothing = tuple(torch.zeros(0, dtype=torch.long) for _ in photos)
-        return Located(views, chosen.transformed(own), torch.zeros(0, 3), nothing)
+        return PosedViews(views, chosen.transformed(own), torch.zeros(0, 3), nothing)
 
-    def perceive(self, located: Located, *, seed: int, progress: Progress) -> Geometry:
-        size = len(located.views), 12, 18
-        return Geometry(torch.ones(size), torch.ones(size), (located.views.images.flatten(2).mT[:, :6, :],), 6)
+    def estimate_geometry(self, posed: PosedViews, *, seed: int, progress: Progress) -> Geometry:
+        size = len(posed.views), 12, 18
+        return Geometry(torch.ones(size), torch.ones(size), (posed.views.images.flatten(2).mT[:, :6, :],), 6)
 
-    def release(self) -> None:
+    def free(self) -> None:
         pass
 
     def bytes_needed(self, views: int, size: int) -> int | None:
@@ -73,7 +73,7 @@ INPUTS = ("0.png", "2.png", "3.png")
 
 
 def prepared(encoder: Surveyor, given: list[Photo]):  # type: ignore[no-untyped-def]
-    return prepare(given, INPUTS, encoder, known=None, max_size=64, seed=0)
+    return make_sample(given, INPUTS, encoder, known=None, max_size=64, seed=0)
 
 
 def test_targets_come_to_the_frame_of_the_inputs() -> None:
@@ -125,7 +125,7 @@ def test_what_is_prepared_once_is_not_prepared_again(tmp_path: Path) -> None:
     asked = 0
 
     class Failing(Surveyor):
-        def locate(self, photos, **rest) -> Located:  # type: ignore[no-untyped-def]
+        def estimate_cameras(self, photos, **rest) -> PosedViews:  # type: ignore[no-untyped-def]
             raise ImpossibleScene("nothing overlaps")
 
     def encoder() -> Surveyor:

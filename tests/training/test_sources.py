@@ -11,7 +11,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.training.config import SourceSettings
 from querysplat_cli.training.outdoors import CLEARANCE, _distance, make_outdoors, wander
 from querysplat_cli.training.procedural import Solid, make_scene

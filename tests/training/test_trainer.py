@@ -14,8 +14,8 @@ import pytest
 import torch
 from safetensors.torch import load_file
 
-from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.model.checkpoints import load_file as load_model
+from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.training.config import LossSettings, OptimiserSettings, StageSettings, TrainConfig
 from querysplat_cli.training.data import Samples
 from querysplat_cli.training.journal import Journal

@@ -5,13 +5,13 @@ from dataclasses import replace
 import pytest
 import torch
 
-from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.sim3 import align_cameras
 from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.render import render
-from querysplat_cli.tto.cameras import RefinedCameras, refinable, refocused
+from querysplat_cli.tto.cameras import RefinedCameras, refinable, with_refined_focal
 from querysplat_cli.tto.gaussians import optimise_gaussians
 from querysplat_cli.tto.optimise import TtoSettings
 from querysplat_cli.tto.rendering_loss import RenderingLoss
@@ -103,7 +103,7 @@ def test_a_wrong_focal_length_is_put_right_and_held_out_cameras_follow() -> None
     )
     focal = float(result.cameras.K[0, 0, 0])
     assert abs(focal - 80) < 0.4 * abs(82.4 - 80)
-    torch.testing.assert_close(refocused(wrong[[0]], wrong, result.cameras).K, result.cameras.K[:1])
+    torch.testing.assert_close(with_refined_focal(wrong[[0]], wrong, result.cameras).K, result.cameras.K[:1])
 
 
 def test_a_run_that_ends_no_better_keeps_the_cameras() -> None:
@@ -121,15 +121,15 @@ def test_an_undone_step_takes_the_cameras_back() -> None:
     refined = RefinedCameras(turned(true, 1.0), gaussians)
     leaves = gaussians.map(lambda field: field.clone().requires_grad_())
     for seen in ([0, 1, 2, 3], [0, 2]):
-        before = refined.now()
+        before = refined.current()
         target = replace(RenderingLoss(views, true), cameras=before)
         target.value_and_gradient(leaves, seen).send_back(leaves, before)
         refined.step(1.0)
-    moved = (refined.now().w2c - before.w2c).abs().amax((1, 2))
+    moved = (refined.current().w2c - before.w2c).abs().amax((1, 2))
     # The gauge may shift those that the step did not see, but less.
     assert moved[[0, 2]].min() > 2 * moved[[1, 3]].max()
     refined.undo()
-    torch.testing.assert_close(refined.now().w2c, before.w2c, atol=0, rtol=0)
+    torch.testing.assert_close(refined.current().w2c, before.w2c, atol=0, rtol=0)
 
 
 def test_one_camera_cannot_be_refined() -> None:

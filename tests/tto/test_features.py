@@ -5,12 +5,13 @@ import math
 import pytest
 import torch
 
-from querysplat_cli.feedback import with_feedback
-from querysplat_cli.model.anchors import Anchors, build_anchors
+from querysplat_cli.model.anchors import Anchors
 from querysplat_cli.model.config import preset
 from querysplat_cli.model.initialise import initial_model
 from querysplat_cli.model.memories import Memories
 from querysplat_cli.model.querysplat import QuerySplat
+from querysplat_cli.queries.build import build_anchors
+from querysplat_cli.queries.rendering_error import with_rendering_error
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.render import render
@@ -45,11 +46,11 @@ def wall() -> tuple[Views, Cameras]:
 def scene(wall: tuple[Views, Cameras]) -> tuple[QuerySplat, Memories, Anchors]:
     views, cameras = wall
     depth = torch.ones(len(views), SIZE, SIZE)
-    anchors = with_feedback(build_anchors(views, cameras, depth, depth, patch=6)[0], views, cameras)
+    anchors = with_rendering_error(build_anchors(views, cameras, depth, depth, patch=6)[0], views, cameras)
     model = initial_model(preset("compact"), seed=0).requires_grad_(False)
     features = torch.randn(len(views), (SIZE // 6) ** 2, 12, generator=torch.Generator().manual_seed(0))
     with torch.no_grad():
-        return model, model.remember((features,), views.images, cameras), anchors
+        return model, model.encode((features,), views.images, cameras), anchors
 
 
 def test_the_gradient_summed_view_by_view_is_that_of_all_views_at_once(

@@ -7,7 +7,7 @@ from typing import Any
 import typer
 
 from querysplat_cli.cli.app import app
-from querysplat_cli.errors import ExitCode, QuerySplatError
+from querysplat_cli.runtime.errors import ExitCode, QuerySplatError
 
 UsageError: Any = typer.BadParameter.__bases__[0]
 """typer's, wherever it takes its click from."""

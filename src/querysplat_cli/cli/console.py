@@ -12,11 +12,11 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from querysplat_cli.errors import ExitCode
-from querysplat_cli.progress import Stages
-from querysplat_cli.rendering import Rendered
-from querysplat_cli.report import Report
-from querysplat_cli.weight_files import Found
+from querysplat_cli.commands.render import Rendered
+from querysplat_cli.commands.weights import Found
+from querysplat_cli.reporting.report import Report
+from querysplat_cli.runtime.errors import ExitCode
+from querysplat_cli.runtime.progress import Stages
 
 console = Console(stderr=True, highlight=False)
 
@@ -80,8 +80,8 @@ def _table(report: dict[str, Any]) -> Table:
         table.add_row("tto", _tto_text(run))
     for part in report["left_out"]:
         table.add_row("left out", _saving_text(part))
-    for doubt in report["doubts"]:
-        table.add_row("[yellow]doubtful[/yellow]", doubt)
+    for warning in report["warnings"]:
+        table.add_row("[yellow]warning[/yellow]", warning)
     return table
 
 

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from querysplat_cli.cli.options import Force, Json, Quiet
-from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.runtime.errors import QuerySplatError
 
 
 class Axis(StrEnum):
@@ -42,8 +42,8 @@ def convert(
     if not scale > 0:
         raise QuerySplatError(f"--scale {scale}: lengths must stay positive", "Give a number above 0.")
     from querysplat_cli.cli.console import print_conversion
-    from querysplat_cli.convert import Conversion
-    from querysplat_cli.convert import convert as run
+    from querysplat_cli.commands.convert import Conversion
+    from querysplat_cli.commands.convert import convert as run
 
     request = Conversion(
         source, target, text=text, photos=photos, up=up and up.value, scale=scale, crop=box, force=force

@@ -20,7 +20,7 @@ def demo(
 ) -> None:
     """Photograph a procedural 3D scene, offline, and reconstruct it like any other photos."""
     from querysplat_cli.cli.console import console, print_report, showing_stages
-    from querysplat_cli.demo import run_demo
+    from querysplat_cli.commands.demo import run_demo
 
     with showing_stages(quiet=quiet) as stages:
         report = run_demo(output, photos=photos, seed=seed, force=force, stages=stages)

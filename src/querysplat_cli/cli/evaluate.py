@@ -20,7 +20,7 @@ from querysplat_cli.cli.options import (
     Weights,
     number_or_auto,
 )
-from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.runtime.errors import QuerySplatError
 
 
 class ProtocolOption(StrEnum):
@@ -98,7 +98,7 @@ def evaluate(
     from querysplat_cli.evaluation.run import evaluate as run
     from querysplat_cli.evaluation.summary import summarise
     from querysplat_cli.evaluation.sweep import write_curves
-    from querysplat_cli.pipeline import ReconstructSettings
+    from querysplat_cli.pipeline.reconstruct import ReconstructSettings
 
     if merge:
         merge_results(scenes, output)

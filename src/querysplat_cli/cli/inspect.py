@@ -19,7 +19,7 @@ def inspect(
 ) -> None:
     """Draw a query's attention on the photos, histograms of opacity and scale, and points beside the depth."""
     from querysplat_cli.cli.console import console, showing_stages
-    from querysplat_cli.inspection import inspect_scene
+    from querysplat_cli.commands.inspect import inspect_scene
 
     folder = output or scene.with_name(f"{scene.stem}-inspected")
     with showing_stages(quiet=quiet) as stages:

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from querysplat_cli.cli.options import Force, Json, Quiet, Seed
-from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.runtime.errors import QuerySplatError
 
 
 def poses(
@@ -26,7 +26,7 @@ def poses(
     if (second is None) != colmap:
         raise QuerySplatError("give two sets of cameras, or one and --colmap", "See `querysplat poses --help`.")
     from querysplat_cli.cli.console import print_poses
-    from querysplat_cli.evaluation.colmap_reference import locate_with_colmap
+    from querysplat_cli.evaluation.colmap_reference import estimate_with_colmap
     from querysplat_cli.evaluation.poses import compare_cameras, draw_trajectories
     from querysplat_cli.scene.files import refuse_existing
     from querysplat_cli.scene.formats.known import read_known_cameras
@@ -38,7 +38,7 @@ def poses(
     if second:
         theirs, title = read_known_cameras(second), str(second)
     else:
-        theirs, title = locate_with_colmap(load_photos(find_photos([first]))[0], seed=seed), "COLMAP"
+        theirs, title = estimate_with_colmap(load_photos(find_photos([first]))[0], seed=seed), "COLMAP"
     errors = compare_cameras(mine, theirs)
     if plot:
         draw_trajectories(errors, plot, (str(first), title))

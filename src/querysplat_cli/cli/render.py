@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from querysplat_cli.cli.options import Force, Json, Quiet
-from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.runtime.errors import QuerySplatError
 
 
 def render(
@@ -36,7 +36,7 @@ def render(
     """Render a scene to PNG frames or to a film."""
     chosen_size, colour = _size(size), _colour(background)
     from querysplat_cli.cli.console import print_rendered, showing_stages
-    from querysplat_cli.rendering import RenderRequest, render_file
+    from querysplat_cli.commands.render import RenderRequest, render_file
 
     request = RenderRequest(
         scene=scene,

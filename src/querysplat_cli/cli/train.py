@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from querysplat_cli.cli.options import Device, Force, Json, Quiet
-from querysplat_cli.errors import MissingPart
+from querysplat_cli.runtime.errors import MissingPart
 
 
 def train(

@@ -39,7 +39,7 @@ def tto(
     """
     count = number_or_auto(0)(steps)
     from querysplat_cli.cli.console import exit_if_interrupted, print_report, showing_stages
-    from querysplat_cli.pipeline import optimise_scene
+    from querysplat_cli.pipeline.reconstruct import optimise_scene
 
     with showing_stages(quiet=quiet) as stages:
         report = optimise_scene(

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from querysplat_cli.cli.options import Json, Quiet
-from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.runtime.errors import QuerySplatError
 
 
 def weights(
@@ -21,7 +21,7 @@ def weights(
 ) -> None:
     """List the weights that are not part of this package: origin, licence, size, and what is here."""
     from querysplat_cli.cli.console import print_weights, showing_stages
-    from querysplat_cli.weight_files import survey
+    from querysplat_cli.commands.weights import survey
 
     with showing_stages(quiet=quiet) as stages:
         found = survey(folder, verify=verify, stages=stages)

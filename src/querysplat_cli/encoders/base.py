@@ -9,8 +9,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from querysplat_cli.precision import Precision
-from querysplat_cli.progress import Progress
+from querysplat_cli.runtime.precision import Precision
+from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera
 from querysplat_cli.scene.fit import Fit
 from querysplat_cli.scene.views import LeftOut, Photo, Views
@@ -33,15 +33,14 @@ class EncoderOptions:
 
 
 @dataclass(frozen=True)
-class Located:
+class PosedViews:
     """Photos with cameras.
 
     The first camera is the origin. `points` are sparse scene points [n, 3] (may be empty), `visibility`
-    is for each view the row numbers of the points that it saw. `doubts` are sentences that say why the
-    cameras may be wrong; empty when nothing speaks against them. `lenses` are the photos' own cameras, as
-    they were taken, in the same frame; None where the views' masks hold the photos as they are. `misfit` is the
-    median distance in pixels of matches between photos from where the cameras expect them, None where nobody
-    measured it.
+    is for each view the row numbers of the points that it saw. `warnings` are sentences that say why the
+    cameras may be wrong; empty when nothing speaks against them. `photo_cameras` are the photos' own cameras, as
+    they were taken, in the same frame; None where the views' masks hold the photos as they are. `epipolar_error_px` is
+    the median distance in pixels of matches from their epipolar lines, None where it was not measured.
     """
 
     views: Views
@@ -49,9 +48,9 @@ class Located:
     points: Float[Tensor, "n 3"]
     visibility: tuple[Tensor, ...]
     left_out: tuple[LeftOut, ...] = ()
-    doubts: tuple[str, ...] = ()
-    lenses: tuple[PhotoCamera, ...] | None = None
-    misfit: float | None = None
+    warnings: tuple[str, ...] = ()
+    photo_cameras: tuple[PhotoCamera, ...] | None = None
+    epipolar_error_px: float | None = None
 
 
 @dataclass(frozen=True)
@@ -68,12 +67,12 @@ class Geometry:
     confidence: Float[Tensor, "views height width"] | None
     features: tuple[Float[Tensor, "views tokens channels"], ...]
     patch: int
-    doubts: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
 
 
 @runtime_checkable
 class Encoder(Protocol):
-    """A frozen VGM. `locate` finds cameras, `perceive` finds depth and features for known cameras.
+    """A frozen VGM. `estimate_cameras` finds cameras, `estimate_geometry` finds depth and features for known cameras.
 
     `size` is the longer side, in pixels, that it works best at. With `own_frame`, features are tied to the
     frame of their own pass, and cameras of another pass fit them only after a similarity.
@@ -83,7 +82,7 @@ class Encoder(Protocol):
     size: int
     own_frame: bool
 
-    def locate(
+    def estimate_cameras(
         self,
         photos: Sequence[Photo],
         *,
@@ -91,7 +90,7 @@ class Encoder(Protocol):
         seed: int,
         progress: Progress,
         known: Mapping[str, PhotoCamera] | None = None,
-    ) -> Located:
+    ) -> PosedViews:
         """Cameras of the photos, and the photos undistorted at a longer side of at most `max_size` pixels.
 
         `known` gives cameras by photo name: then none is estimated, and photos without one are left out.
@@ -99,11 +98,11 @@ class Encoder(Protocol):
         """
         ...
 
-    def perceive(self, located: Located, *, seed: int, progress: Progress) -> Geometry:
+    def estimate_geometry(self, posed: PosedViews, *, seed: int, progress: Progress) -> Geometry:
         """Depth, confidence and features of every view."""
         ...
 
-    def release(self) -> None:
+    def free(self) -> None:
         """Give back what memory can be: it will not be asked again."""
         ...
 

@@ -5,7 +5,7 @@ import threading
 from importlib import import_module
 
 from querysplat_cli.encoders.base import Encoder, EncoderOptions
-from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.runtime.errors import QuerySplatError
 
 ENCODERS = ("classical", "vggt", "vggt_omega")
 """Packages beside this file, each with a function `make` in its module `encoder`."""

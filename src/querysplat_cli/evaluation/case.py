@@ -10,10 +10,7 @@ from typing import Any, Literal
 import numpy as np
 import torch
 
-from querysplat_cli.device import find_device
-from querysplat_cli.encoders.base import Encoder, Located
-from querysplat_cli.encoders.classical.sparse_model import rescaled
-from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.encoders.base import Encoder, PosedViews
 from querysplat_cli.evaluation.baseline import back_project
 from querysplat_cli.evaluation.costs import Cost, measured
 from querysplat_cli.evaluation.lpips import Lpips
@@ -21,10 +18,12 @@ from querysplat_cli.evaluation.memoised import MemoisedEncoder
 from querysplat_cli.evaluation.metrics import Scores, compare
 from querysplat_cli.evaluation.protocol import Protocol
 from querysplat_cli.model.querysplat import QuerySplat
-from querysplat_cli.pipeline import ReconstructSettings, build_scene, load_parts
-from querysplat_cli.precision import check_precision, matrix_products
-from querysplat_cli.progress import Stages
-from querysplat_cli.scene.cameras import Cameras, PhotoCamera, same_shape
+from querysplat_cli.pipeline.reconstruct import ReconstructSettings, build_scene, load_parts
+from querysplat_cli.runtime.device import find_device
+from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.precision import check_precision, matrix_products
+from querysplat_cli.runtime.progress import Stages
+from querysplat_cli.scene.cameras import Cameras, PhotoCamera, rescaled, same_shape
 from querysplat_cli.scene.formats.dataset import Frame, fetch
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.photos import WHOLE, load_photos
@@ -66,7 +65,7 @@ class RowResult:
     missing: dict[str, dict[str, str]]
     costs: dict[str, Cost]
     gaussians: int | None
-    doubts: tuple[str, ...]
+    warnings: tuple[str, ...]
 
 
 class CaseRunner:
@@ -116,16 +115,16 @@ class CaseRunner:
         encoder = self._encoders.setdefault(key, MemoisedEncoder(own))
         if row.cameras == "posed" and not self.known:
             raise QuerySplatError("the dataset has no cameras of these photos", "Leave the posed rows out.")
-        posed = row.cameras == "posed" and not encoder.own_frame
-        located = self._locate(encoder, settings, self._names("input"), posed=posed)
-        gaussians, costs, doubts = self._build(row, model, encoder, located, settings)
+        known = row.cameras == "posed" and not encoder.own_frame
+        posed = self._estimate_cameras(encoder, settings, self._names("input"), poses_known=known)
+        gaussians, costs, warnings = self._build(row, model, encoder, posed, settings)
         if row.cameras == "posed":
-            result = self.judge(gaussians, joined(self.known, lenses_of(located)), "the dataset has no camera of it")
+            result = self.judge(gaussians, joined(self.known, lenses_of(posed)), "the dataset has no camera of it")
         else:
-            lenses, why = self._free_targets(encoder, located, settings)
-            result = self.judge(gaussians, lenses, "it was not located", why)
-        costs = {"cameras": encoder.cost_of(located), **costs}
-        return replace(result, costs=costs, doubts=(*located.doubts, *doubts))
+            lenses, why = self._free_targets(encoder, posed, settings)
+            result = self.judge(gaussians, lenses, "it has no camera", why)
+        costs = {"cameras": encoder.cost_of(posed), **costs}
+        return replace(result, costs=costs, warnings=(*posed.warnings, *warnings))
 
     def judge(
         self,
@@ -182,34 +181,34 @@ class CaseRunner:
         row: Row,
         model: QuerySplat,
         encoder: MemoisedEncoder,
-        located: Located,
+        posed: PosedViews,
         settings: ReconstructSettings,
     ) -> tuple[Gaussians, dict[str, Cost], tuple[str, ...]]:
         if row.method == "depth":
-            geometry = encoder.perceive(located, seed=settings.seed, progress=_silent)
+            geometry = encoder.estimate_geometry(posed, seed=settings.seed, progress=_silent)
             depth = geometry.depth
             if depth is None:
                 raise QuerySplatError("the encoder was not asked for depth", "This row needs it.")
-            gaussians, cost = measured(lambda: back_project(located.views, located.cameras, depth))
-            return gaussians, {"depth": encoder.cost_of(geometry), "splat": cost}, geometry.doubts
+            gaussians, cost = measured(lambda: back_project(posed.views, posed.cameras, depth))
+            return gaussians, {"depth": encoder.cost_of(geometry), "splat": cost}, geometry.warnings
         stages = Stages()
-        scene, cost = measured(lambda: build_scene(located, encoder, model, settings, stages))
+        scene, cost = measured(lambda: build_scene(posed, encoder, model, settings, stages))
         costs = {stage: Cost(spent, cost.peak_gib) for stage, spent in stages.seconds.items()}
         # The stage was nearly free when an earlier row had asked the same.
-        perceived = encoder.perceive(located, seed=settings.seed, progress=_silent)
+        geometry = encoder.estimate_geometry(posed, seed=settings.seed, progress=_silent)
         if scene.adapted.interrupted:
             raise KeyboardInterrupt
-        return scene.adapted.gaussians, costs | {"depth": encoder.cost_of(perceived)}, perceived.doubts
+        return scene.adapted.gaussians, costs | {"depth": encoder.cost_of(geometry)}, geometry.warnings
 
     def _free_targets(
-        self, encoder: MemoisedEncoder, located: Located, settings: ReconstructSettings
+        self, encoder: MemoisedEncoder, posed: PosedViews, settings: ReconstructSettings
     ) -> tuple[dict[str, PhotoCamera], dict[str, str]]:
         """Cameras of all views in the scene's frame, and why some have none.
 
         Targets are located together with the inputs (`release`: each group by itself), and come to the scene by the
         similarity of the inputs' cameras. The inputs keep those that the scene was made with.
         """
-        inputs, input_names = lenses_of(located), self._names("input")
+        inputs, input_names = lenses_of(posed), self._names("input")
         lenses = dict(inputs)
         why: dict[str, str] = {}
         targets = [self._names(group) - input_names for group in self.groups if group != "input"]
@@ -217,7 +216,9 @@ class CaseRunner:
             if not names:
                 continue
             try:
-                everything = lenses_of(self._locate(encoder, settings, input_names | names, posed=False))
+                everything = lenses_of(
+                    self._estimate_cameras(encoder, settings, input_names | names, poses_known=False)
+                )
                 moved = joined(everything, inputs)
             except QuerySplatError as error:
                 why |= dict.fromkeys(names, error.message)
@@ -225,14 +226,14 @@ class CaseRunner:
             lenses |= {name: moved[name] for name in names & moved.keys()}
         return lenses, why
 
-    def _locate(
-        self, encoder: MemoisedEncoder, settings: ReconstructSettings, names: set[str], *, posed: bool
-    ) -> Located:
-        known = {name: camera for name, camera in self.known.items() if name in names} if posed else None
+    def _estimate_cameras(
+        self, encoder: MemoisedEncoder, settings: ReconstructSettings, names: set[str], *, poses_known: bool
+    ) -> PosedViews:
+        known = {name: camera for name, camera in self.known.items() if name in names} if poses_known else None
         photos = [shown for name, (_, shown) in self.photos.items() if name in names]
         # No smaller than the protocol shows them, and no smaller than suits the encoder.
         size = settings.max_size or max(encoder.size, *(max(_size(photo)) for photo in photos))
-        return encoder.locate(photos, max_size=size, seed=settings.seed, progress=_silent, known=known)
+        return encoder.estimate_cameras(photos, max_size=size, seed=settings.seed, progress=_silent, known=known)
 
     def _names(self, group: str) -> set[str]:
         return {frame.name for frame in self.groups[group]}
@@ -249,10 +250,10 @@ def same_parts(settings: ReconstructSettings) -> ReconstructSettings:
     return replace(settings, tto=None, tto_target="kv", max_size=None, max_views=None)
 
 
-def lenses_of(located: Located) -> dict[str, PhotoCamera]:
+def lenses_of(posed: PosedViews) -> dict[str, PhotoCamera]:
     """Each view's camera with its lens, for the photo as it was taken."""
-    views, cameras = located.views, located.cameras
-    lenses = located.lenses or map(_pinhole, cameras.w2c.double(), cameras.K.double(), views.masks)
+    views, cameras = posed.views, posed.cameras
+    lenses = posed.photo_cameras or map(_pinhole, cameras.w2c.double(), cameras.K.double(), views.masks)
     return dict(zip(views.names, lenses, strict=True))
 
 
@@ -267,7 +268,7 @@ def joined(everything: Mapping[str, PhotoCamera], inputs: Mapping[str, PhotoCame
     """`everything` in the frame of `inputs`, by the similarity of the cameras that both have."""
     shared = [name for name in inputs if name in everything]
     if len(shared) < 2:
-        raise DegenerateAlignment("fewer than two inputs were located together with the targets")
+        raise DegenerateAlignment("fewer than two inputs have cameras together with the targets")
     theirs, ours = (torch.stack([torch.from_numpy(of[name].w2c) for name in shared]) for of in (everything, inputs))
     similarity = align_cameras(theirs, ours)
     return {name: _moved(camera, similarity) for name, camera in everything.items()}

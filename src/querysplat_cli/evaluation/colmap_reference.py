@@ -7,13 +7,13 @@ from tempfile import TemporaryDirectory
 import cv2
 import pycolmap
 
-from querysplat_cli.errors import ImpossibleScene
+from querysplat_cli.runtime.errors import ImpossibleScene
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.formats.colmap import read_colmap
 from querysplat_cli.scene.views import Photo
 
 
-def locate_with_colmap(photos: Sequence[Photo], *, seed: int) -> dict[str, PhotoCamera]:
+def estimate_with_colmap(photos: Sequence[Photo], *, seed: int) -> dict[str, PhotoCamera]:
     """Cameras by photo name of COLMAP's largest model; photos share a lens where COLMAP finds that they do.
 
     Raises ImpossibleScene when it places no two photos.

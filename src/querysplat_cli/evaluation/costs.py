@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar
 
-from querysplat_cli.device import forget_peak, peak_gib
+from querysplat_cli.runtime.device import peak_gib, reset_peak_memory
 
 Answer = TypeVar("Answer")
 
@@ -14,7 +14,7 @@ Answer = TypeVar("Answer")
 class Cost:
     """Wall-clock seconds, and the process's peak memory in GiB while they passed.
 
-    Where the system cannot forget an older peak (`forget_peak`), the peak is the process's so far.
+    Where the system cannot forget an older peak (`reset_peak_memory`), the peak is the process's so far.
     """
 
     seconds: float
@@ -23,7 +23,7 @@ class Cost:
 
 def measured(work: Callable[[], Answer]) -> tuple[Answer, Cost]:
     """What `work` returns, and what it cost."""
-    forget_peak()
+    reset_peak_memory()
     start = time.perf_counter()
     answer = work()
     return answer, Cost(time.perf_counter() - start, peak_gib())

@@ -3,8 +3,8 @@
 import random
 from collections.abc import Sequence
 
-from querysplat_cli.errors import ImpossibleScene
 from querysplat_cli.evaluation.splits import Case, FrameRef, Split
+from querysplat_cli.runtime.errors import ImpossibleScene
 from querysplat_cli.scene.formats.dataset import CapturedScene
 
 SCALES = ("small", "medium", "large")

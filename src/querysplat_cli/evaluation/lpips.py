@@ -16,7 +16,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from querysplat_cli.errors import MissingPart, QuerySplatError
+from querysplat_cli.runtime.errors import MissingPart, QuerySplatError
 
 MEAN, SPREAD = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
 """Of the pictures' colours in [−1, 1], with which the backbones were trained."""

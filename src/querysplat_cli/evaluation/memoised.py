@@ -3,10 +3,10 @@
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from querysplat_cli.encoders.base import Encoder, Geometry, Located
-from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.encoders.base import Encoder, Geometry, PosedViews
 from querysplat_cli.evaluation.costs import Cost, measured
-from querysplat_cli.progress import Progress
+from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.views import Photo
 
@@ -20,7 +20,7 @@ class MemoisedEncoder:
         self._answers: dict[Any, Any] = {}
         self._costs: dict[int, Cost] = {}
 
-    def locate(
+    def estimate_cameras(
         self,
         photos: Sequence[Photo],
         *,
@@ -28,25 +28,28 @@ class MemoisedEncoder:
         seed: int,
         progress: Progress,
         known: Mapping[str, PhotoCamera] | None = None,
-    ) -> Located:
-        key = ("locate", tuple(photo.name for photo in photos), max_size, seed, known is not None)
+    ) -> PosedViews:
+        key = ("estimate_cameras", tuple(photo.name for photo in photos), max_size, seed, known is not None)
         return self._once(
             key,
-            lambda: self._encoder.locate(photos, max_size=max_size, seed=seed, progress=progress, known=known),
+            lambda: self._encoder.estimate_cameras(
+                photos, max_size=max_size, seed=seed, progress=progress, known=known
+            ),
         )
 
-    def perceive(self, located: Located, *, seed: int, progress: Progress) -> Geometry:
+    def estimate_geometry(self, posed: PosedViews, *, seed: int, progress: Progress) -> Geometry:
         return self._once(
-            ("perceive", id(located), seed), lambda: self._encoder.perceive(located, seed=seed, progress=progress)
+            ("estimate_geometry", id(posed), seed),
+            lambda: self._encoder.estimate_geometry(posed, seed=seed, progress=progress),
         )
 
-    def release(self) -> None:
+    def free(self) -> None:
         """Nothing: the next case asks again."""
 
     def bytes_needed(self, views: int, size: int) -> int | None:
         return self._encoder.bytes_needed(views, size)
 
-    def cost_of(self, answer: Located | Geometry) -> Cost:
+    def cost_of(self, answer: PosedViews | Geometry) -> Cost:
         """What it cost to find an answer of this encoder."""
         return self._costs[id(answer)]
 

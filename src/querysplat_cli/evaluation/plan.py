@@ -5,7 +5,6 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from querysplat_cli.errors import ImpossibleScene, QuerySplatError
 from querysplat_cli.evaluation.case import CameraSource, Row, parts, same_parts
 from querysplat_cli.evaluation.generate import generate
 from querysplat_cli.evaluation.grid import FIXED, Axis, rows
@@ -13,7 +12,8 @@ from querysplat_cli.evaluation.lpips import LpipsFiles
 from querysplat_cli.evaluation.protocol import Protocol
 from querysplat_cli.evaluation.results import Place, checkpoint_sha256, prepare, run_config, write_failure
 from querysplat_cli.evaluation.splits import Case, Split, read_splits, resolve
-from querysplat_cli.pipeline import ReconstructSettings
+from querysplat_cli.pipeline.reconstruct import ReconstructSettings
+from querysplat_cli.runtime.errors import ImpossibleScene, QuerySplatError
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.formats.dataset import CapturedScene, Frame
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from querysplat_cli.drawing import new_figure, save_figure
-from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.figures import new_figure, save_figure
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.files import atomic_path
 from querysplat_cli.scene.sim3 import Sim3, align_cameras, rotation_angles

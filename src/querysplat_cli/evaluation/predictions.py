@@ -12,8 +12,8 @@ from pathlib import Path
 
 import torch
 
-from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.evaluation.case import CaseRunner, RowResult, joined
+from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import PhotoCamera, same_shape
 from querysplat_cli.scene.fit import resized
 from querysplat_cli.scene.formats.dataset import Frame

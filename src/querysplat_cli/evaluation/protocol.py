@@ -15,9 +15,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from querysplat_cli.encoders.classical.sparse_model import rescaled
-from querysplat_cli.errors import QuerySplatError
-from querysplat_cli.scene.cameras import Cameras, PhotoCamera, same_shape
+from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.scene.cameras import Cameras, PhotoCamera, rescaled, same_shape
 from querysplat_cli.scene.fit import resized
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.pictures import eight_bit

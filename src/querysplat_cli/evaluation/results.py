@@ -24,11 +24,11 @@ from typing import Any
 import numpy as np
 import torch
 
-from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.evaluation.case import RowResult, ViewScore
 from querysplat_cli.evaluation.metrics import METRICS
 from querysplat_cli.evaluation.splits import GROUPS, Split
-from querysplat_cli.report import machine
+from querysplat_cli.reporting.report import machine
+from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.files import atomic_folder, atomic_path
 from querysplat_cli.scene.pictures import eight_bit, write_picture
 
@@ -122,7 +122,7 @@ def write_case(folder: Path, scene: str, result: RowResult, *, pictures: bool) -
             "per_view": {group: [vars(view.scores) for view in views] for group, views in result.views.items()},
             "mean": {group: _mean(views) for group, views in result.views.items()},
             "missing": result.missing,
-            "doubts": list(result.doubts),
+            "doubts": list(result.warnings),
         }
         write_json(draft / "metrics.json", metrics)
         write_json(draft / "timing.json", _timing(result))

@@ -7,8 +7,6 @@ from pathlib import Path
 from traceback import format_exc
 from typing import Any
 
-from querysplat_cli.device import find_device
-from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.evaluation.case import CaseRunner
 from querysplat_cli.evaluation.lpips import LpipsFiles, find_lpips, load_lpips
 from querysplat_cli.evaluation.plan import EvalRequest, Job, plan_jobs, plan_rows, plan_splits
@@ -18,8 +16,10 @@ from querysplat_cli.evaluation.results import Place, write_case, write_failure
 from querysplat_cli.evaluation.splits import Split, spacing, write_index, write_split
 from querysplat_cli.evaluation.summary import summarise
 from querysplat_cli.evaluation.workers import Workers
-from querysplat_cli.pipeline import ReconstructSettings
-from querysplat_cli.progress import Stages
+from querysplat_cli.pipeline.reconstruct import ReconstructSettings
+from querysplat_cli.runtime.device import find_device
+from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.files import check_writable
 from querysplat_cli.scene.formats.dataset import find_scenes
 from querysplat_cli.splat.compile_ahead import compile_ahead

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from querysplat_cli.drawing import new_figure, save_figure
 from querysplat_cli.evaluation.metrics import METRICS
 from querysplat_cli.evaluation.results import Place, places, read_json, write_json
 from querysplat_cli.evaluation.summary import TITLES, known, spread, write_table
+from querysplat_cli.runtime.figures import new_figure, save_figure
 from querysplat_cli.scene.files import atomic_path
 
 COSTS = {"seconds": "seconds", "gaussians": "Gaussians", "peak_memory_gib": "peak memory, GiB"}

@@ -7,7 +7,7 @@ from torch.nn import functional as F
 
 from querysplat_cli.model.anchors import Neighbours
 from querysplat_cli.model.local_attention import attend_near
-from querysplat_cli.precision import LayerNorm, Linear
+from querysplat_cli.runtime.precision import LayerNorm, Linear
 
 
 class LayerScale(nn.Module):
@@ -18,7 +18,7 @@ class LayerScale(nn.Module):
         self.gamma = nn.Parameter(torch.full((width,), start))
 
     @property
-    def silent(self) -> bool:
+    def is_inactive(self) -> bool:
         """Whether the branch adds exactly nothing and will not learn to: it can then be left out."""
         return not self.gamma.requires_grad and not bool(self.gamma.any())
 

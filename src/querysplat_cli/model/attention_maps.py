@@ -57,7 +57,7 @@ def _weights(
     found = []
     for block in decoder.blocks:
         assert isinstance(block, DecoderBlock)
-        if not block.cross_scale.silent:
+        if not block.cross_scale.is_inactive:
             found.append(_cross_weights(block.cross, tokens[[query]], keys, near_memory, query))
         tokens = block(tokens, keys, values, near_memory, near_queries)
     return torch.stack(found).mean(0) if found else keys.new_full((len(keys),), 1 / len(keys)), tokens

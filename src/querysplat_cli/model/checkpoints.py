@@ -10,13 +10,13 @@ import torch
 from safetensors.torch import save_file
 from torch import Tensor
 
-from querysplat_cli.catalogue import WEIGHTS, find_weights
-from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.model.config import ModelConfig, preset, preset_names
 from querysplat_cli.model.querysplat import QuerySplat
-from querysplat_cli.precision import Precision, weight_dtypes
+from querysplat_cli.runtime.checkpoint_files import check_tensors, fill, read_tensors
+from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.precision import Precision, weight_dtypes
+from querysplat_cli.runtime.weight_registry import WEIGHTS, find_weights
 from querysplat_cli.scene.files import atomic_path
-from querysplat_cli.tensor_files import check_tensors, fill, read_tensors
 
 CPU = torch.device("cpu")
 
@@ -44,10 +44,10 @@ OFFICIAL_NAMES = (
 """Beginnings of official names and of ours; the first that fits counts."""
 
 OFFICIAL_BLOCK_NAMES = (
-    ("gs_self_attn.norm.", "among.norm."),
-    ("gs_self_attn.gs_self_attn.proj.", "among.out_proj."),
-    ("gs_self_attn.gs_self_attn.", "among."),
-    ("gs_self_attn_scale.", "among_scale."),
+    ("gs_self_attn.norm.", "self_attention.norm."),
+    ("gs_self_attn.gs_self_attn.proj.", "self_attention.out_proj."),
+    ("gs_self_attn.gs_self_attn.", "self_attention."),
+    ("gs_self_attn_scale.", "self_attention_scale."),
     ("gs_cross_attn.gs_token_norm.", "cross.norm."),
     ("gs_cross_attn.", "cross."),
     ("gs_cross_attn_scale.", "cross_scale."),

@@ -10,7 +10,7 @@ from torch.utils.checkpoint import checkpoint
 
 from querysplat_cli.model.anchors import Neighbours
 from querysplat_cli.model.attention import CrossAttention, LayerScale, SelfAttention
-from querysplat_cli.precision import LayerNorm, Linear
+from querysplat_cli.runtime.precision import LayerNorm, Linear
 
 
 class Mlp(nn.Module):
@@ -39,8 +39,8 @@ class DecoderBlock(nn.Module):
         super().__init__()
         self.cross = CrossAttention(width, heads)
         self.cross_scale = LayerScale(width)
-        self.among = SelfAttention(width, heads)
-        self.among_scale = LayerScale(width)
+        self.self_attention = SelfAttention(width, heads)
+        self.self_attention_scale = LayerScale(width)
         self.mlp = Mlp(width, mlp_ratio)
         self.mlp_scale = LayerScale(width)
 
@@ -53,13 +53,13 @@ class DecoderBlock(nn.Module):
         near_queries: Neighbours | None = None,
     ) -> Iterator[Float[Tensor, "queries width"]]:
         """The tokens after each of the three steps."""
-        if not self.cross_scale.silent:
+        if not self.cross_scale.is_inactive:
             tokens = tokens + self.cross_scale(self.cross(tokens, keys, values, near_memory))
         yield tokens
-        if not self.among_scale.silent:
-            tokens = tokens + self.among_scale(self.among(tokens, near_queries))
+        if not self.self_attention_scale.is_inactive:
+            tokens = tokens + self.self_attention_scale(self.self_attention(tokens, near_queries))
         yield tokens
-        if not self.mlp_scale.silent:
+        if not self.mlp_scale.is_inactive:
             tokens = tokens + self.mlp_scale(self.mlp(tokens))
         yield tokens
 
@@ -92,7 +92,7 @@ class Decoder(nn.Module):
     ) -> Iterator[Float[Tensor, "queries width"]]:
         """The tokens after each block.
 
-        For a gradient, blocks that see everything are run again backward instead of being remembered:
+        For a gradient, blocks that see everything are run again backward instead of being prepared:
         thousands of queries would take gigabytes for each.
         """
         for block in self.blocks:

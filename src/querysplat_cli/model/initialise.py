@@ -44,7 +44,7 @@ def initial_model(config: ModelConfig, seed: int) -> QuerySplat:
                 # The last block reads the memory and the first one thinks: in a decoder of two, what is thought
                 # does not depend on the memory, and test-time optimisation need not go through it.
                 block.cross_scale.gamma.fill_(1.0 if i == len(decoder.blocks) - 1 else 0.0)
-                block.among_scale.gamma.zero_()
+                block.self_attention_scale.gamma.zero_()
                 block.mlp_scale.gamma.fill_(1.0 if i == 0 else 0.0)
                 torch.nn.init.eye_(block.cross.out_proj.weight)
                 block.cross.out_proj.bias.zero_()

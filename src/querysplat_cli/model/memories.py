@@ -10,7 +10,7 @@ from torch.nn import functional as F
 
 from querysplat_cli.model.anchors import Anchors, Neighbours
 from querysplat_cli.model.config import ModelConfig
-from querysplat_cli.precision import Conv2d, LayerNorm, Linear
+from querysplat_cli.runtime.precision import Conv2d, LayerNorm, Linear
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.fit import normalised
 

@@ -13,12 +13,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.model.anchors import Anchors, Neighbours
 from querysplat_cli.model.config import ModelConfig
 from querysplat_cli.model.decoders import Decoder
 from querysplat_cli.model.heads import GEOMETRY_CHANNELS, assemble, assemble_anchored
 from querysplat_cli.model.memories import Features, KeyValue, LayerMixer, Memories, PhotoEmbedding
+from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 
@@ -102,7 +102,7 @@ class QuerySplat(nn.Module):
             queries += config.query_count * 4 * config.width * (blocks + 4 * (8 + 2 * config.mlp_ratio))
         return int(self.weight_bytes + memory + queries)
 
-    def remember(
+    def encode(
         self,
         features: Sequence[Float[Tensor, "views tokens channels"]],
         images: Float[Tensor, "views 3 height width"],
@@ -117,11 +117,11 @@ class QuerySplat(nn.Module):
         images: Float[Tensor, "views 3 height width"],
         cameras: Cameras,
     ) -> Features:
-        """Tokens of both branches: the first half of `remember`."""
+        """Tokens of both branches: the first half of `encode`."""
         return Features(self.layer_mixer(features, self.eye_token), self.photo_embedding(images, cameras))
 
     def project(self, features: Features) -> Memories:
-        """Keys and values of tokens: the second half of `remember`."""
+        """Keys and values of tokens: the second half of `encode`."""
         return Memories(*self.geometry_memory(features.geometry), *self.appearance_memory(features.appearance))
 
     def decode(self, memories: Memories | Features, anchors: Anchors | None = None) -> Gaussians:

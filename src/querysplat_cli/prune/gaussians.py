@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from querysplat_cli.model.anchors import BORDER
+from querysplat_cli.queries.build import BORDER
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
 from querysplat_cli.splat.render import RenderSettings, render
@@ -44,11 +44,11 @@ def prune(
     psnr: Callable[[Gaussians], float],
     steps_left: float,
 ) -> Pruned:
-    """Leave out those of the least `importance`, down to those `staying`; `psnr` scores Gaussians on the photos.
+    """Leave out those of the least `importance`, down to those `target_count`; `psnr` scores Gaussians on the photos.
 
     An automatic choice leaves out nothing where `steps_left` of optimisation are too few to make up for it.
     """
-    count = staying(len(gaussians), amount, cameras)
+    count = target_count(len(gaussians), amount, cameras)
     with torch.no_grad():
         order = importance(gaussians, cameras).argsort(descending=True, stable=True)
         kept = torch.zeros(len(order), dtype=torch.bool, device=order.device)
@@ -59,7 +59,7 @@ def prune(
     return found
 
 
-def staying(count: int, amount: Amount, cameras: Cameras) -> int:
+def target_count(count: int, amount: Amount, cameras: Cameras) -> int:
     """How many of `count` Gaussians are kept for the photos of `cameras`."""
     if amount == "off":
         return count

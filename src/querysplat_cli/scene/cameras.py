@@ -118,3 +118,13 @@ def project(points: Float[Tensor, "n 3"], w2c: Float[Tensor, "4 4"], K: Float[Te
     """Pixels of world points that lie before the camera."""
     image = (points @ w2c[:3, :3].T + w2c[:3, 3]) @ K.T
     return image[:, :2] / image[:, 2:]
+
+
+def rescaled(camera: PhotoCamera, height: int, width: int) -> PhotoCamera:
+    """The camera of the same photo stored at another size (pixel centres at +0.5, so corners map to corners)."""
+    x, y = width / camera.width, height / camera.height
+    focal, principal = camera.focal, camera.principal
+    return replace(
+        camera, focal=(focal[0] * x, focal[1] * y), principal=(principal[0] * x, principal[1] * y),
+        height=height, width=width,
+    )  # fmt: skip

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.runtime.errors import QuerySplatError
 
 NEARLY_FULL = 64 << 20
 """Free bytes below which a failed write without a reason is put down to a full disk."""

@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 from PIL import ExifTags, Image, ImageOps, UnidentifiedImageError
 
-from querysplat_cli.errors import QuerySplatError
-from querysplat_cli.progress import Progress
+from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.views import LeftOut, Photo
 
 SUFFIXES = {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".ppm", ".pgm", ".heic", ".heif", ".avif"}

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from querysplat_cli.errors import ImpossibleScene
+from querysplat_cli.runtime.errors import ImpossibleScene
 
 MANY_ENOUGH = 4
 """Cameras from which one that is wrong can be told: without it, three agree in rotation, direction and scale."""

@@ -5,7 +5,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from querysplat_cli.errors import MissingPart
+from querysplat_cli.runtime.errors import MissingPart
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.splat.conventions import RenderSettings

@@ -8,8 +8,8 @@ from pathlib import Path
 from types import UnionType
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
-from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.model.config import ModelConfig
+from querysplat_cli.runtime.errors import QuerySplatError
 
 T = TypeVar("T")
 

@@ -13,11 +13,11 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 
 from querysplat_cli.encoders.base import Encoder
-from querysplat_cli.errors import ImpossibleScene, QuerySplatError
-from querysplat_cli.progress import Progress
+from querysplat_cli.runtime.errors import ImpossibleScene, QuerySplatError
+from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.files import atomic_path
 from querysplat_cli.training.config import DataSettings, SourceSettings
-from querysplat_cli.training.passes import Sample, prepare, read_sample, write_sample
+from querysplat_cli.training.passes import Sample, make_sample, read_sample, write_sample
 from querysplat_cli.training.sources import open_source
 
 T = TypeVar("T")
@@ -36,7 +36,7 @@ def prepare_samples(
 ) -> Prepared:
     """Make every sample that is not in the cache yet; process `rank` of `world` makes its share.
 
-    A sample that cannot be made is remembered as such. `encoder` is called when there is something to do.
+    A sample that cannot be made is prepared as such. `encoder` is called when there is something to do.
     """
     waiting, failed = [], []
     for settings in data.sources:
@@ -52,7 +52,7 @@ def prepare_samples(
             progress(f"{number + 1} of {len(waiting)} samples", number / len(waiting))
             try:
                 shot = source.capture(scene, draw)
-                sample = prepare(
+                sample = make_sample(
                     shot.photos, shot.inputs, made, known=shot.known, max_size=data.max_size, seed=settings.seed
                 )
                 write_sample(path, sample)

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from querysplat_cli.drawing import new_figure
-from querysplat_cli.errors import MissingPart
+from querysplat_cli.runtime.errors import MissingPart
+from querysplat_cli.runtime.figures import new_figure
 from querysplat_cli.scene.files import atomic_path
 
 SPAN = 25

@@ -13,9 +13,9 @@ from safetensors.torch import save
 from torch import Tensor
 
 from querysplat_cli.encoders.base import Encoder, Geometry
-from querysplat_cli.errors import ImpossibleScene, QuerySplatError
-from querysplat_cli.holdout import isolated_pass
-from querysplat_cli.progress import Progress
+from querysplat_cli.encoders.holdout import isolated_pass
+from querysplat_cli.runtime.errors import ImpossibleScene, QuerySplatError
+from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera
 from querysplat_cli.scene.files import atomic_path
 from querysplat_cli.scene.views import Photo, Views
@@ -32,7 +32,7 @@ class Sample:
     target_cameras: Cameras
 
 
-def prepare(
+def make_sample(
     photos: Sequence[Photo],
     inputs: Sequence[str],
     encoder: Encoder,
@@ -46,16 +46,16 @@ def prepare(
 
     Raises ImpossibleScene when an input or every target is lost on the way.
     """
-    # The inputs come last: some encoders keep the pass that they located last for their depth and features.
-    everything = encoder.locate(photos, max_size=max_size, seed=seed, progress=progress, known=known)
+    # The inputs come last: some encoders keep the pass that they made last for their depth and features.
+    everything = encoder.estimate_cameras(photos, max_size=max_size, seed=seed, progress=progress, known=known)
     chosen = [photo for photo in photos if photo.name in inputs]
-    own = encoder.locate(chosen, max_size=max_size, seed=seed, progress=progress, known=known)
+    own = encoder.estimate_cameras(chosen, max_size=max_size, seed=seed, progress=progress, known=known)
     if len(own.views) < len(chosen):
-        raise ImpossibleScene(f"{len(chosen) - len(own.views)} of {len(chosen)} inputs were not located")
+        raise ImpossibleScene(f"{len(chosen) - len(own.views)} of {len(chosen)} inputs have no camera")
     heldout = isolated_pass(own, everything, inputs)[0].heldout
     if heldout is None:
         raise ImpossibleScene("no target can be brought to the inputs' frame")
-    return Sample(own.views, own.cameras, encoder.perceive(own, seed=seed, progress=progress), *heldout)
+    return Sample(own.views, own.cameras, encoder.estimate_geometry(own, seed=seed, progress=progress), *heldout)
 
 
 def write_sample(path: Path, sample: Sample) -> None:

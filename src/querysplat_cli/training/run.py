@@ -10,12 +10,12 @@ from typing import Any
 
 import torch
 
-from querysplat_cli.device import find_device, moved, peak_gib
 from querysplat_cli.encoders.base import Encoder, EncoderOptions
 from querysplat_cli.encoders.registry import find_encoder
-from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.model.querysplat import QuerySplat
-from querysplat_cli.progress import Stages
+from querysplat_cli.runtime.device import find_device, peak_gib, to_device
+from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.files import check_writable, refuse_existing, sole_writer
 from querysplat_cli.training.config import DataSettings, TrainConfig
 from querysplat_cli.training.data import Samples, prepare_samples
@@ -118,7 +118,7 @@ def plan(request: TrainRequest, stages: Stages) -> TrainPlan:
     with stages("measure"):
         try:
             sample, per_sample = _one_sample(config, device, ready)
-            per_step = _seconds_of_step(config, model.to(device), moved(sample, device))
+            per_step = _seconds_of_step(config, model.to(device), to_device(sample, device))
         except QuerySplatError as error:
             unmeasured = error.message
     hours = None

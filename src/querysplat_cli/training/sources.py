@@ -11,7 +11,7 @@ import av
 import cv2
 import numpy as np
 
-from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.formats.dataset import CapturedScene, fetch, find_scenes
 from querysplat_cli.scene.photos import load_photos, reduced

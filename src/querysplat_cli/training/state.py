@@ -10,9 +10,9 @@ import torch
 from safetensors.torch import save
 from torch import Tensor, nn
 
-from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.runtime.checkpoint_files import read_tensors
+from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.files import atomic_path
-from querysplat_cli.tensor_files import read_tensors
 
 FORMAT = 1
 

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from querysplat_cli.feedback import with_feedback
-from querysplat_cli.model.anchors import Anchors, build_anchors
+from querysplat_cli.model.anchors import Anchors
 from querysplat_cli.model.memories import attended_rows
 from querysplat_cli.model.querysplat import QuerySplat
+from querysplat_cli.queries.build import build_anchors
+from querysplat_cli.queries.rendering_error import with_rendering_error
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.splat.render import RenderSettings, render
 from querysplat_cli.training.config import TrainConfig
@@ -45,14 +46,14 @@ def anchored(sample: Sample) -> Anchors:
     assert depth is not None
     assert confidence is not None
     anchors, _ = build_anchors(sample.views, sample.cameras, depth, confidence, patch=sample.geometry.patch)
-    return with_feedback(anchors, sample.views, sample.cameras)
+    return with_rendering_error(anchors, sample.views, sample.cameras)
 
 
 def decoded(model: QuerySplat, sample: Sample, anchors: Anchors | None, precision: str) -> Gaussians:
     """Gaussians of the inputs alone, in float32, with a way back to the weights."""
     geometry, device = sample.geometry, sample.views.images.device
     with torch.autocast(device.type, torch.bfloat16, enabled=precision == "bf16"):
-        memories = model.remember(geometry.features, sample.views.images, sample.cameras)
+        memories = model.encode(geometry.features, sample.views.images, sample.cameras)
         if anchors is not None:
             memories, anchors = attended_rows(memories, anchors)
         return model.decode(memories, anchors).map(Tensor.float)

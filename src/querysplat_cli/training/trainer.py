@@ -10,13 +10,13 @@ import numpy as np
 import torch
 from torch import nn
 
-from querysplat_cli.device import moved, peak_gib
-from querysplat_cli.errors import QuerySplatError
 from querysplat_cli.model.anchors import Anchors
 from querysplat_cli.model.checkpoints import load, save
 from querysplat_cli.model.initialise import initial_model
 from querysplat_cli.model.querysplat import QuerySplat
-from querysplat_cli.progress import Progress
+from querysplat_cli.runtime.device import peak_gib, to_device
+from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.training.config import TrainConfig, as_table, from_table, with_queries
 from querysplat_cli.training.data import Kept, Samples
 from querysplat_cli.training.journal import Journal
@@ -147,7 +147,7 @@ class Trainer:
             if self.model.config.queries == "anchored":
                 # Made where the sample is: the renderer's compiled code cannot run in two threads at once.
                 anchors = kept.get(path, lambda sample=sample: anchored(sample))  # type: ignore[misc]
-            results.append(self._add(moved(sample, self.device), moved(anchors, self.device), number, share))
+            results.append(self._add(to_device(sample, self.device), to_device(anchors, self.device), number, share))
         self._advance(results, rate(self.step - before, stage))
         return results, waited
 

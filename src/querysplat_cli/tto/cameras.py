@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.sim3 import DegenerateAlignment, align_cameras, skew
@@ -41,7 +41,7 @@ class RefinedCameras:
     def _changes(self) -> list[Tensor]:
         return [*self._poses, self._zoom]
 
-    def now(self) -> Cameras:
+    def current(self) -> Cameras:
         """The cameras, differentiable in their changes."""
         start = self._start
         poses = torch.stack(self._poses).to(start.w2c.device)
@@ -81,7 +81,7 @@ def refinable(cameras: Cameras) -> bool:
     return True
 
 
-def refocused(others: Cameras, before: Cameras, after: Cameras) -> Cameras:
+def with_refined_focal(others: Cameras, before: Cameras, after: Cameras) -> Cameras:
     """`others` with the focal factor that took `before` to `after`; what else changed leaves the world in place."""
     K = others.K.clone()
     K[:, :, :2] *= after.K[0, 0, 0] / before.K[0, 0, 0]

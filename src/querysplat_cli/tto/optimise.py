@@ -19,7 +19,7 @@ from querysplat_cli.prune.gaussians import Pruned
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.tto.cameras import RefinedCameras
-from querysplat_cli.tto.cover import Cover
+from querysplat_cli.tto.coverage_loss import CoverageLoss
 from querysplat_cli.tto.rendering_loss import RenderingLoss, tensors
 
 RISE = 2.0
@@ -140,7 +140,7 @@ def optimise(
     if not settings.steps:
         return before
     refined = RefinedCameras(target.cameras, first) if refine_cameras else None
-    cover = Cover.of(first, target.cameras) if settings.keep_cover else None
+    coverage_loss = CoverageLoss.of(first, target.cameras) if settings.keep_cover else None
     run = _Run(variables, decode, settings.lr, rates, refined)
     history: list[TtoStep] = []
     start, undone, in_a_row, interrupted = time.perf_counter(), 0, 0, False
@@ -153,14 +153,14 @@ def optimise(
             if done >= 1:
                 break
             gaussians = _staying(run.decode(run.variables), pruned)
-            target = run.aimed(target)
+            target = run.with_refined_cameras(target)
             if pruning and not pruned and done >= PRUNE_AFTER and _finite(tensors(gaussians)):
                 pruned = pruning(gaussians.detach(), target, step * (1 - done) / done)
                 gaussians = _staying(gaussians, pruned)
                 losses = [math.inf] * len(losses)
             here = target.value_and_gradient(gaussians, chosen) if _finite(tensors(gaussians)) else None
             if here:
-                here = cover.held(here, gaussians, step) if cover else here
+                here = coverage_loss.add_to(here, gaussians, step) if coverage_loss else here
                 here.send_back(gaussians, target.cameras)
             if here is None or not run.finite_gradient() or _risen(here.losses, losses, chosen):
                 undone, in_a_row = undone + 1, in_a_row + 1
@@ -186,7 +186,7 @@ def optimise(
     last = run.variables.map(Tensor.detach)
     with torch.no_grad():
         gaussians = _staying(run.decode(last), pruned)
-        target = run.aimed(target)
+        target = run.with_refined_cameras(target)
     loss = target.value(gaussians, everything) if _finite(tensors(gaussians)) else math.inf
     if loss < before.loss_before:
         return replace(
@@ -219,9 +219,9 @@ class _Run(Generic[V]):
         self._lr, self._rates, self._refined = lr, rates, refined
         self._start(variables, decode)
 
-    def aimed(self, target: RenderingLoss) -> RenderingLoss:
+    def with_refined_cameras(self, target: RenderingLoss) -> RenderingLoss:
         """The target as the cameras are now."""
-        return replace(target, cameras=self._refined.now()) if self._refined else target
+        return replace(target, cameras=self._refined.current()) if self._refined else target
 
     def _start(self, variables: V, decode: Callable[[V], Gaussians]) -> None:
         leaves = variables.map(lambda tensor: tensor.detach().clone().requires_grad_())

@@ -6,18 +6,19 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from querysplat_cli.encoders.base import Located
-from querysplat_cli.encoders.classical.epipolar import misfit, supported
-from querysplat_cli.encoders.classical.known import match_cameras, triangulated
+from querysplat_cli.encoders.base import PosedViews
+from querysplat_cli.encoders.classical.epipolar import median_epipolar_error, supported
 from querysplat_cli.encoders.classical.mapping import map_photos
 from querysplat_cli.encoders.classical.matches import DEFAULT_FOCAL, Matches, matched
-from querysplat_cli.encoders.classical.rotation import placed_alone, placed_by_rotation
+from querysplat_cli.encoders.classical.pure_rotation import placed_alone, placed_by_rotation
 from querysplat_cli.encoders.classical.sparse_model import SparseModel, normalised
-from querysplat_cli.encoders.classical.trust import doubts
-from querysplat_cli.encoders.classical.undistort import undistorted
-from querysplat_cli.errors import ImpossibleScene
-from querysplat_cli.progress import Progress
+from querysplat_cli.encoders.classical.triangulation import triangulated
+from querysplat_cli.encoders.classical.trust import camera_warnings
+from querysplat_cli.runtime.errors import ImpossibleScene
+from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.cameras import PhotoCamera
+from querysplat_cli.scene.match_cameras import match_cameras
+from querysplat_cli.scene.undistort import undistorted
 from querysplat_cli.scene.views import LeftOut, Photo
 
 THOROUGH_PHOTOS = 20
@@ -28,22 +29,22 @@ FEW_FEATURES = 0.2
 
 @dataclass(frozen=True)
 class Placement:
-    """Some of the photos with cameras, by photo number, and what is to be said about it; the `misfit` of matches."""
+    """Cameras of some photos, by photo number. `epipolar_error` is that of the matches, in longer sides of a photo."""
 
     model: SparseModel
     left_out: tuple[LeftOut, ...] = ()
-    doubts: tuple[str, ...] = ()
-    misfit: float | None = None
+    warnings: tuple[str, ...] = ()
+    epipolar_error: float | None = None
 
 
-def locate(
+def estimate_cameras(
     photos: Sequence[Photo],
     *,
     max_size: int,
     seed: int,
     progress: Progress,
     known: Mapping[str, PhotoCamera] | None = None,
-) -> Located:
+) -> PosedViews:
     """Cameras of the photos, and the photos undistorted at a longer side of at most `max_size` pixels.
 
     The first photo used is the origin and the median depth of the points, over all views that see them, is 1;
@@ -62,15 +63,15 @@ def locate(
     model = normalised(placement.model)
     used = sorted(model.cameras)
     views, cameras = undistorted([originals[i] for i in used], [model.cameras[i] for i in used], max_size=max_size)
-    return Located(
+    return PosedViews(
         views,
         cameras,
         torch.from_numpy(model.points).float(),
         tuple(torch.from_numpy(model.seen[i]) for i in used),
         (*copies, *placement.left_out),
-        placement.doubts,
+        placement.warnings,
         tuple(model.cameras[i] for i in used),
-        placement.misfit and placement.misfit * max(cameras.height, cameras.width),
+        placement.epipolar_error and placement.epipolar_error * max(cameras.height, cameras.width),
     )
 
 
@@ -107,7 +108,9 @@ def _place(photos: Sequence[Photo], *, seed: int, progress: Progress) -> Placeme
             f"the {len(photos)} photos overlap too little to tell where they were taken from",
             "Add photos between those far apart, so that neighbours overlap by at least half.",
         )
-    return Placement(model, _left_out(photos, matches, model), doubts(model, matches), misfit(model, matches))
+    return Placement(
+        model, _left_out(photos, matches, model), camera_warnings(model, matches), median_epipolar_error(model, matches)
+    )
 
 
 def _mapped(
@@ -160,7 +163,7 @@ def _place_known(
     numbers = list(cameras)
     lenses = {numbers[i]: camera for i, camera in model.cameras.items()}
     own = SparseModel(lenses, model.points, {numbers[i]: rows for i, rows in model.seen.items()})
-    return Placement(own, tuple(left_out), doubts(model, matches), misfit(model, matches))
+    return Placement(own, tuple(left_out), camera_warnings(model, matches), median_epipolar_error(model, matches))
 
 
 def _left_out(photos: Sequence[Photo], matches: Matches, model: SparseModel) -> tuple[LeftOut, ...]:

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import torch
 
-from querysplat_cli.encoders.base import Geometry, Located
+from querysplat_cli.encoders.base import Geometry, PosedViews
 from querysplat_cli.encoders.classical.consistency import carve, confirm
 from querysplat_cli.encoders.classical.features import PATCH, patch_features
 from querysplat_cli.encoders.classical.fill import fill
@@ -14,7 +14,7 @@ from querysplat_cli.encoders.classical.neighbours import InverseRange, choose_so
 from querysplat_cli.encoders.classical.patchmatch import Planes, Source, refine
 from querysplat_cli.encoders.classical.semiglobal import aggregate, choose
 from querysplat_cli.encoders.classical.sweep import cost_volume
-from querysplat_cli.progress import Progress
+from querysplat_cli.runtime.progress import Progress
 
 PLANES = (48, 256)
 """Fewest and most planes of a sweep."""
@@ -22,25 +22,25 @@ STEEP = 0.02
 """Relative change of inverse depth from pixel to pixel that is taken for an edge, not a slope."""
 
 
-def perceive(located: Located, *, seed: int, progress: Progress) -> Geometry:
+def estimate_geometry(posed: PosedViews, *, seed: int, progress: Progress) -> Geometry:
     """Depth, confidence and patch features of every view.
 
     A sweep at half size finds the surfaces, two rounds of plane refinement sharpen them, the second one
     knowing what the other views found. Confidence is near 1 where two other views confirm the depth, about
     1/2 where one does, and 0 where it had to be filled in; a filled depth never stands before what other
     views measured. Without parallax there is nothing to measure: depth is then constant, of confidence 0,
-    and `doubts` says so. `seed` is not needed: nothing here is random.
+    and `warnings` says so. `seed` is not needed: nothing here is random.
     """
     del seed
-    views = located.views
+    views = posed.views
     masks = views.masks.numpy()
-    sources = [choose_sources(located, v) for v in range(len(views))]
-    ranges = [inverse_range(located, v) for v in range(len(views))]
+    sources = [choose_sources(posed, v) for v in range(len(views))]
+    ranges = [inverse_range(posed, v) for v in range(len(views))]
     if not any(sources):
         depth = np.stack([np.full(masks.shape[1:], 1 / limits.middle, np.float32) for limits in ranges])
         doubt = "depth is a guess: there is no parallax to measure it by"
-        return _geometry(located, depth, np.zeros_like(depth), (doubt,))
-    photos = _as_sources(located)
+        return _geometry(posed, depth, np.zeros_like(depth), (doubt,))
+    photos = _as_sources(posed)
     planes = []
     for v, chosen in enumerate(sources):
         planes.append(_first_planes(photos, v, chosen, ranges[v]))
@@ -53,7 +53,7 @@ def perceive(located: Located, *, seed: int, progress: Progress) -> Geometry:
             found, match[v] = refine(known[v], [known[s] for s in chosen], planes[v], ranges[v])
             inverse[v] = found.inverse
         progress(f"refining {views.names[v]}", 0.6 + 0.3 * (v + 1) / len(views))
-    K, w2c = (part.double().numpy() for part in (located.cameras.K, located.cameras.w2c))
+    K, w2c = (part.double().numpy() for part in (posed.cameras.K, posed.cameras.w2c))
     confidence = confirm(inverse, match, K, w2c, sources) * masks
     pictures = views.images.permute(0, 2, 3, 1).contiguous().numpy()
     for v in range(len(views)):
@@ -61,18 +61,18 @@ def perceive(located: Located, *, seed: int, progress: Progress) -> Geometry:
         inverse[v] = np.clip(inverse[v], ranges[v].far, ranges[v].near)
     progress("clearing free space", 0.95)
     least = [limits.far for limits in ranges]
-    inverse = carve(inverse, confidence, pictures, K, w2c, nearest_views(located), least)
-    return _geometry(located, 1 / inverse, confidence, ())
+    inverse = carve(inverse, confidence, pictures, K, w2c, nearest_views(posed), least)
+    return _geometry(posed, 1 / inverse, confidence, ())
 
 
-def _geometry(located: Located, depth: np.ndarray, confidence: np.ndarray, doubts: tuple[str, ...]) -> Geometry:
+def _geometry(posed: PosedViews, depth: np.ndarray, confidence: np.ndarray, warnings: tuple[str, ...]) -> Geometry:
     z, sure = torch.from_numpy(depth), torch.from_numpy(confidence)
-    return Geometry(z, sure, (patch_features(located, z, sure),), PATCH, doubts)
+    return Geometry(z, sure, (patch_features(posed, z, sure),), PATCH, warnings)
 
 
-def _as_sources(located: Located) -> list[Source]:
+def _as_sources(posed: PosedViews) -> list[Source]:
     """Every view as grey picture and camera, with no depth known yet."""
-    views, cameras = located.views, located.cameras
+    views, cameras = posed.views, posed.cameras
     photos = []
     for image, mask, K, w2c in zip(views.images, views.masks, cameras.K, cameras.w2c, strict=True):
         grey = cv2.cvtColor(image.permute(1, 2, 0).numpy(), cv2.COLOR_RGB2GRAY)

@@ -2,9 +2,9 @@
 
 from collections.abc import Mapping, Sequence
 
-from querysplat_cli.encoders.base import EncoderOptions, Geometry, Located
-from querysplat_cli.encoders.classical.cameras import locate
-from querysplat_cli.progress import Progress
+from querysplat_cli.encoders.base import EncoderOptions, Geometry, PosedViews
+from querysplat_cli.encoders.classical.cameras import estimate_cameras
+from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.views import Photo
 
@@ -16,7 +16,7 @@ class ClassicalEncoder:
     size = 448
     own_frame = False
 
-    def locate(
+    def estimate_cameras(
         self,
         photos: Sequence[Photo],
         *,
@@ -24,18 +24,18 @@ class ClassicalEncoder:
         seed: int,
         progress: Progress,
         known: Mapping[str, PhotoCamera] | None = None,
-    ) -> Located:
-        """See `querysplat_cli.encoders.classical.cameras.locate`."""
-        return locate(photos, max_size=max_size, seed=seed, progress=progress, known=known)
+    ) -> PosedViews:
+        """See `querysplat_cli.encoders.classical.cameras.estimate_cameras`."""
+        return estimate_cameras(photos, max_size=max_size, seed=seed, progress=progress, known=known)
 
-    def perceive(self, located: Located, *, seed: int, progress: Progress) -> Geometry:
-        """See `querysplat_cli.encoders.classical.depth.perceive`."""
+    def estimate_geometry(self, posed: PosedViews, *, seed: int, progress: Progress) -> Geometry:
+        """See `querysplat_cli.encoders.classical.depth.estimate_geometry`."""
         # Imported here: the depth's compiled kernels are not needed by those who only want cameras.
-        from querysplat_cli.encoders.classical.depth import perceive
+        from querysplat_cli.encoders.classical.depth import estimate_geometry
 
-        return perceive(located, seed=seed, progress=progress)
+        return estimate_geometry(posed, seed=seed, progress=progress)
 
-    def release(self) -> None:
+    def free(self) -> None:
         """There is nothing to give back."""
 
     def bytes_needed(self, views: int, size: int) -> int | None:

@@ -64,7 +64,7 @@ def supported(model: SparseModel, matches: Matches) -> Support:
     return Support(explained, total, coverage)
 
 
-def misfit(model: SparseModel, matches: Matches) -> float | None:
+def median_epipolar_error(model: SparseModel, matches: Matches) -> float | None:
     """The median distance of matches from their epipolar lines, as a share of a photo's longer side; None without any.
 
     Unlike the error of points, it does not leave out what fits badly.

@@ -4,18 +4,18 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from querysplat_cli.encoders.base import Located
+from querysplat_cli.encoders.base import PosedViews
 
 PATCH = 6
 CHANNELS = 12
 
 
 def patch_features(
-    located: Located, depth: Float[Tensor, "views height width"], confidence: Float[Tensor, "views height width"]
+    posed: PosedViews, depth: Float[Tensor, "views height width"], confidence: Float[Tensor, "views height width"]
 ) -> Float[Tensor, "views tokens 12"]:
     """A row for each patch of 6 × 6 pixels, view by view, row by row: world position (3), world normal (3),
     mean confidence, mean colour − ½ (3), log depth, and the standard deviation of the brightness."""
-    cameras = located.cameras
+    cameras = posed.cameras
     middle = PATCH // 2
     z = depth[:, middle::PATCH, middle::PATCH]
     rows = torch.arange(z.shape[1]) * PATCH + middle + 0.5
@@ -23,7 +23,7 @@ def patch_features(
     world = cameras.unproject(z, columns, rows)
     across, down = torch.gradient(world, dim=(2, 1))
     normal = torch.nn.functional.normalize(torch.linalg.cross(down, across), dim=-1)
-    images = located.views.images
+    images = posed.views.images
     colour = torch.nn.functional.avg_pool2d(images, PATCH)
     brightness = images.mean(1, keepdim=True)
     mean = torch.nn.functional.avg_pool2d(brightness, PATCH)

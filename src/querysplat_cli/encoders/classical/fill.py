@@ -1,4 +1,4 @@
-"""Depth where nothing could be measured: from the surroundings, and not across the edges of the photo."""
+"""Depth where nothing could be measured: from the extend_borders, and not across the edges of the photo."""
 
 import cv2
 import numpy as np
@@ -12,7 +12,7 @@ TRUST_IN_GUESS = 1e-4
 
 
 def fill(inverse: np.ndarray, confidence: np.ndarray, image: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Inverse depth [height, width] in which unconfirmed pixels follow their confirmed surroundings.
+    """Inverse depth [height, width] in which unconfirmed pixels follow their confirmed extend_borders.
 
     `image` [height, width, 3] in [0, 1] guides an edge-preserving least-squares filter (Min et al. 2014) of
     the confidence-weighted inverse depth; confirmed pixels keep what was measured.

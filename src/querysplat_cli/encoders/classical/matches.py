@@ -10,10 +10,9 @@ import cv2
 import numpy as np
 import pycolmap
 
-from querysplat_cli.encoders.classical.sparse_model import rescaled
-from querysplat_cli.errors import QuerySplatError
-from querysplat_cli.progress import Progress
-from querysplat_cli.scene.cameras import PhotoCamera
+from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.progress import Progress
+from querysplat_cli.scene.cameras import PhotoCamera, rescaled
 from querysplat_cli.scene.views import Photo
 
 FEATURE_SIZE = 1600

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from querysplat_cli.encoders.base import Located
+from querysplat_cli.encoders.base import PosedViews
 
 SOURCES = 4
 COMPARED_VIEWS = 16
@@ -29,31 +29,31 @@ class InverseRange:
     middle: float
 
 
-def inverse_range(located: Located, view: int) -> InverseRange:
+def inverse_range(posed: PosedViews, view: int) -> InverseRange:
     """From the points that the view sees, with room before them and behind them.
 
     Without points everything is taken to stand at depth 1.
     """
-    z = _depths(located, view, located.visibility[view])
+    z = _depths(posed, view, posed.visibility[view])
     if len(z) < FEW_POINTS:
-        z = np.concatenate([_depths(located, v, rows) for v, rows in enumerate(located.visibility)])
+        z = np.concatenate([_depths(posed, v, rows) for v, rows in enumerate(posed.visibility)])
     if not len(z):
         return InverseRange(BEHIND, BEFORE, 1.0)
     farthest, middle, nearest = (float(p) for p in np.percentile(1 / z, (1, 50, 99.5)))
     return InverseRange(BEHIND * farthest, BEFORE * nearest, middle)
 
 
-def choose_sources(located: Located, view: int) -> list[int]:
+def choose_sources(posed: PosedViews, view: int) -> list[int]:
     """Up to four views that share most points with this one at an angle that measures depth well, best first."""
     least, good, wide = ANGLES
-    centres = located.cameras.centres.double()
-    own = located.visibility[view]
+    centres = posed.cameras.centres.double()
+    own = posed.visibility[view]
     scored = []
-    for other, rows in enumerate(located.visibility):
+    for other, rows in enumerate(posed.visibility):
         shared = own[torch.isin(own, rows)]
         if other == view or len(shared) < FEWEST_SHARED:
             continue
-        points = located.points[shared].double()
+        points = posed.points[shared].double()
         one, two = points - centres[view], points - centres[other]
         # By the tangent: the arc cosine of a product that rounds to 1 would lose small angles.
         angles = torch.atan2(torch.linalg.cross(one, two).norm(dim=1), (one * two).sum(1))
@@ -63,15 +63,15 @@ def choose_sources(located: Located, view: int) -> list[int]:
     return [other for _, other in sorted(scored, key=lambda pair: (-pair[0], pair[1]))[:SOURCES]]
 
 
-def nearest_views(located: Located) -> list[list[int]]:
+def nearest_views(posed: PosedViews) -> list[list[int]]:
     """For each view the others that stand nearest, nearest first."""
-    centres = located.cameras.centres.double()
+    centres = posed.cameras.centres.double()
     order = torch.cdist(centres, centres).argsort(dim=1, stable=True).tolist()
     return [[other for other in row if other != view][:COMPARED_VIEWS] for view, row in enumerate(order)]
 
 
-def _depths(located: Located, view: int, rows: torch.Tensor) -> np.ndarray:
+def _depths(posed: PosedViews, view: int, rows: torch.Tensor) -> np.ndarray:
     """Camera z of those of the points that lie before the camera."""
-    w2c = located.cameras.w2c[view].double()
-    z = located.points[rows].double() @ w2c[2, :3] + w2c[2, 3]
+    w2c = posed.cameras.w2c[view].double()
+    z = posed.points[rows].double() @ w2c[2, :3] + w2c[2, 3]
     return np.asarray(z[z > 0])

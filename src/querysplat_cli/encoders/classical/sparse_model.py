@@ -50,13 +50,3 @@ def normalised(model: SparseModel) -> SparseModel:
     cameras[first] = replace(cameras[first], w2c=np.eye(4))
     points = scale * (model.points @ origin[:3, :3].T + origin[:3, 3])
     return SparseModel(cameras, points, model.seen)
-
-
-def rescaled(camera: PhotoCamera, height: int, width: int) -> PhotoCamera:
-    """The camera of the same photo stored at another size (pixel centres at +0.5, so corners map to corners)."""
-    x, y = width / camera.width, height / camera.height
-    focal, principal = camera.focal, camera.principal
-    return replace(
-        camera, focal=(focal[0] * x, focal[1] * y), principal=(principal[0] * x, principal[1] * y),
-        height=height, width=width,
-    )  # fmt: skip

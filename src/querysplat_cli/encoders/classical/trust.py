@@ -26,7 +26,7 @@ FORWARD = 0.9
 """Cosine between motion and viewing direction from which the camera mostly moved forward."""
 
 
-def doubts(model: SparseModel, matches: Matches) -> tuple[str, ...]:
+def camera_warnings(model: SparseModel, matches: Matches) -> tuple[str, ...]:
     """Sentences that say why the cameras may be wrong; none when nothing speaks against them."""
     support = supported(model, matches)
     angle = median_angle(model)
@@ -45,7 +45,7 @@ def doubts(model: SparseModel, matches: Matches) -> tuple[str, ...]:
             "all matched points lie in one plane, which leaves the focal length and the cameras' tilt uncertain",
         ),
         (is_forward(model), "the camera moved along its viewing direction, where depth is hardest to measure"),
-        *_focal_doubts(model, matches),
+        *_focal_warnings(model, matches),
         *_behind(model),
     ]
     return tuple(text for applies, text in sentences if applies)
@@ -99,7 +99,7 @@ def _field_of_view(camera: PhotoCamera) -> float:
     return float(np.degrees(2 * np.arctan(max(camera.height, camera.width) / max(camera.focal) / 2)))
 
 
-def _focal_doubts(model: SparseModel, matches: Matches) -> list[tuple[bool, str]]:
+def _focal_warnings(model: SparseModel, matches: Matches) -> list[tuple[bool, str]]:
     fields = [_field_of_view(camera) for camera in model.cameras.values()]
     stated = [(camera.focal[0], matches.focals[photo]) for photo, camera in model.cameras.items()]
     stated_focals = [exif for _, exif in stated if exif]

@@ -5,11 +5,11 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from querysplat_cli.encoders.aggregator import Aggregator
-from querysplat_cli.encoders.blocks import Block, PatchConvolution
-from querysplat_cli.encoders.config import VgmConfig
-from querysplat_cli.encoders.rotation import Rotation, split_rotation
-from querysplat_cli.precision import LayerNorm
+from querysplat_cli.encoders.transformer.aggregator import Aggregator
+from querysplat_cli.encoders.transformer.blocks import Block, PatchConvolution
+from querysplat_cli.encoders.transformer.config import VgmConfig
+from querysplat_cli.encoders.transformer.rotary import Rotation, split_rotation
+from querysplat_cli.runtime.precision import LayerNorm
 
 VIT_EPS = 1e-6
 

@@ -7,8 +7,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from querysplat_cli.encoders.blocks import Block, Mlp
-from querysplat_cli.encoders.dpt import Pyramid, Scratch, resize, with_position
+from querysplat_cli.encoders.transformer.blocks import Block, Mlp
+from querysplat_cli.encoders.transformer.dpt import Pyramid, Scratch, resize, with_position
 
 
 class CameraHead(nn.Module):

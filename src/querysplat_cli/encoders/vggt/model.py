@@ -5,10 +5,10 @@ from collections.abc import Sequence
 from jaxtyping import Float
 from torch import Tensor
 
-from querysplat_cli.encoders.config import VgmConfig
+from querysplat_cli.encoders.transformer.config import VgmConfig
+from querysplat_cli.encoders.transformer.vgm import Vgm
 from querysplat_cli.encoders.vggt.aggregator import VggtAggregator
 from querysplat_cli.encoders.vggt.heads import CameraHead, DepthHead
-from querysplat_cli.encoders.vgm import Vgm
 
 CONFIG = VgmConfig(registers=4, register_blocks=(), patch=14, pretrained_image=518)
 

@@ -4,11 +4,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from querysplat_cli.encoders.aggregator import Aggregator
-from querysplat_cli.encoders.blocks import Block, PatchConvolution
-from querysplat_cli.encoders.config import VgmConfig
-from querysplat_cli.encoders.rotation import Rotation, axial_rotation
-from querysplat_cli.precision import LayerNorm
+from querysplat_cli.encoders.transformer.aggregator import Aggregator
+from querysplat_cli.encoders.transformer.blocks import Block, PatchConvolution
+from querysplat_cli.encoders.transformer.config import VgmConfig
+from querysplat_cli.encoders.transformer.rotary import Rotation, axial_rotation
+from querysplat_cli.runtime.precision import LayerNorm
 
 
 class RotaryEmbedding(nn.Module):

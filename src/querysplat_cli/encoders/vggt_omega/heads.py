@@ -7,8 +7,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from querysplat_cli.encoders.blocks import Block
-from querysplat_cli.encoders.dpt import Pyramid, Scratch, with_position
+from querysplat_cli.encoders.transformer.blocks import Block
+from querysplat_cli.encoders.transformer.dpt import Pyramid, Scratch, with_position
 
 LEAST_FIELD = 0.01
 """Radians: the smallest field of view that the camera head can say."""

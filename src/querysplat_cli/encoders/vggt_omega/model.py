@@ -5,10 +5,10 @@ from collections.abc import Sequence
 from jaxtyping import Float
 from torch import Tensor
 
-from querysplat_cli.encoders.config import VgmConfig
+from querysplat_cli.encoders.transformer.config import VgmConfig
+from querysplat_cli.encoders.transformer.vgm import Vgm
 from querysplat_cli.encoders.vggt_omega.aggregator import OmegaAggregator
 from querysplat_cli.encoders.vggt_omega.heads import CameraHead, DepthHead
-from querysplat_cli.encoders.vgm import Vgm
 
 CONFIG = VgmConfig()
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.photos import short_names
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from querysplat_cli.errors import MissingPart, QuerySplatError
+from querysplat_cli.runtime.errors import MissingPart, QuerySplatError
 from querysplat_cli.scene.files import atomic_path
 from querysplat_cli.scene.formats.ply import HIGHEST_OPACITY, export_rows
 from querysplat_cli.scene.gaussians import Gaussians

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from querysplat_cli.errors import QuerySplatError
+from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.formats.colmap import find_model, read_colmap
 from querysplat_cli.scene.formats.transforms import read_transforms

@@ -1,0 +1,157 @@
+"""The story of `convert`: Gaussians from one kind of file to another, and cameras from one kind to another."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from querysplat_cli.pipeline.scene_folder import write_images
+from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.scene.cameras import PhotoCamera
+from querysplat_cli.scene.files import atomic_folder, refuse_existing
+from querysplat_cli.scene.formats.colmap import copy_colmap, write_colmap
+from querysplat_cli.scene.formats.compressed import read_sog, read_spz, write_spz
+from querysplat_cli.scene.formats.known import find_known_cameras, read_known_cameras
+from querysplat_cli.scene.formats.ply import read_ply, write_ply
+from querysplat_cli.scene.formats.transforms import write_transforms
+from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.match_cameras import match_cameras
+from querysplat_cli.scene.photos import WHOLE, find_photos, load_photo, short_names
+from querysplat_cli.scene.pictures import stored_name
+from querysplat_cli.scene.sim3 import Sim3, skew
+from querysplat_cli.scene.undistort import undistorted
+from querysplat_cli.scene.views import LeftOut
+from querysplat_cli.splat.transform import transform_gaussians
+
+READERS: dict[str, Callable[[Path], Gaussians]] = {".ply": read_ply, ".spz": read_spz, ".sog": read_sog}
+WRITERS: dict[str, Callable[[Path, Gaussians], int]] = {".ply": write_ply, ".spz": write_spz}
+FLIPPED = Sim3(1.0, torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64)), torch.zeros(3).double())
+"""Between the y-down axes of .ply files and the y-up axes that SPZ specifies; its own inverse."""
+UP = {
+    axis: torch.tensor([float(axis[-1] == letter) for letter in "xyz"]).double() * (-1 if axis[0] == "-" else 1)
+    for axis in ("x", "y", "z", "-x", "-y", "-z")
+}
+
+
+@dataclass(frozen=True)
+class Conversion:
+    """What `querysplat convert` can be asked for; see docs/cli.md.
+
+    `up` is the axis that points up in the source, and becomes −y; `scale` multiplies lengths after that; `crop` is
+    x0, y0, z0, x1, y1, z1 in the result. With `photos`, cameras and photos become a scene folder.
+    """
+
+    source: Path
+    target: Path
+    text: bool = False
+    photos: Path | None = None
+    up: str | None = None
+    scale: float = 1.0
+    crop: tuple[float, ...] | None = None
+    force: bool = False
+
+
+def convert(request: Conversion) -> dict[str, Any]:
+    """Write `request.target`, and return what was written. Raises QuerySplatError, and writes nothing, on bad input."""
+    refuse_existing([request.target], force=request.force)
+    given = [path.resolve() for path in (request.source, request.photos) if path]
+    if request.target.is_dir() and any(path.is_relative_to(request.target.resolve()) for path in given):
+        raise QuerySplatError(f"{request.target} holds what is to be converted", "Choose another target.")
+    if request.source.suffix.lower() in READERS:
+        if request.photos or request.text:
+            raise QuerySplatError("--photos and --text are for cameras", "Leave them out.")
+        return _convert_gaussians(request)
+    if request.photos and request.text:
+        raise QuerySplatError("--text is for COLMAP models, --photos for scene folders", "Leave one of them out.")
+    if request.up or request.crop or request.scale != 1.0:
+        raise QuerySplatError("--up, --scale and --crop are for Gaussians", "Give a .ply, .spz or .sog.")
+    return _convert_cameras(request)
+
+
+def _convert_gaussians(request: Conversion) -> dict[str, Any]:
+    kinds = request.source.suffix.lower(), request.target.suffix.lower()
+    if kinds[1] == ".sog":
+        raise QuerySplatError(
+            "no kept Python library writes .sog (sogpy 1.0.2 mixes up the colours of its SH)",
+            "Write a .ply, and convert that with PlayCanvas's splat-transform.",
+        )
+    if kinds[1] not in WRITERS:
+        raise QuerySplatError(f"{request.target}: not a kind of file for Gaussians", f"Use {' or '.join(WRITERS)}.")
+    if not request.source.is_file():
+        raise QuerySplatError(f"{request.source}: no such file", "Give a .ply, .spz or .sog.")
+    gaussians = READERS[kinds[0]](request.source)
+    read = len(gaussians)
+    if kinds[0] == ".spz":
+        gaussians = transform_gaussians(gaussians, FLIPPED)
+    if request.up or request.scale != 1.0:
+        gaussians = transform_gaussians(gaussians, Sim3(request.scale, _upright(request.up), torch.zeros(3).double()))
+    if request.crop:
+        low, high = torch.tensor(request.crop).reshape(2, 3)
+        gaussians = gaussians[((gaussians.means >= low) & (gaussians.means <= high)).all(1)]
+        if not len(gaussians):
+            raise QuerySplatError("--crop leaves no Gaussian", "Give x0,y0,z0,x1,y1,z1 in the converted scene's units.")
+    if kinds[1] == ".spz":
+        gaussians = transform_gaussians(gaussians, FLIPPED)
+    written = WRITERS[kinds[1]](request.target, gaussians)
+    sizes = {"source": request.source.stat().st_size, "target": request.target.stat().st_size}
+    return {"target": str(request.target), "gaussians": written, "left_out": read - written, "bytes": sizes}
+
+
+def _convert_cameras(request: Conversion) -> dict[str, Any]:
+    source = find_known_cameras(request.source)
+    cameras = read_known_cameras(source)
+    if request.target.suffix.lower() == ".json" and not request.photos:
+        write_transforms(request.target, cameras)
+    elif request.target.suffix:
+        raise QuerySplatError(f"{request.target}: not a kind of file for cameras", "Use a .json, or a folder.")
+    elif request.photos:
+        return _make_scene_folder(request.target, cameras, request.photos)
+    else:
+        with atomic_folder(request.target) as draft:
+            if source.is_dir():
+                copy_colmap(source, draft, text=request.text)
+            else:
+                write_colmap(draft, cameras, text=request.text)
+    return {"target": str(request.target), "cameras": len(cameras)}
+
+
+def _make_scene_folder(target: Path, cameras: Mapping[str, PhotoCamera], place: Path) -> dict[str, Any]:
+    """The cameras, in their own frame, and the photos, undistorted at their own size, as `store` writes them."""
+    files = find_photos([place])
+    kept: dict[str, PhotoCamera] = {}
+    left_out: list[LeftOut] = []
+    with atomic_folder(target) as draft:
+        for file, name in zip(files, short_names(files), strict=True):
+            photo = load_photo(file, name, WHOLE)
+            if isinstance(photo, LeftOut):
+                left_out.append(photo)
+                continue
+            usable, unusable = match_cameras([photo], cameras)
+            left_out += unusable
+            for camera in usable.values():
+                views, straight = undistorted([photo], [camera], max_size=max(photo.height, photo.width))
+                write_images(draft / "images", views)
+                kept[name] = PhotoCamera.pinhole(camera.w2c, straight.K[0].double().numpy(), *views.sizes[0])
+        if not kept:
+            raise QuerySplatError(
+                f"{place}: no photo of it has a camera ({left_out[0].name}: {left_out[0].why})",
+                f"Names must agree: the first camera is that of {next(iter(cameras))}.",
+            )
+        write_transforms(draft / "cameras.json", kept, stored_name)
+    names = {*kept, *(each.name for each in left_out)}
+    left_out += [LeftOut(name, "there is no photo of it") for name in cameras if name not in names]
+    return {"target": str(target), "cameras": len(kept), "left_out": [vars(each) for each in left_out]}
+
+
+def _upright(axis: str | None) -> torch.Tensor:
+    """The smallest rotation that takes `axis` to −y; half a turn about x for the opposite."""
+    if axis is None:
+        return torch.eye(3, dtype=torch.float64)
+    up, target = UP[axis], UP["-y"]
+    cosine = float(up @ target)
+    if cosine < -0.5:
+        return FLIPPED.rotation
+    turn = skew(torch.linalg.cross(up, target).double()[None])[0]
+    return torch.eye(3, dtype=torch.float64) + turn + turn @ turn / (1 + cosine)

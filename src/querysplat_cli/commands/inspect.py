@@ -1,0 +1,180 @@
+"""The story of `inspect`: what a scene's queries look at, and what its Gaussians are like."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional as F
+
+from querysplat_cli.model.attention_maps import attention_of
+from querysplat_cli.pipeline.reconstruct import load_again
+from querysplat_cli.pipeline.scene_folder import StoredScene, read_scene
+from querysplat_cli.queries.prepare import MemoryMap
+from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.figures import new_figure, save_figure
+from querysplat_cli.runtime.progress import Stages
+from querysplat_cli.scene.cameras import Cameras, project
+from querysplat_cli.scene.files import atomic_folder, refuse_existing
+from querysplat_cli.scene.gaussians import SH_0, Gaussians
+from querysplat_cli.scene.pictures import write_picture
+from querysplat_cli.scene.views import Views
+
+COLUMNS = 4
+RING = 12
+QUANTILES = (0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0)
+POINTS = 20_000
+"""At most so many in a drawing."""
+SEEN = 0.05
+"""Gaussians of less opacity are not drawn as points."""
+
+
+@dataclass(frozen=True)
+class Inspected:
+    """`attention` is, for each branch, the share of a query's attention by view, and by "special" tokens."""
+
+    output: str
+    query: int
+    attention: dict[str, dict[str, float]]
+    opacity: dict[str, float]
+    scale: dict[str, float]
+    depth: bool
+
+    def json(self) -> str:
+        return json.dumps(vars(self), indent=2)
+
+
+def inspect_scene(
+    path: Path, output: Path, *, query: int | None, weights: Path | None, force: bool, stages: Stages
+) -> Inspected:
+    """Draw the attention of `query` (None: the most opaque one), histograms and points of a stored scene.
+
+    Raises QuerySplatError when the scene has no such query, or was stored without what the drawings need.
+    """
+    refuse_existing([output], force=force)
+    with stages("read"):
+        scene, report = read_scene(path)
+        model = load_again(scene.model, report["settings"], weights, torch.device("cpu"))
+        if scene.map is None:
+            raise QuerySplatError(f"{path} was made by an earlier version", "Run `querysplat reconstruct` again.")
+    with stages("attention"):
+        with torch.no_grad():
+            gaussians = model.decode(scene.memories, scene.anchors)
+        kept = torch.ones(len(gaussians), dtype=torch.bool) if scene.kept is None else scene.kept
+        count = len(gaussians) // model.config.gaussians_per_query
+        by_query = (gaussians.opacities * kept).view(count, -1)
+        chosen = int(by_query.sum(1).argmax()) if query is None else query
+        if not 0 <= chosen < count:
+            raise QuerySplatError(f"--query {chosen}: there are queries 0 to {count - 1}", "Choose one of them.")
+        geometry, appearance = attention_of(model, scene.memories, scene.anchors, chosen)
+        cameras = scene.cameras
+        patches = (0, cameras.height // model.config.patch, cameras.width // model.config.patch)
+        maps = {
+            "geometry": on_patches(geometry, scene.map.geometry_rows, len(scene.views), scene.map.layout),
+            "appearance": on_patches(appearance, scene.map.appearance_rows, len(scene.views), patches),
+        }
+    with stages("draw"), atomic_folder(output) as draft:
+        per_query = model.config.gaussians_per_query
+        own = gaussians[slice(chosen * per_query, (chosen + 1) * per_query)]
+        gaussians = gaussians[kept]
+        for branch, weight in maps.items():
+            write_picture(draft / f"attention_{branch}.png", _overlays(scene.views, cameras, weight, own))
+        _histograms(draft / "histograms.png", gaussians)
+        _points(draft / "points.png", scene, scene.map, gaussians)
+    return Inspected(
+        output=str(output),
+        query=chosen,
+        attention={branch: _shares(weight, scene.views.names) for branch, weight in maps.items()},
+        opacity=_quantiles(gaussians.opacities),
+        scale=_quantiles(gaussians.scales.flatten()),
+        depth=scene.map.depth.numel() > 0,
+    )
+
+
+def on_patches(weights: Tensor, rows: Tensor, views: int, layout: tuple[int, int, int]) -> Tensor:
+    """[views, rows, columns] of the patches' weights; those of special tokens are left out.
+
+    `rows` says which row of the whole memory each weight is of; `layout` is (special tokens, rows, columns)
+    of a view's tokens.
+    """
+    special, height, width = layout
+    whole = torch.zeros(views * (special + height * width)).index_put((rows.long(),), weights, accumulate=True)
+    return whole.view(views, -1)[:, special:].view(views, height, width)
+
+
+def _shares(weight: Tensor, names: tuple[str, ...]) -> dict[str, float]:
+    shares = {name: round(float(each), 5) for name, each in zip(names, weight.sum((1, 2)), strict=True)}
+    return {**shares, "special": round(max(0.0, 1 - float(weight.sum())), 5)}
+
+
+def _quantiles(values: Tensor) -> dict[str, float]:
+    ordered = values.sort().values
+    return {f"{level:g}": float(ordered[round(level * (len(ordered) - 1))]) for level in QUANTILES}
+
+
+def _overlays(views: Views, cameras: Cameras, weight: Tensor, own: Gaussians) -> np.ndarray:
+    """Photos with the weights laid over them, brightest where they are largest, and a ring where the query is."""
+    heat = F.interpolate(weight[:, None], views.images.shape[-2:], mode="bilinear")[:, 0] / weight.max().clamp_min(
+        1e-12
+    )
+    tiles = []
+    for i, (height, width) in enumerate(views.sizes):
+        photo = (views.images[i].permute(1, 2, 0) * 255).byte().numpy()
+        colours = cv2.applyColorMap((heat[i] * 255).byte().numpy(), cv2.COLORMAP_INFERNO)[..., ::-1]
+        share = heat[i, ..., None].sqrt().numpy()
+        tile = np.ascontiguousarray((photo * (1 - 0.7 * share) + colours * 0.7 * share).astype(np.uint8))
+        centres = _projected(own, cameras, i)
+        if centres:
+            x, y = np.median(centres, 0)
+            cv2.circle(tile, (round(x), round(y)), RING, (0, 255, 120), 1, cv2.LINE_AA)
+        tile[height:], tile[:, width:] = 255, 255
+        tiles.append(tile)
+    tiles += [np.full_like(tiles[0], 255)] * (-len(tiles) % min(COLUMNS, len(tiles)))
+    across = min(COLUMNS, len(tiles))
+    return np.vstack([np.hstack(tiles[start : start + across]) for start in range(0, len(tiles), across)])
+
+
+def _projected(own: Gaussians, cameras: Cameras, view: int) -> list[tuple[float, float]]:
+    """Pixels of the centres before the camera and in the picture."""
+    pixels = project(own.means[cameras.sees(own.means, view)], cameras.w2c[view], cameras.K[view])
+    return [(float(x), float(y)) for x, y in pixels]
+
+
+def _histograms(path: Path, gaussians: Gaussians) -> None:
+    figure = new_figure(9.0, 3.2)
+    left, right = figure.subplots(1, 2)
+    left.hist(gaussians.opacities.numpy(), bins=50, range=(0, 1), color="tab:blue")
+    left.set(xlabel="opacity", ylabel="Gaussians", yscale="log")
+    scales = gaussians.scales.clamp_min(1e-8).log10().numpy()
+    for axis, values in zip(("x", "y", "z"), scales.T, strict=True):
+        right.hist(values, bins=50, histtype="step", label=axis)
+    right.set(xlabel="log₁₀ scale, scene units")
+    right.legend()
+    save_figure(figure, path)
+
+
+def _points(path: Path, scene: StoredScene, found: MemoryMap, gaussians: Gaussians) -> None:
+    """Points of the VGM's depth, where it was found, beside the Gaussians' centres, seen from the same place."""
+    shown = gaussians[gaussians.opacities >= min(SEEN, float(gaussians.opacities.max()))]
+    colours = (shown.sh[:, 0] * SH_0 + 0.5).clamp(0, 1)
+    panels = [("centres of Gaussians", shown.means, colours)]
+    if found.depth.numel():
+        cameras, views = scene.cameras, scene.views
+        y, x = (torch.arange(side) + 0.5 for side in found.depth.shape[1:])
+        points = cameras.unproject(found.depth.float(), x, y)[views.masks]
+        panels.insert(0, ("depth", points, views.images.permute(0, 2, 3, 1)[views.masks]))
+    figure = new_figure(6.0 * len(panels), 6.0)
+    # Outliers would make everything else small.
+    low, high = (np.quantile(panels[0][1].numpy(), level, 0).tolist() for level in (0.02, 0.98))
+    for i, (name, points, colour) in enumerate(panels):
+        some = torch.randperm(len(points), generator=torch.Generator().manual_seed(0))[:POINTS]
+        axes = figure.add_subplot(1, len(panels), i + 1, projection="3d")
+        x, y, z = points[some].T.numpy()
+        axes.scatter(x, z, -y, c=colour[some].numpy(), s=1)
+        axes.set(title=f"{name} ({len(points):,})", xlabel="x", ylabel="z", zlabel="−y")
+        axes.set(xlim=(low[0], high[0]), ylim=(low[2], high[2]), zlim=(-high[1], -low[1]))
+        axes.view_init(elev=25, azim=-70)
+    save_figure(figure, path)

@@ -1,0 +1,142 @@
+"""The story of `render`: a .ply and cameras in, pictures or a film out."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+import torch
+
+from querysplat_cli.pipeline.scene_folder import scene_folder
+from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.progress import Stages
+from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.files import atomic_folder, atomic_path, refuse_existing
+from querysplat_cli.scene.formats.ply import read_ply
+from querysplat_cli.scene.formats.transforms import read_cameras
+from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.paths import orbit, surround
+from querysplat_cli.scene.pictures import eight_bit, write_picture
+from querysplat_cli.splat.render import Rendering, render
+
+FOREIGN_SIZE = (720, 960)
+"""Height and width of frames where neither the user nor a camera says."""
+DEPTH_UNITS = 1000
+"""Steps of a 16-bit depth PNG in one scene unit; 0 where nothing was hit, 65,535 at and beyond its range."""
+
+
+@dataclass(frozen=True)
+class RenderRequest:
+    """What `querysplat render` can be asked for; see docs/cli.md. `size` is (height, width)."""
+
+    scene: Path
+    output: Path
+    cameras: str
+    frames: int
+    fps: int
+    size: tuple[int, int] | None
+    background: tuple[float, float, float]
+    depth: bool
+    alpha: bool
+    force: bool
+
+
+@dataclass(frozen=True)
+class Rendered:
+    """What was written, and how long it took."""
+
+    output: str
+    frames: int
+    gaussians: int
+    seconds: dict[str, float]
+
+    def as_dict(self) -> dict[str, Any]:
+        return vars(self)
+
+
+def render_file(request: RenderRequest, stages: Stages) -> Rendered:
+    """Render `request.scene` to a folder of PNG frames, or to one .mp4 when the output ends so."""
+    refuse_existing([request.output], force=request.force)
+    with stages("read"):
+        gaussians = read_ply(request.scene)
+        names, cameras, sizes = _cameras(request, gaussians)
+    film = request.output.suffix.lower() == ".mp4"
+    if film and (request.depth or request.alpha):
+        raise QuerySplatError("--depth and --alpha are pictures, not films", "Write to a folder instead of an .mp4.")
+    with stages("render") as progress:
+        pictures = _render_each(gaussians, cameras, sizes, request, progress)
+        if film:
+            with atomic_path(request.output) as draft:
+                _write_film(draft, pictures, request.fps)
+        else:
+            with atomic_folder(request.output) as draft:
+                for name, picture in zip(names, pictures, strict=True):
+                    _write_frame(draft / name, picture, request)
+    return Rendered(str(request.output), len(cameras), len(gaussians), stages.seconds)
+
+
+def _cameras(request: RenderRequest, gaussians: Gaussians) -> tuple[list[str], Cameras, list[tuple[int, int]]]:
+    """Names, cameras and picture sizes of the frames."""
+    beside = scene_folder(request.scene) / "cameras.json"
+    if request.cameras == "orbit" or (request.cameras == "auto" and not beside.is_file()):
+        opaque = gaussians.means[gaussians.opacities >= min(0.5, float(gaussians.opacities.max()))]
+        if beside.is_file():
+            inputs = read_cameras(beside)[0]
+            size = inputs.sizes[0]
+            path = orbit(
+                replace(inputs.cameras, height=size[0], width=size[1]), opaque.median(0).values, request.frames
+            )
+        else:
+            size = request.size or FOREIGN_SIZE
+            path = surround(opaque, request.frames, *size)
+        return [f"frame_{i:04d}" for i in range(len(path))], path, [size] * len(path)
+    file = beside if request.cameras in ("auto", "inputs") else Path(request.cameras)
+    if not file.is_file():
+        raise QuerySplatError(
+            f"{file}: no cameras there",
+            "Use --cameras orbit, or --cameras FILE with a file in nerfstudio's transforms.json form.",
+        )
+    inputs = read_cameras(file)[0]
+    names = [str(Path(name).with_suffix("")) for name in inputs.names]
+    return names if len(set(names)) == len(names) else list(inputs.names), inputs.cameras, list(inputs.sizes)
+
+
+def _render_each(
+    gaussians: Gaussians, cameras: Cameras, sizes: list[tuple[int, int]], request: RenderRequest, progress: Any
+) -> Iterator[Rendering]:
+    background = torch.tensor(request.background)
+    for i, (height, width) in enumerate(sizes):
+        view = Cameras(cameras.w2c[[i]], cameras.K[[i]], height, width)
+        if request.size:
+            view = view.resized(*request.size)
+        with torch.no_grad():
+            yield render(gaussians, view, background=background)
+        progress("", (i + 1) / len(sizes))
+
+
+def _write_frame(path: Path, picture: Rendering, request: RenderRequest) -> None:
+    write_picture(path.with_name(f"{path.name}.png"), eight_bit(picture.colour[0].clamp(0, 1)))
+    if request.depth:
+        steps = (picture.depth[0] * DEPTH_UNITS).round().clamp(0, 65535)
+        write_picture(path.with_name(f"{path.name}_depth.png"), steps.numpy().astype(np.uint16))
+    if request.alpha:
+        write_picture(
+            path.with_name(f"{path.name}_alpha.png"), (picture.alpha[0] * 255).round().to(torch.uint8).numpy()
+        )
+
+
+def _write_film(path: Path, pictures: Iterator[Rendering], fps: int) -> None:
+    """H.264, which every browser and player shows."""
+    with av.open(str(path), "w") as film:
+        stream = None
+        for picture in pictures:
+            frame = eight_bit(picture.colour[0].clamp(0, 1))
+            frame = frame[: frame.shape[0] // 2 * 2, : frame.shape[1] // 2 * 2]  # the codec wants even sizes
+            if stream is None:
+                stream = film.add_stream("libx264", rate=fps, options={"crf": "18"})
+                stream.height, stream.width, stream.pix_fmt = frame.shape[0], frame.shape[1], "yuv420p"
+            film.mux(stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(frame), format="rgb24")))
+        if stream is not None:
+            film.mux(stream.encode())

@@ -1,0 +1,73 @@
+"""What the catalogue promises, compared with the files that are here."""
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from querysplat_cli.encoders.base import EncoderOptions
+from querysplat_cli.encoders.registry import find_encoder
+from querysplat_cli.model.checkpoints import load
+from querysplat_cli.model.config import preset_names
+from querysplat_cli.runtime.errors import MissingPart, QuerySplatError
+from querysplat_cli.runtime.progress import Stages
+from querysplat_cli.runtime.weight_registry import WEIGHTS, WeightFile, find_weights, sha256
+
+NEEDED_BY = {
+    "official-8192": "--preset official-8192",
+    "official-paper": "--preset official-paper",
+    "vggt_omega": "both official presets",
+    "vggt": "--encoder vggt",
+}
+
+
+@dataclass(frozen=True)
+class Found:
+    """A file of the catalogue and what became of it. `sha256` only where the file was read.
+
+    `absent` says why there is no file; `fault`, why the one that is there cannot be used.
+    """
+
+    wanted: WeightFile
+    needed_by: str
+    path: Path | None
+    absent: str = ""
+    sha256: str | None = None
+    fault: str = ""
+
+    def as_dict(self) -> dict[str, Any]:
+        entry = asdict(self.wanted) | {"gib": round(self.wanted.gib, 2), "expected_sha256": self.wanted.sha256}
+        rest = {"needed_by": self.needed_by, "sha256": self.sha256, "absent": self.absent, "fault": self.fault}
+        return entry | rest | {"path": self.path and str(self.path)}
+
+
+def survey(folder: Path | None, *, verify: bool, stages: Stages) -> list[Found]:
+    """Every file of the catalogue; with `verify`, those that are here are read whole."""
+    return [_look(part, folder, verify=verify, stages=stages) for part in WEIGHTS]
+
+
+def _look(part: str, folder: Path | None, *, verify: bool, stages: Stages) -> Found:
+    wanted, needed_by = WEIGHTS[part], NEEDED_BY[part]
+    try:
+        path = find_weights(part, folder)
+    except MissingPart as missing:
+        return Found(wanted, needed_by, None, missing.message)
+    if not verify:
+        return Found(wanted, needed_by, path)
+    with stages(wanted.file) as progress:
+        digest = sha256(path, lambda fraction: progress("sha256", fraction))
+        try:
+            _load(part, folder)
+        except QuerySplatError as error:
+            return Found(wanted, needed_by, path, sha256=digest, fault=error.message)
+    # In the Hugging Face cache a file's name is the sha256 that the Hub has of it.
+    expected = wanted.sha256 or (path.resolve().name if path.is_symlink() else None)
+    same = path.suffix != Path(wanted.file).suffix or expected in (None, digest) or len(expected or "") != len(digest)
+    return Found(wanted, needed_by, path, sha256=digest, fault="" if same else f"its sha256 should be {expected}")
+
+
+def _load(part: str, folder: Path | None) -> None:
+    """Strictly, as a scene would; mapped, so that this takes little memory."""
+    if part in preset_names():
+        load(part, folder)
+    else:
+        find_encoder(part, EncoderOptions(weights=folder))

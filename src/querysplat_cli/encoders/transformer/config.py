@@ -1,0 +1,66 @@
+"""Sizes of a VGM that is a network."""
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+from querysplat_cli.runtime.errors import QuerySplatError
+
+CHUNK = 16
+"""Views that go through the parts that look at single views at once."""
+
+
+@dataclass(frozen=True)
+class VgmConfig:
+    """Sizes of a VGM; the defaults are those of VGGT-Omega 1B.
+
+    `layers` are the blocks whose tokens are handed on, counted from 0. In `register_blocks` only the camera
+    and register tokens look at other views. `storage_tokens` are the patch encoder's own; `pretrained_image`
+    is the side, in pixels, of the pictures that a learned grid of positions was trained for.
+    """
+
+    width: int = 1024
+    depth: int = 24
+    vit_depth: int = 24
+    heads: int = 16
+    registers: int = 16
+    storage_tokens: int = 4
+    register_blocks: tuple[int, ...] = (2, 6, 9, 14, 20)
+    layers: tuple[int, ...] = (4, 11, 17, 23)
+    patch: int = 16
+    pretrained_image: int = 512
+    camera_heads: int = 16
+    camera_blocks: int = 4
+    depth_channels: int = 256
+    depth_levels: tuple[int, ...] = (256, 512, 1024, 1024)
+
+    @property
+    def special_tokens(self) -> int:
+        """Camera and register tokens, which come before a view's patches."""
+        return 1 + self.registers
+
+    def working_bytes(self, views: int, size: int, half: bool, *, mixed: bool, depth: bool) -> int:
+        """About the most that a pass over `views` pictures of `size` × `size` pixels holds, besides the weights.
+
+        That is, in units of a float32 tensor of all tokens: the tokens, those after the frame block of a layer
+        that is handed on, queries, keys, values and result of the attention, and the layers kept so far; or,
+        where the layer is joined, that and the layer. Then what a chunk of views takes in an MLP.
+        """
+        tokens = self.special_tokens + (size // self.patch) ** 2
+        whole = views * tokens * self.width * 4
+        share = 0.5 if half else 1.0
+        kept = 2 * (1 if mixed else len(self.layers)) + 2 * len(self.layers) * (depth and mixed)
+        chunk = min(views, CHUNK) * tokens * self.width * 4
+        pyramid = 8 * size**2 * self.depth_channels * 4 if depth else 0
+        return int(max(2 + 4 * share, 4) * whole + kept * whole + (3 + 8 * share) * chunk) + pyramid
+
+    @staticmethod
+    def from_dict(values: dict[str, Any]) -> "VgmConfig":
+        """Raises QuerySplatError when a name is not a field, or a value of another kind."""
+        kinds = {field.name: type(field.default) for field in fields(VgmConfig)}
+        chosen: dict[str, Any] = {
+            name: tuple(value) if isinstance(value, list) else value for name, value in values.items()
+        }
+        wrong = [name for name, value in chosen.items() if not isinstance(value, kinds.get(name, type(None)))]
+        if wrong:
+            raise QuerySplatError(f"wrong setting of a VGM: {', '.join(wrong)}", "See docs/method.md for the names.")
+        return VgmConfig(**chosen)

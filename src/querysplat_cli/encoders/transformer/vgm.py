@@ -1,0 +1,127 @@
+"""A VGM that is a network: aggregator, camera head, depth head, and how they are loaded."""
+
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from querysplat_cli.encoders.transformer.aggregator import Aggregator
+from querysplat_cli.encoders.transformer.config import VgmConfig
+from querysplat_cli.encoders.transformer.pose import decode_pose
+from querysplat_cli.runtime.checkpoint_files import check_tensors, fill, read_tensors
+from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.precision import Precision, weight_dtypes
+from querysplat_cli.scene.cameras import Cameras
+
+DEPTH_CHUNK = 8
+"""Views in the depth head at once."""
+
+
+@dataclass(frozen=True)
+class VgmOutput:
+    """What one pass of a VGM finds.
+
+    `features` are the layers asked for, or their mixture alone; `depth` (camera z) and `confidence` in [0, 1)
+    are None where depth was not asked for.
+    """
+
+    cameras: Cameras
+    features: tuple[Float[Tensor, "views tokens channels"], ...]
+    depth: Float[Tensor, "views height width"] | None
+    confidence: Float[Tensor, "views height width"] | None
+
+
+class Vgm(nn.Module):
+    """Photos to cameras, features and depth. The parts bear the names of the checkpoint."""
+
+    config: VgmConfig
+    aggregator: Aggregator
+
+    def pose(self, last: Float[Tensor, "views specials channels"]) -> Float[Tensor, "views 9"]:
+        """Pose encodings, from the camera and register tokens of the last layer."""
+        raise NotImplementedError
+
+    def depth(
+        self, layers: Sequence[Float[Tensor, "views patches channels"]], grid: tuple[int, int]
+    ) -> tuple[Float[Tensor, "views height width"], Float[Tensor, "views height width"]]:
+        """Depth and confidence, from the patch tokens of the layers."""
+        raise NotImplementedError
+
+    @torch.no_grad()
+    def predict(
+        self,
+        images: Float[Tensor, "views 3 height width"],
+        *,
+        mixture: Sequence[float] | None = None,
+        depth: bool = True,
+        progress: Callable[[float], None] = lambda fraction: None,
+    ) -> VgmOutput:
+        """One pass. With a `mixture` of the layers, only their weighted sum is kept, made layer by layer.
+
+        The other tokens of a mixture are those of the last layer.
+        """
+        height, width = images.shape[-2:]
+        start, patch = self.config.special_tokens, self.config.patch
+        kept: list[Tensor] = []
+        mixed, patches = None, []
+        count = len(self.config.layers)
+        for i, layer in enumerate(self.aggregator.layers(images)):
+            if mixture is None:
+                kept.append(layer)
+            elif mixed is None:
+                mixed = layer.mul(mixture[i])
+            else:
+                mixed.add_(layer, alpha=mixture[i])
+            if depth:
+                patches.append(layer[:, start:])
+            special = layer[:, :start].clone()
+            progress((i + 1) / count)
+            del layer
+        if mixed is not None:
+            mixed[:, :start] = special
+            kept = [mixed]
+        cameras = decode_pose(self.pose(special), height, width)
+        maps = self._depth(patches, (height // patch, width // patch)) if depth else (None, None)
+        return VgmOutput(cameras, tuple(kept), *maps)
+
+    def _depth(self, patches: Sequence[Tensor], grid: tuple[int, int]) -> tuple[Tensor, Tensor]:
+        chunks = zip(*(layer.split(DEPTH_CHUNK) for layer in patches), strict=True)
+        depth, confidence = zip(*(self.depth(chunk, grid) for chunk in chunks), strict=True)
+        return torch.cat(depth), 1 - 1 / torch.cat(confidence)
+
+
+def load_vgm(
+    make: Callable[[VgmConfig], Vgm],
+    default: VgmConfig,
+    path: Path,
+    *,
+    precision: Precision = "fp32",
+    device: torch.device = torch.device("cpu"),  # noqa: B008 - immutable
+) -> Vgm:
+    """A frozen VGM from its checkpoint: aggregator at `precision`, heads in float32.
+
+    Parts of other models in the same file are left alone. A .safetensors file may carry another configuration
+    than `default` in its metadata. Raises QuerySplatError when the file is damaged or its tensors do not fit.
+    """
+    tensors, metadata = read_tensors(path)
+    config = default
+    if "config" in metadata:
+        try:
+            config = VgmConfig.from_dict(json.loads(metadata["config"]))
+        except (ValueError, TypeError, AttributeError) as error:
+            raise QuerySplatError(f"{path}: its configuration cannot be read: {error}", "Make it again.") from error
+    with torch.device("meta"):
+        model = make(config)
+    parts = tuple(f"{name}." for name, _ in model.named_children())
+    found = {name: tensor for name, tensor in tensors.items() if name.startswith(parts)}
+    check_tensors(model, found, str(path))
+    dtypes = {
+        name: dtype if name.startswith("aggregator.") else torch.float32
+        for name, dtype in weight_dtypes(model, precision).items()
+    }
+    fill(model, path, {name: name for name in found}, dtypes, device)
+    return model.requires_grad_(False).eval()

@@ -1,0 +1,116 @@
+"""From what the encoder saw to what the decoders read."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from querysplat_cli.encoders.base import Geometry, PosedViews
+from querysplat_cli.model.anchors import Anchors
+from querysplat_cli.model.memories import Features, Memories, attended_rows
+from querysplat_cli.model.querysplat import QuerySplat
+from querysplat_cli.queries.build import AnchorReport, build_anchors
+from querysplat_cli.queries.rendering_error import with_rendering_error
+from querysplat_cli.runtime.device import to_device
+from querysplat_cli.runtime.errors import QuerySplatError
+
+CPU = torch.device("cpu")
+FARTHEST = 6e4
+"""Depth is kept in half precision, which ends a little beyond."""
+Target = Literal["kv", "features"]
+"""What test-time optimisation changes: keys and values (the release), or the tokens that they are made of."""
+
+
+@dataclass(frozen=True)
+class MemoryMap:
+    """Where in the photos the rows of the memories come from, and the VGM's depth (empty if it was not found).
+
+    A row is that of all tokens of all views; `grid` is (special tokens, rows, columns) of a view's tokens.
+    """
+
+    geometry_rows: Int[Tensor, "geometry"]
+    appearance_rows: Int[Tensor, "appearance"]
+    grid: Int[Tensor, "3"]
+    depth: Float[Tensor, "views height width"]
+
+    @property
+    def layout(self) -> tuple[int, int, int]:
+        special, rows, columns = self.grid.tolist()
+        return special, rows, columns
+
+
+@dataclass(frozen=True)
+class PreparedQueries:
+    """The variables of test-time optimisation, the anchors of queries that have them, and where rows come from."""
+
+    variables: Memories | Features
+    anchors: Anchors | None
+    anchor_report: AnchorReport | None
+    map: MemoryMap
+
+
+@torch.no_grad()
+def prepare(
+    model: QuerySplat,
+    posed: PosedViews,
+    geometry: Geometry,
+    *,
+    queries: int | None,
+    about: int | None = None,
+    target: Target,
+    everything: bool = False,
+) -> PreparedQueries:
+    """Memories or features on the CPU; with anchors, only the rows that some anchor attends to.
+
+    `queries` bounds the anchors, `about` those in the photos as far as it can; with `everything` those that other
+    views make superfluous stay. Raises QuerySplatError when the model cannot read such features.
+    """
+    views, cameras = posed.views, posed.cameras
+    model.check_features(geometry.features, cameras.height, cameras.width)
+    device = next(model.parameters()).device
+    features = model.embed(*to_device((geometry.features, views.images, cameras), device))
+    memories = to_device(model.project(features), CPU)
+    anchors = report = None
+    rows = torch.arange(len(memories.geometry_keys)), torch.arange(len(memories.appearance_keys))
+    if model.config.queries == "anchored":
+        assert geometry.depth is not None
+        assert geometry.confidence is not None
+        anchors, report = build_anchors(
+            views,
+            cameras,
+            geometry.depth,
+            geometry.confidence,
+            patch=geometry.patch,
+            queries=queries,
+            about=about,
+            everything=everything,
+        )
+        anchors = with_rendering_error(anchors, views, cameras)
+        rows = anchors.geometry.index.unique(), anchors.appearance.index.unique()
+        memories, anchors = attended_rows(memories, anchors)
+    variables: Memories | Features = memories
+    if target == "features":
+        _check_values_depend_on_features(model)
+        variables = Features(features.geometry.cpu()[rows[0]], features.appearance.cpu()[rows[1]])
+    return PreparedQueries(variables, anchors, report, _memory_map(rows, geometry, cameras.height, cameras.width))
+
+
+def _check_values_depend_on_features(model: QuerySplat) -> None:
+    memories = (model.geometry_memory, model.appearance_memory)
+    if not any(bool(memory.proj.weight[model.config.width :].any()) for memory in memories):
+        raise QuerySplatError(
+            "--tto-target features: this checkpoint's values do not depend on features yet", "Use --tto-target kv."
+        )
+
+
+def _memory_map(
+    rows: tuple[Int[Tensor, "geometry"], Int[Tensor, "appearance"]], geometry: Geometry, height: int, width: int
+) -> MemoryMap:
+    grid = height // geometry.patch, width // geometry.patch
+    special = geometry.features[-1].shape[1] - grid[0] * grid[1]
+    depth = torch.zeros(0, 0, 0) if geometry.depth is None else geometry.depth
+    return MemoryMap(
+        rows[0].int(), rows[1].int(), torch.tensor([special, *grid]).int(), depth.clamp_max(FARTHEST).half()
+    )

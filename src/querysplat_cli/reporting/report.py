@@ -1,0 +1,143 @@
+"""What happened: the object that `--json` prints and `report.json` keeps."""
+
+import json
+import os
+import platform
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from querysplat_cli.encoders.holdout import CameraSource, PoseDifference
+from querysplat_cli.reporting.view_scores import Quality
+from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.sim3 import rotation_angles
+from querysplat_cli.scene.views import LeftOut
+from querysplat_cli.tto.optimise import TtoResult
+from querysplat_cli.tto.plan import TtoRun
+
+
+@dataclass(frozen=True)
+class Report:
+    """One run. The fields are the JSON object's, described in docs/cli.md.
+
+    `left_out` lists work that was not done because it would change nothing or could not be done; each
+    entry is an `Omission`. `warnings` are sentences on why the scene may be wrong.
+    """
+
+    ply: str
+    scene: str
+    views: dict[str, Any]
+    gaussians: int
+    seconds: dict[str, float]
+    quality: dict[str, Any]
+    left_out: list[dict[str, Any]]
+    warnings: list[str]
+    tto: list[dict[str, Any]]
+    settings: dict[str, Any]
+    peak_memory_gib: float
+    machine: str
+    memory_estimate_gib: float | None = None
+
+    @property
+    def interrupted(self) -> bool:
+        """Ctrl-C ended the optimisation early."""
+        return bool(self.tto and self.tto[-1]["interrupted"])
+
+    def as_dict(self) -> dict[str, Any]:
+        """The JSON object; `doubts` is the name that `warnings` had until version 0.1, kept for one release."""
+        return {**asdict(self), "doubts": self.warnings}
+
+    @classmethod
+    def from_dict(cls, entries: dict[str, Any]) -> "Report":
+        """The inverse of `as_dict`; reads reports that have only `doubts`, too."""
+        rest = {name: entry for name, entry in entries.items() if name not in ("doubts", "warnings")}
+        return cls(**rest, warnings=entries.get("warnings", entries.get("doubts", [])))
+
+    def json(self) -> str:
+        return json.dumps(self.as_dict(), indent=2)
+
+
+def views_entry(used: Sequence[str], left_out: Sequence[LeftOut]) -> dict[str, Any]:
+    return {"used": list(used), "left_out": [{"name": photo.name, "why": photo.why} for photo in left_out]}
+
+
+def seconds_entry(seconds: dict[str, float]) -> dict[str, float]:
+    rounded = {stage: round(spent, 3) for stage, spent in seconds.items()}
+    return {**rounded, "total": round(sum(seconds.values()), 3)}
+
+
+def quality_entry(quality: Quality) -> dict[str, Any]:
+    """PSNR in dB and SSIM, means and view by view."""
+    return {"psnr": round(quality.psnr, 3), "ssim": round(quality.ssim, 4), "views": quality.views}
+
+
+def heldout_entry(
+    chosen: CameraSource, scores: dict[CameraSource, Quality | None], difference: PoseDifference | None
+) -> dict[str, Any] | None:
+    """The score of the kept scene, both protocols' scores, and how far their cameras lie apart."""
+    kept = scores.get(chosen)
+    if kept is None:
+        return None
+    brief: dict[str, Any] = {
+        name: quality and {"psnr": round(quality.psnr, 3), "ssim": round(quality.ssim, 4)}
+        for name, quality in scores.items()
+    }
+    apart = difference and {
+        "degrees": round(difference.degrees, 4),
+        "pixels": None if difference.pixels is None else round(difference.pixels, 3),
+    }
+    return {**quality_entry(kept), "cameras": chosen, **brief, "pose_difference": apart}
+
+
+def tto_entries(runs: Sequence[tuple[TtoRun, TtoResult]]) -> list[dict[str, Any]]:
+    """How the loss fell in each run: before, after, and the curve [step, seconds, loss, PSNR, Gaussians].
+
+    Loss and PSNR (dB) of the curve are those of that step's views.
+    """
+    return [_tto_entry(run, result) for run, result in runs]
+
+
+def _tto_entry(run: TtoRun, result: TtoResult) -> dict[str, Any]:
+    curve = [
+        [step.step, round(step.seconds, 3), round(step.loss, 5), round(step.psnr, 2), step.gaussians]
+        for step in result.history
+    ]
+    return {
+        "space": run.space,
+        **asdict(run.settings),
+        "loss_before": round(result.loss_before, 5),
+        "loss_after": round(result.loss_after, 5),
+        "cameras": _cameras_entry(result.cameras_before, result.cameras),
+        "added": result.added,
+        "undone": result.undone,
+        "interrupted": result.interrupted,
+        "curve": curve,
+    }
+
+
+def _cameras_entry(before: Cameras, after: Cameras) -> dict[str, float] | None:
+    """How far refinement took the cameras: mean turn in degrees, mean shift as a share of the distance between the
+    two cameras that are farthest apart, and the focal factor. None where it did not."""
+    if torch.equal(before.w2c, after.w2c):
+        return None
+    turns = rotation_angles(after.w2c[:, :3, :3].double() @ before.w2c[:, :3, :3].double().mT)
+    extent = torch.cdist(before.centres, before.centres).max()
+    return {
+        "degrees": round(float(turns.mean()), 4),
+        "shift": round(float((after.centres - before.centres).norm(dim=1).mean() / extent), 5),
+        "focal": round(float(after.K[0, 0, 0] / before.K[0, 0, 0]), 5),
+    }
+
+
+def machine() -> str:
+    """What times were measured on."""
+    model = platform.processor() or platform.machine()
+    with suppress(OSError, StopIteration):
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        model = next(line.split(":")[1].strip() for line in lines if line.startswith("model name"))
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return f"{model}, {cores} cores, {platform.system()}, Python {platform.python_version()}"

@@ -1,0 +1,65 @@
+"""How numbers are kept: matrices in half precision where that is asked for, everything delicate in float32."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Literal, get_args
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from querysplat_cli.runtime.errors import QuerySplatError
+
+Precision = Literal["fp32", "tf32", "bf16"]
+"""fp32: as the release. tf32: the same, with 10-bit mantissas inside matrix products on GPUs that have them.
+bf16: matrix products and attention in bfloat16; norms, softmax, residuals, rotations and heads in float32."""
+
+
+class Linear(nn.Linear):
+    """Computes in the type of its weights, whatever it is given."""
+
+    def forward(self, x: Tensor) -> Tensor:
+        return F.linear(x.to(self.weight.dtype), self.weight, self.bias)
+
+
+class Conv2d(nn.Conv2d):
+    """Computes in the type of its weights, whatever it is given."""
+
+    def forward(self, x: Tensor) -> Tensor:
+        return super().forward(x.to(self.weight.dtype))
+
+
+class LayerNorm(nn.LayerNorm):
+    """Computes in the type of its weights, which is never half precision."""
+
+    def forward(self, x: Tensor) -> Tensor:
+        return super().forward(x.to(self.weight.dtype))
+
+
+def weight_dtypes(model: nn.Module, precision: Precision) -> dict[str, torch.dtype]:
+    """The type of each tensor of `model` at `precision`, by name."""
+    half = torch.bfloat16 if precision == "bf16" else torch.float32
+    types = dict.fromkeys(model.state_dict(), torch.float32)
+    for name, module in model.named_modules():
+        if isinstance(module, Linear | Conv2d):
+            types |= {f"{name}.{part}": half for part in module.state_dict()}
+    return types
+
+
+@contextmanager
+def matrix_products(precision: Precision) -> Iterator[None]:
+    """Let GPUs round the operands of float32 products to TF32 while inside, if `precision` says so."""
+    before = torch.get_float32_matmul_precision()
+    torch.set_float32_matmul_precision("high" if precision == "tf32" else before)
+    try:
+        yield
+    finally:
+        torch.set_float32_matmul_precision(before)
+
+
+def check_precision(name: str) -> Precision:
+    """`name` if it is a precision; raises QuerySplatError otherwise."""
+    for known in get_args(Precision):
+        if name == known:
+            return known
+    raise QuerySplatError(f"--precision {name}: no such precision", f"Choose {', '.join(get_args(Precision))}.")

@@ -1,0 +1,36 @@
+"""Given cameras, matched with the photos that they belong to."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from querysplat_cli.scene.cameras import PhotoCamera, same_shape
+from querysplat_cli.scene.formats.transforms import is_rigid
+from querysplat_cli.scene.views import LeftOut, Photo
+
+
+def match_cameras(
+    photos: Sequence[Photo], known: Mapping[str, PhotoCamera]
+) -> tuple[dict[int, PhotoCamera], list[LeftOut]]:
+    """The given cameras by photo number, and the photos that have no usable one."""
+    cameras, left_out = {}, []
+    for number, photo in enumerate(photos):
+        camera = known.get(photo.name)
+        fault = _fault(photo, camera) if camera else "no camera is given for it"
+        if camera and not fault:
+            u, _, vt = np.linalg.svd(camera.w2c[:3, :3])
+            w2c = np.array(camera.w2c, dtype=np.float64)
+            w2c[:3, :3] = u @ vt
+            cameras[number] = replace(camera, w2c=w2c)
+        else:
+            left_out.append(LeftOut(photo.name, fault))
+    return cameras, left_out
+
+
+def _fault(photo: Photo, camera: PhotoCamera) -> str:
+    if not is_rigid(camera.w2c):
+        return "its given camera is no rigid motion"
+    if not same_shape((photo.height, photo.width), (camera.height, camera.width)):
+        return f"it is {photo.width} × {photo.height}, its given camera {camera.width} × {camera.height}"
+    return ""

@@ -1,0 +1,113 @@
+"""Held-out photos: which, and in whose frame."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from querysplat_cli.encoders.base import PosedViews
+from querysplat_cli.encoders.holdout import camera_passes, split_photos
+from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.sim3 import Sim3
+from querysplat_cli.scene.views import Photo, Views
+
+SIZE = 24
+
+
+def photos(count: int) -> list[Photo]:
+    return [Photo(f"{i}.png", Path(f"{i}.png"), np.full((SIZE, SIZE, 3), i, np.uint8)) for i in range(count)]
+
+
+def truth(count: int) -> Cameras:
+    """Cameras on an arc, all towards about (0, 0, 4)."""
+    w2c = torch.eye(4, dtype=torch.float64).repeat(count, 1, 1)
+    for i in range(count):
+        turn = torch.from_numpy(Rotation.from_euler("yx", [0.15 * i, 0.04 * i * i]).as_matrix())
+        w2c[i, :3, :3] = turn
+        w2c[i, :3, 3] = -turn @ torch.tensor([0.7 * i, 0.1 * i * i, 0.05 * i], dtype=torch.float64)
+    K = torch.tensor([[20.0, 0, SIZE / 2], [0, 20, SIZE / 2], [0, 0, 1]]).repeat(count, 1, 1)
+    return Cameras(w2c.float(), K, SIZE, SIZE)
+
+
+def place(chosen: Sequence[Photo], count: int, frame: Sim3, turned: float = 0.0) -> PosedViews:
+    """What a perfect pass finds, in a frame of its own; cameras rolled by `turned` degrees, left and right in turn."""
+    rows = [int(photo.name.split(".")[0]) for photo in chosen]
+    cameras = truth(count)[rows].transformed(frame)
+    off = torch.eye(4).repeat(len(rows), 1, 1)
+    rolls = [[turned if i % 2 else -turned] for i in range(len(rows))]
+    off[:, :3, :3] = torch.from_numpy(Rotation.from_euler("z", rolls, degrees=True).as_matrix())
+    cameras = Cameras(off @ cameras.w2c, cameras.K, SIZE, SIZE)
+    images = torch.stack([torch.from_numpy(photo.pixels).permute(2, 0, 1) / 255 for photo in chosen])
+    views = Views(
+        images,
+        torch.ones(len(rows), SIZE, SIZE, dtype=torch.bool),
+        tuple(photo.name for photo in chosen),
+        ((SIZE, SIZE),) * len(rows),
+    )
+    points = frame.apply(torch.tensor([[1.0, 0, 8], [2, 1, 9], [1, -1, 7]]))
+    return PosedViews(views, cameras, points, tuple(torch.arange(3) for _ in rows))
+
+
+SHIFTED = Sim3(
+    2.5,
+    torch.from_numpy(Rotation.from_euler("xyz", [0.3, -0.8, 1.1]).as_matrix()),
+    torch.tensor([3.0, -1.0, 2.0], dtype=torch.float64),
+)
+
+
+def test_the_first_and_every_nth_photo_is_held_out() -> None:
+    inputs, heldout = split_photos(photos(9), 4)
+    assert [photo.name for photo in heldout] == ["0.png", "4.png", "8.png"]
+    assert [photo.name for photo in inputs] == ["1.png", "2.png", "3.png", "5.png", "6.png", "7.png"]
+    inputs, heldout = split_photos(photos(3), None)
+    assert (len(inputs), heldout) == (3, [])
+
+
+def test_too_few_are_left() -> None:
+    with pytest.raises(QuerySplatError, match="leaves 1"):
+        split_photos(photos(2), 2)
+
+
+@pytest.mark.parametrize("source", ["isolated", "joint"])
+def test_both_protocols_put_held_out_cameras_right(source: str) -> None:
+    """The two passes live in frames of their own; each scene's held-out cameras are in its inputs' frame."""
+    everything = photos(9)
+
+    def estimate_cameras(chosen: Sequence[Photo]) -> PosedViews:
+        return place(chosen, 9, SHIFTED if len(chosen) == 9 else Sim3.identity())
+
+    passes = camera_passes(everything, 4, source, estimate_cameras, poses_known=False)  # type: ignore[arg-type]
+    assert passes.chosen.source == source
+    by_source = {one.source: one for one in (passes.chosen, passes.other) if one}
+    for name, frame in (("isolated", Sim3.identity()), ("joint", SHIFTED)):
+        one = by_source[name]  # type: ignore[index]
+        assert one.heldout is not None
+        assert one.inputs.views.names == ("1.png", "2.png", "3.png", "5.png", "6.png", "7.png")
+        assert one.heldout[0].names == ("0.png", "4.png", "8.png")
+        torch.testing.assert_close(one.heldout[1].w2c, truth(9)[[0, 4, 8]].transformed(frame).w2c, atol=1e-4, rtol=1e-4)
+    assert passes.difference is not None
+    assert passes.difference.degrees < 1e-2
+    assert passes.difference.pixels < 1e-2
+
+
+def test_no_held_out_pixel_is_an_input() -> None:
+    passes = camera_passes(photos(6), 3, "joint", lambda chosen: place(chosen, 6, Sim3.identity()), poses_known=True)
+    seen = {int(value * 255 + 0.5) for value in passes.chosen.inputs.views.images.unique()}
+    assert seen == {1, 2, 4, 5}
+    assert passes.other is None
+
+
+def test_the_difference_of_the_passes_is_measured() -> None:
+    """Cameras rolled by 2° in one pass, which no alignment takes back."""
+
+    def estimate_cameras(chosen: Sequence[Photo]) -> PosedViews:
+        return place(chosen, 9, Sim3.identity(), turned=2.0 if len(chosen) == 9 else 0.0)
+
+    passes = camera_passes(photos(9), 4, "isolated", estimate_cameras, poses_known=False)
+    assert passes.difference is not None
+    assert passes.difference.degrees == pytest.approx(2.0, abs=0.15)
+    assert 0.05 < passes.difference.pixels < 2

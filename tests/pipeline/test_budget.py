@@ -1,0 +1,47 @@
+"""How a time budget is shared out."""
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from querysplat_cli.pipeline.budget import PIXEL_SECONDS, SMALLEST, Budget, optimising_seconds, working_size
+from querysplat_cli.tto.plan import plan_tto
+
+
+def spent(seconds: float, of: float) -> Budget:
+    return Budget(float(of), lambda: float(seconds))
+
+
+@given(st.floats(5, 600), st.integers(2, 60), st.integers(1, 2), st.integers(200, 4000), st.integers(200, 4000))
+def test_pictures_are_as_large_as_the_time_allows(
+    seconds: float, photos: int, scenes: int, height: int, width: int
+) -> None:
+    size = working_size(spent(0.0, seconds), photos, scenes, (height, width), 448)
+    assert SMALLEST <= size <= 448
+    assert size <= working_size(spent(0.0, 2 * seconds), photos, scenes, (height, width), 448)
+    if size > SMALLEST:
+        pixels = size**2 * min(height, width) / max(height, width)
+        assert PIXEL_SECONDS * pixels * photos * scenes <= 0.4 * seconds
+
+
+def test_two_scenes_share_what_is_left_where_it_is_enough() -> None:
+    seconds, more = optimising_seconds(spent(20.0, of=90.0), 15.0, 100_000, 2)
+    assert more
+    assert 2 * seconds + 15 + 1.5 + 0.4 == 70
+    seconds, more = optimising_seconds(spent(20.0, of=40.0), 15.0, 100_000, 2)
+    assert not more
+    assert seconds == 20 - 1.9
+    assert optimising_seconds(spent(50.0, of=40.0), 15.0, 100_000, 1) == (0.0, False)
+
+
+def test_with_a_time_the_steps_are_the_most_that_pay() -> None:
+    (run,) = plan_tto(None, views=5, gaussians=1000, seconds=3.0)
+    assert run.settings.steps == 300
+    assert run.settings.seconds == 3.0
+    features, gaussians = plan_tto(None, views=5, gaussians=1000, seconds=3.0, space="both")
+    assert features.settings.seconds == gaussians.settings.seconds == 1.5
+
+
+def test_steps_that_decode_nothing_are_cheaper_and_so_more() -> None:
+    (decoded,) = plan_tto(None, views=5, gaussians=60_000)
+    (direct,) = plan_tto(None, views=5, gaussians=60_000, space="gaussians")
+    assert 1.5 * decoded.settings.steps < direct.settings.steps < 2 * decoded.settings.steps
