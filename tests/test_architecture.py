@@ -10,9 +10,10 @@ import pytest
 import querysplat_cli
 
 ROOT = Path(querysplat_cli.__file__).parent
-LAYERS = """
-    runtime scene splat encoders model queries prune tto reporting pipeline training evaluation commands cli
-""".split()
+LAYERS = (
+    *("runtime", "scene", "splat", "encoders", "model", "queries", "prune", "tto"),
+    *("reporting", "pipeline", "training", "evaluation", "commands", "cli"),
+)
 """Every box, lowest first: each imports itself and what stands before it."""
 ROOT_FILES = {"__init__", "__main__"}
 

@@ -10,7 +10,7 @@ from evaluation_scenes import write_room
 from querysplat_cli.encoders.base import PosedViews
 from querysplat_cli.evaluation.case import CaseRunner, lenses_of
 from querysplat_cli.evaluation.protocol import Protocol
-from querysplat_cli.pipeline.reconstruct import ReconstructSettings
+from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.fit import Fit, network_views

@@ -15,7 +15,7 @@ from querysplat_cli.evaluation.case import CaseRunner, RowResult, joined
 from querysplat_cli.evaluation.metrics import EQUAL
 from querysplat_cli.evaluation.predictions import score_prediction
 from querysplat_cli.evaluation.protocol import Protocol
-from querysplat_cli.pipeline.reconstruct import ReconstructSettings
+from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.formats.dataset import CapturedScene, find_scenes

@@ -98,7 +98,7 @@ def evaluate(
     from querysplat_cli.evaluation.run import evaluate as run
     from querysplat_cli.evaluation.summary import summarise
     from querysplat_cli.evaluation.sweep import write_curves
-    from querysplat_cli.pipeline.reconstruct import ReconstructSettings
+    from querysplat_cli.pipeline.settings import ReconstructSettings
 
     if merge:
         merge_results(scenes, output)

@@ -99,8 +99,8 @@ def reconstruct(
     steps, limit = number_or_auto(0)(tto), number_or_auto(1)(queries)
     size, most = number_or_auto(96)(max_size), number_or_auto(1)(max_views)
     from querysplat_cli.cli.console import exit_if_interrupted, print_report, showing_stages
-    from querysplat_cli.pipeline.reconstruct import ReconstructSettings
     from querysplat_cli.pipeline.reconstruct import reconstruct as run
+    from querysplat_cli.pipeline.settings import ReconstructSettings
 
     settings = ReconstructSettings(
         inputs=tuple(inputs),

@@ -4,7 +4,8 @@ from pathlib import Path
 
 import cv2
 
-from querysplat_cli.pipeline.reconstruct import ReconstructSettings, reconstruct
+from querysplat_cli.pipeline.reconstruct import reconstruct
+from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.reporting.report import Report
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.files import atomic_folder, refuse_existing

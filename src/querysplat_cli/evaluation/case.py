@@ -18,7 +18,8 @@ from querysplat_cli.evaluation.memoised import MemoisedEncoder
 from querysplat_cli.evaluation.metrics import Scores, compare
 from querysplat_cli.evaluation.protocol import Protocol
 from querysplat_cli.model.querysplat import QuerySplat
-from querysplat_cli.pipeline.reconstruct import ReconstructSettings, build_scene, load_parts
+from querysplat_cli.pipeline.reconstruct import build_scene, load_parts
+from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.runtime.device import find_device
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.precision import check_precision, matrix_products

@@ -12,7 +12,7 @@ from querysplat_cli.evaluation.lpips import LpipsFiles
 from querysplat_cli.evaluation.protocol import Protocol
 from querysplat_cli.evaluation.results import Place, checkpoint_sha256, prepare, run_config, write_failure
 from querysplat_cli.evaluation.splits import Case, Split, read_splits, resolve
-from querysplat_cli.pipeline.reconstruct import ReconstructSettings
+from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.runtime.errors import ImpossibleScene, QuerySplatError
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.formats.dataset import CapturedScene, Frame

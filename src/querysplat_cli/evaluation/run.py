@@ -16,7 +16,7 @@ from querysplat_cli.evaluation.results import Place, write_case, write_failure
 from querysplat_cli.evaluation.splits import Split, spacing, write_index, write_split
 from querysplat_cli.evaluation.summary import summarise
 from querysplat_cli.evaluation.workers import Workers
-from querysplat_cli.pipeline.reconstruct import ReconstructSettings
+from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.runtime.device import find_device
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Stages

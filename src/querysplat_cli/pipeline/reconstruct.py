@@ -9,18 +9,19 @@ from typing import Any, Literal
 import torch
 
 from querysplat_cli.encoders.base import Encoder, EncoderOptions, Geometry, PosedViews
-from querysplat_cli.encoders.holdout import CameraPass, CameraSource, camera_passes, take
+from querysplat_cli.encoders.holdout import CameraPass, camera_passes, take
 from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.model.checkpoints import load
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.pipeline.budget import Budget, optimising_seconds, working_size
 from querysplat_cli.pipeline.memory import MemoryNeeds, evenly_spaced, free_bytes, within_memory
 from querysplat_cli.pipeline.scene_folder import StoredScene, ply_path, read_scene, scene_folder, write_scene
+from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.prune.bands import without_idle_bands
 from querysplat_cli.prune.gaussians import Amount, Pruned, prune, target_count
 from querysplat_cli.prune.resolution import Blurred, blurred
 from querysplat_cli.prune.views import near_duplicates
-from querysplat_cli.queries.prepare import PreparedQueries, Target, prepare
+from querysplat_cli.queries.prepare import PreparedQueries, prepare
 from querysplat_cli.reporting import omissions as omissions
 from querysplat_cli.reporting.report import (
     Report,
@@ -38,7 +39,6 @@ from querysplat_cli.runtime.precision import check_precision, matrix_products
 from querysplat_cli.runtime.progress import Progress, Stages
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.files import check_writable, refuse_existing, refuse_replacing
-from querysplat_cli.scene.fit import Fit
 from querysplat_cli.scene.formats.known import read_known_cameras
 from querysplat_cli.scene.formats.ply import read_ply
 from querysplat_cli.scene.gaussians import Gaussians
@@ -56,36 +56,6 @@ MISFIT = 0.5
 leaves at most 0.24 on the six sets, known cameras that are turned by a pixel at least 0.74."""
 TESTED_VIEWS = 8
 """What leaving something out costs is measured on at most so many input views, evenly spaced."""
-
-
-@dataclass(frozen=True)
-class ReconstructSettings:
-    """What `querysplat reconstruct` can be asked for; see docs/cli.md. None means auto, or no limit."""
-
-    inputs: tuple[Path, ...]
-    ply: Path
-    holdout_every: int | None = None
-    holdout_cameras: CameraSource = "isolated"
-    tto: int | None = None
-    tto_target: Target = "kv"
-    tto_space: Space = "features"
-    queries: int | None = None
-    max_size: int | None = None
-    max_views: int | None = None
-    fit: Fit = "crop"
-    preset: str = "compact"
-    encoder: str | None = None
-    weights: Path | None = None
-    precision: str = "fp32"
-    depth: bool = False
-    poses: Path | None = None
-    device: str = "auto"
-    seed: int = 42
-    force: bool = False
-    prune: Amount = "auto"
-    keep_everything: bool = False
-    budget: float | None = None
-    refine_cameras: bool | None = None
 
 
 @dataclass(frozen=True)
