@@ -129,9 +129,8 @@ def test_lower_bounds_are_the_lowest_tested_versions() -> None:
     project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
     extras = project["optional-dependencies"]
     wanted = [*project["dependencies"], *extras["test"], *extras["formats"]]
-    found = [
-        re.fullmatch(r"([\w-]+)(?:\[.*\])?>=([\d.]+)", line) for line in wanted if not line.startswith("querysplat")
-    ]
+    wanted = [line for line in wanted if not line.startswith("querysplat")]
+    found = [re.fullmatch(r"([\w-]+)(?:\[.*\])?>=([\d.]+)", line) for line in wanted]
     bounds = {match[1]: match[2] for match in found if match}
     assert len(bounds) == len(found), "every dependency has a lower bound and nothing else"
     lines = (REPOSITORY / "constraints-lowest.txt").read_text().splitlines()
