@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +17,13 @@ import pytest
 import torch
 
 from querysplat_cli.cli import run
-from querysplat_cli.pipeline import reconstruct as pipeline
-from querysplat_cli.prune.gaussians import MENDED
+from querysplat_cli.pipeline import build
+from querysplat_cli.prune.policy import PRUNE_POLICY
 from querysplat_cli.runtime.errors import ExitCode
 from querysplat_cli.scene.formats.ply import read_ply
 from querysplat_cli.scene.formats.transforms import read_cameras
 from querysplat_cli.training.procedural import cast, make_scene, walk
+from querysplat_cli.tto.policy import TTO_POLICY
 
 PHOTOS = 7
 SMALL = ["--max-size", "192", "--tto", "24", "--quiet"]
@@ -98,7 +100,7 @@ def test_what_is_reported(scene: tuple[Path, dict[str, Any]]) -> None:
     for part in report["left_out"]:
         assert part.keys() == {"what", "why", "saved", "bytes", "seconds", "psnr_lost"}
     pruned = next(part for part in report["left_out"] if part["what"] == "Gaussians")
-    assert 0 <= pruned["psnr_lost"] <= 16 * MENDED
+    assert 0 <= pruned["psnr_lost"] <= 16 * PRUNE_POLICY.psnr_per_step
     gone, everything = (int(number.replace(",", "")) for number in pruned["saved"].split(" of "))
     assert report["gaussians"] == everything - gone == everything // 2
 
@@ -184,7 +186,7 @@ def test_scenes_to_be_optimised_have_no_more_queries_than_there_is_time_for(
     steps: str,
     finest: bool,
 ) -> None:
-    monkeypatch.setattr(pipeline, "QUERIES", 300)
+    monkeypatch.setattr(build, "TTO_POLICY", replace(TTO_POLICY, queries=300))
     command = ["reconstruct", str(room), "-o", str(tmp_path / "a.ply"), "--max-size", "192", "--json", "-q"]
     assert run([*command, "--tto", steps]) == 0
     report = json.loads(capsys.readouterr().out)

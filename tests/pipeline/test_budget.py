@@ -3,7 +3,9 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from querysplat_cli.pipeline.budget import PIXEL_SECONDS, SMALLEST, Budget, optimising_seconds, working_size
+from querysplat_cli.pipeline.budget import Budget, optimising_seconds, working_size
+from querysplat_cli.pipeline.policy import PIPELINE_POLICY
+from querysplat_cli.prune.policy import PRUNE_POLICY
 from querysplat_cli.tto.plan import plan_tto
 
 
@@ -15,12 +17,13 @@ def spent(seconds: float, of: float) -> Budget:
 def test_pictures_are_as_large_as_the_time_allows(
     seconds: float, photos: int, scenes: int, height: int, width: int
 ) -> None:
+    smallest = PRUNE_POLICY.smallest_size
     size = working_size(spent(0.0, seconds), photos, scenes, (height, width), 448)
-    assert SMALLEST <= size <= 448
+    assert smallest <= size <= 448
     assert size <= working_size(spent(0.0, 2 * seconds), photos, scenes, (height, width), 448)
-    if size > SMALLEST:
+    if size > smallest:
         pixels = size**2 * min(height, width) / max(height, width)
-        assert PIXEL_SECONDS * pixels * photos * scenes <= 0.4 * seconds
+        assert PIPELINE_POLICY.pixel_seconds * pixels * photos * scenes <= 0.4 * seconds
 
 
 def test_two_scenes_share_what_is_left_where_it_is_enough() -> None:

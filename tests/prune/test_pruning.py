@@ -3,18 +3,22 @@
 import math
 from dataclasses import fields, replace
 
+import numpy as np
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 
 from querysplat_cli.prune.bands import without_idle_bands
-from querysplat_cli.prune.gaussians import HIDDEN, importance, prune, target_count
-from querysplat_cli.prune.views import near_duplicates
+from querysplat_cli.prune.gaussians import importance, prune, target_count
+from querysplat_cli.prune.policy import PRUNE_POLICY
+from querysplat_cli.prune.views import evenly_spaced, near_duplicates
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
 from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.render import render
 from querysplat_cli.tto.gaussians import optimise_gaussians
-from querysplat_cli.tto.optimise import TtoSettings
+from querysplat_cli.tto.options import Callbacks, TtoSettings
 from querysplat_cli.tto.rendering_loss import RenderingLoss
 
 SIZE = 32
@@ -71,7 +75,7 @@ def test_importance_is_what_colours_the_picture_times_what_goes_with_it() -> Non
         white = black.clone()
         white[each, 0] = 0.5 / SH_0
         weight = render(replace(scene, sh=white), wider).colour[:, 0].sum()
-        expected = weight * (gone.sqrt() + HIDDEN * weight)
+        expected = weight * (gone.sqrt() + PRUNE_POLICY.hidden_change * weight)
         assert found[each] == pytest.approx(float(expected), rel=0.2)
 
 
@@ -128,7 +132,7 @@ def test_optimisation_goes_on_with_those_that_stay() -> None:
         photos(replace(scene, sh=0.5 * scene.sh), views),
         TtoSettings(steps=10, lr=0.002),
         generator=torch.Generator().manual_seed(0),
-        pruning=lambda some, _, steps: prune(some, views, 150, lambda each: 0.0, steps),
+        callbacks=Callbacks(prune=lambda some, _, steps: prune(some, views, 150, lambda each: 0.0, steps)),
     )
     assert result.loss_after < result.loss_before
     assert {(step.step < 4, step.gaussians) for step in result.history} == {(True, 194), (False, 150)}
@@ -143,7 +147,7 @@ def test_steps_after_a_costly_pruning_are_not_taken_for_failures() -> None:
         photos(scene, views),
         TtoSettings(steps=10, lr=0.002),
         generator=torch.Generator().manual_seed(0),
-        pruning=lambda some, _, steps: prune(some, views, 100, lambda each: 0.0, steps),
+        callbacks=Callbacks(prune=lambda some, _, steps: prune(some, views, 100, lambda each: 0.0, steps)),
     )
     assert [step.gaussians for step in result.history[-5:]] == [100] * 5
     assert len(result.gaussians) == 194, "what is worse than the start is not kept"
@@ -177,3 +181,15 @@ def test_views_from_one_place_are_duplicates_and_others_are_not() -> None:
     apart = (torch.arange(20), torch.arange(10, 40), *everything[2:])
     assert 1 not in near_duplicates(views, points, apart)
     assert near_duplicates(views, torch.zeros(0, 3), (torch.zeros(0, dtype=torch.int64),) * 5) == {}
+
+
+@given(st.integers(1, 60), st.integers(1, 60))
+def test_evenly_spaced_items_include_both_ends(items: int, count: int) -> None:
+    kept = evenly_spaced(range(items), count)
+    assert len(kept) == len(set(kept)) == min(items, count)
+    assert kept == sorted(kept)
+    if count > 1:
+        assert kept[0] == 0
+        assert kept[-1] == items - 1
+        gaps = np.diff(kept)
+        assert len(gaps) == 0 or gaps.max() - gaps.min() <= 1

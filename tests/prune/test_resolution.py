@@ -6,7 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
-from querysplat_cli.prune.resolution import SAME, blurred
+from querysplat_cli.prune.policy import PRUNE_POLICY
+from querysplat_cli.prune.resolution import blurred
 from querysplat_cli.scene.views import Photo
 
 USUAL = 448
@@ -30,7 +31,7 @@ def test_blurred_photos_need_fewer_pixels(blur: float) -> None:
     assert found is not None
     assert found.usual == USUAL
     assert found.size <= 0.6 * USUAL
-    assert found.psnr >= SAME
+    assert found.psnr >= PRUNE_POLICY.same_psnr
 
 
 def test_one_sharp_photo_decides() -> None:

@@ -13,7 +13,7 @@ from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.render import render
 from querysplat_cli.tto.cameras import RefinedCameras, refinable, with_refined_focal
 from querysplat_cli.tto.gaussians import optimise_gaussians
-from querysplat_cli.tto.optimise import TtoSettings
+from querysplat_cli.tto.options import TtoSettings
 from querysplat_cli.tto.rendering_loss import RenderingLoss
 
 SIZE = 64

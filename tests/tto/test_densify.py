@@ -13,7 +13,8 @@ from querysplat_cli.splat.projection import rotation_matrices
 from querysplat_cli.splat.render import render
 from querysplat_cli.tto.densify import densify, disagreement, split
 from querysplat_cli.tto.gaussians import optimise_gaussians
-from querysplat_cli.tto.optimise import TtoResult, TtoSettings
+from querysplat_cli.tto.optimise import TtoResult
+from querysplat_cli.tto.options import Callbacks, TtoSettings
 from querysplat_cli.tto.rendering_loss import RenderingLoss, tensors
 
 SIZE = 48
@@ -177,7 +178,7 @@ def test_interrupting_after_a_split_keeps_it() -> None:
         if getattr(step, "step", 0) == 40:
             raise KeyboardInterrupt
 
-    result = optimised(100, progress=interrupt)
+    result = optimised(100, callbacks=Callbacks(progress=interrupt))
     assert result.interrupted
     assert result.loss_after < result.loss_before
     assert 16 < len(result.gaussians) < 100

@@ -11,7 +11,7 @@ from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.render import render
 from querysplat_cli.tto.gaussians import Changes, changed, optimise_gaussians
-from querysplat_cli.tto.optimise import TtoSettings
+from querysplat_cli.tto.options import Callbacks, TtoSettings
 from querysplat_cli.tto.rendering_loss import RenderingLoss
 
 SIZE = 40
@@ -114,7 +114,7 @@ def test_interrupting_keeps_what_was_reached() -> None:
         RenderingLoss(views, cameras),
         TtoSettings(1000, 0.03),
         generator=torch.Generator().manual_seed(0),
-        progress=interrupt,
+        callbacks=Callbacks(progress=interrupt),
     )
     assert result.interrupted
     assert len(result.history) == 21

@@ -9,22 +9,14 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from querysplat_cli.prune.policy import PRUNE_POLICY
 from querysplat_cli.queries.build import BORDER
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
 from querysplat_cli.splat.render import RenderSettings, render
 
 Amount = Literal["auto", "off"] | int
-"""How many Gaussians stay: as many as are needed, all, or at most so many."""
-SHARE = 0.5
-"""What an automatic choice keeps. Optimisation makes up for the rest; what held-out views lose is in
-docs/benchmarks.md."""
-MENDED = 0.1
-"""dB on the input views that a step makes up for."""
-SCARCE = 100
-"""Pixels of the photos for each Gaussian beyond which all are needed."""
-HIDDEN = 0.01
-"""Change of colour that a Gaussian at least stands for, of 1."""
+"""How many Gaussians stay: an automatic number, all, or at most so many."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +46,7 @@ def prune(
         kept = torch.zeros(len(order), dtype=torch.bool, device=order.device)
         kept[order[:count]] = True
         found = Pruned(kept, psnr(gaussians), psnr(gaussians[kept]))
-    if amount == "auto" and found.psnr_before - found.psnr_after > MENDED * steps_left:
+    if amount == "auto" and found.psnr_before - found.psnr_after > PRUNE_POLICY.psnr_per_step * steps_left:
         return Pruned(torch.ones_like(kept), found.psnr_before, found.psnr_before)
     return found
 
@@ -64,8 +56,8 @@ def target_count(count: int, amount: Amount, cameras: Cameras) -> int:
     if amount == "off":
         return count
     if amount == "auto":
-        scarce = len(cameras) * cameras.height * cameras.width // SCARCE
-        return max(int(SHARE * count), min(count, scarce))
+        scarce = len(cameras) * cameras.height * cameras.width // PRUNE_POLICY.pixels_per_gaussian
+        return max(int(PRUNE_POLICY.share_kept * count), min(count, scarce))
     return min(count, amount)
 
 
@@ -94,7 +86,7 @@ def importance(gaussians: Gaussians, cameras: Cameras) -> Float[Tensor, "n"]:
             (by_opacity,) = torch.autograd.grad((picture * signs).sum(), opacities)
         weight += by_sh[:, 0, 0] / SH_0
         change += (by_opacity * opacities.detach()).square()
-    return weight * (change.sqrt() + HIDDEN * weight)
+    return weight * (change.sqrt() + PRUNE_POLICY.hidden_change * weight)
 
 
 def _wider(cameras: Cameras) -> Cameras:

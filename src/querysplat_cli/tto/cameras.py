@@ -10,9 +10,8 @@ from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.sim3 import DegenerateAlignment, align_cameras, skew
+from querysplat_cli.tto.policy import TTO_POLICY
 
-RATE = 0.1
-"""Pixels a step, before the rate falls."""
 BETAS = (0.8, 0.95)
 """Adam's; a camera takes few steps, one for each time that its view is drawn."""
 
@@ -34,7 +33,7 @@ class RefinedCameras:
         self._depths = _median_depths(cameras, gaussians)
         self._poses = [torch.zeros(6, dtype=torch.float64, requires_grad=True) for _ in range(len(cameras))]
         self._zoom = torch.zeros((), dtype=torch.float64, requires_grad=True)
-        self._adam = torch.optim.Adam(self._changes, lr=RATE, betas=BETAS)
+        self._adam = torch.optim.Adam(self._changes, lr=TTO_POLICY.camera_rate, betas=BETAS)
         self._before = [change.detach().clone() for change in self._changes]
 
     @property
@@ -60,7 +59,7 @@ class RefinedCameras:
             if pose.grad is not None and not pose.grad.any():
                 pose.grad = None  # or momentum would move it
         self._before = [change.detach().clone() for change in self._changes]
-        self._adam.param_groups[0]["lr"] = RATE * share
+        self._adam.param_groups[0]["lr"] = TTO_POLICY.camera_rate * share
         self._adam.step()
         self._adam.zero_grad(set_to_none=True)
 

@@ -17,7 +17,8 @@ from torch.nn import functional as F
 
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.tto.densify import densify
-from querysplat_cli.tto.optimise import Denser, Pruning, TtoResult, TtoSettings, TtoStep, optimise
+from querysplat_cli.tto.optimise import Denser, Parametrisation, TtoResult, optimise
+from querysplat_cli.tto.options import Callbacks, TtoSettings
 from querysplat_cli.tto.rendering_loss import RenderingLoss
 
 RATES = {"moves": 1.0, "turns": 0.5, "log_scales": 1.0, "logits": 2.0, "colours": 0.5, "bands": 0.1}
@@ -62,8 +63,7 @@ def optimise_gaussians(
     settings: TtoSettings,
     *,
     generator: torch.Generator,
-    progress: Callable[[TtoStep], None] = lambda step: None,
-    pruning: Pruning | None = None,
+    callbacks: Callbacks | None = None,
     densify_to: int | None = None,
     refine_cameras: bool = False,
 ) -> TtoResult[Changes]:
@@ -78,15 +78,13 @@ def optimise_gaussians(
         return Denser(Changes.none(more.gaussians), partial(changed, more.gaussians), more.origin)
 
     return optimise(
-        Changes.none(gaussians),
-        partial(changed, gaussians),
+        Parametrisation(
+            Changes.none(gaussians), partial(changed, gaussians), RATES, densify=denser if densify_to else None
+        ),
         target,
         settings,
-        rates=RATES,
         generator=generator,
-        progress=progress,
-        pruning=pruning,
-        densifying=denser if densify_to else None,
+        callbacks=callbacks,
         refine_cameras=refine_cameras,
     )
 

@@ -20,21 +20,10 @@ from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.tto.cameras import RefinedCameras
 from querysplat_cli.tto.coverage_loss import CoverageLoss
+from querysplat_cli.tto.options import Callbacks, TtoSettings, TtoStep
+from querysplat_cli.tto.policy import TTO_POLICY
 from querysplat_cli.tto.rendering_loss import RenderingLoss, tensors
 
-RISE = 2.0
-"""A step is undone when the loss of its views exceeds the least seen of them by this factor. Views that pull in
-different ways, and Adam's first steps, raise it by up to half on their own and come down again."""
-PRUNE_AFTER = 1 / 3
-"""The share of the steps after which Gaussians are pruned; the rest makes up for those that went."""
-DENSIFY_AFTER: tuple[float, ...] = (1 / 6, 1 / 3, 1 / 2)
-"""The shares of the steps after which Gaussians are split; what they gain, the rest has to find."""
-PATIENCE = 30
-"""Steps undone in a row before a run is given up; the rate has then fallen by 2³⁰."""
-
-
-Pruning = Callable[[Gaussians, RenderingLoss, float], Pruned]
-"""What chooses the Gaussians that stay, by how they look in the target's views and by the number of steps to come."""
 V = TypeVar("V", bound="Variables")
 
 
@@ -62,29 +51,19 @@ Densifying = Callable[[Gaussians, RenderingLoss, int], Denser[V]]
 
 
 @dataclass(frozen=True)
-class TtoSettings:
-    """How to optimise. `views_per_step` None takes every view in every step, as the paper's release does;
-    a number draws that many, each view once before any comes again. The rate rises over `warm_up` steps and
-    falls to a tenth along a cosine. With `seconds`, a run ends when they are over, and its rate falls with the time.
-    With `keep_cover`, what the scene covers between the views stays covered."""
+class Parametrisation(Generic[V]):
+    """What the optimiser changes, and what becomes of it.
 
-    steps: int
-    lr: float
-    views_per_step: int | None = None
-    warm_up: int = 0
-    seconds: float | None = None
-    keep_cover: bool = False
+    variables: the tensors that it changes.
+    decode: makes Gaussians of them.
+    rates: of each variable, by its name, relative to the learning rate.
+    densify: splits Gaussians at `TtoPolicy.densify_after`; None splits none.
+    """
 
-
-@dataclass(frozen=True)
-class TtoStep:
-    """The state before a step: loss and PSNR (dB) on the views of that step, and the seconds since the start."""
-
-    step: int
-    loss: float
-    psnr: float
-    seconds: float
-    gaussians: int
+    variables: V
+    decode: Callable[[V], Gaussians]
+    rates: Mapping[str, float]
+    densify: Densifying[V] | None = None
 
 
 @dataclass(frozen=True)
@@ -110,26 +89,23 @@ class TtoResult(Generic[V]):
 
 
 def optimise(
-    variables: V,
-    decode: Callable[[V], Gaussians],
+    start: Parametrisation[V],
     target: RenderingLoss,
     settings: TtoSettings,
     *,
-    rates: Mapping[str, float],
     generator: torch.Generator,
-    progress: Callable[[TtoStep], None] = lambda step: None,
-    pruning: Pruning | None = None,
-    densifying: Densifying[V] | None = None,
+    callbacks: Callbacks | None = None,
     refine_cameras: bool = False,
 ) -> TtoResult[V]:
-    """Adam (β 0.9, 0.999) on every tensor of `variables`, at `settings.lr` times its rate in `rates`.
+    """Adam (β 0.9, 0.999) on every tensor of the variables, at `settings.lr` times the tensor's own rate.
 
-    A step after which the loss rises beyond its noise, or anything stops being finite, is undone and the
-    rate halved. `pruning` chooses, at `PRUNE_AFTER`, the Gaussians that the rest goes on with. `refine_cameras`
-    corrects the cameras beside the variables. Ctrl-C ends the run and keeps what was reached. `densifying` splits
-    Gaussians, each time in the place of a step; it cannot go with `pruning`, which says what stays of those that there
-    were.
+    A step after which the loss rises beyond its noise, or anything stops being finite, is undone and the rate halved.
+    Pruning decides which Gaussians the rest of the run goes on with. `refine_cameras` corrects the cameras, too.
+    Ctrl-C ends the run, which keeps what was reached. Splitting takes the place of a step. It cannot go with pruning,
+    which marks rows of the Gaussians that there were at the start.
     """
+    progress, pruning = (callbacks or Callbacks()).progress, (callbacks or Callbacks()).prune
+    variables, decode, rates, densifying = start.variables, start.decode, start.rates, start.densify
     assert not (pruning and densifying)
     everything = list(range(len(target.views)))
     with torch.no_grad():
@@ -143,18 +119,18 @@ def optimise(
     coverage_loss = CoverageLoss.of(first, target.cameras) if settings.keep_cover else None
     run = _Run(variables, decode, settings.lr, rates, refined)
     history: list[TtoStep] = []
-    start, undone, in_a_row, interrupted = time.perf_counter(), 0, 0, False
+    began, undone, in_a_row, interrupted = time.perf_counter(), 0, 0, False
     pruned: Pruned | None = None
-    waiting = DENSIFY_AFTER if densifying else ()
+    waiting = TTO_POLICY.densify_after if densifying else ()
     draws = _draws(len(everything), settings.views_per_step, generator)
     try:
         for step, chosen in enumerate(islice(draws, settings.steps)):
-            done = _done(step, time.perf_counter() - start, settings)
+            done = _done(step, time.perf_counter() - began, settings)
             if done >= 1:
                 break
             gaussians = _staying(run.decode(run.variables), pruned)
             target = run.with_refined_cameras(target)
-            if pruning and not pruned and done >= PRUNE_AFTER and _finite(tensors(gaussians)):
+            if pruning and not pruned and done >= TTO_POLICY.prune_after and _finite(tensors(gaussians)):
                 pruned = pruning(gaussians.detach(), target, step * (1 - done) / done)
                 gaussians = _staying(gaussians, pruned)
                 losses = [math.inf] * len(losses)
@@ -165,13 +141,13 @@ def optimise(
             if here is None or not run.finite_gradient() or _risen(here.losses, losses, chosen):
                 undone, in_a_row = undone + 1, in_a_row + 1
                 run.undo()
-                if in_a_row == PATIENCE:
+                if in_a_row == TTO_POLICY.patience:
                     break
                 continue
             in_a_row = 0
             for view, loss in zip(chosen, here.losses, strict=True):
                 losses[view] = min(losses[view], loss)
-            seconds = time.perf_counter() - start
+            seconds = time.perf_counter() - began
             history.append(TtoStep(step, here.loss, here.psnr, seconds, len(gaussians)))
             progress(history[-1])
             if densifying and waiting and done >= waiting[0]:
@@ -267,7 +243,7 @@ class _Run(Generic[V]):
 
 def _risen(now: list[float], least: list[float], chosen: list[int]) -> bool:
     mean = sum(least[view] for view in chosen) / len(chosen)
-    return not sum(now) / len(now) <= RISE * mean + 1e-4
+    return not sum(now) / len(now) <= TTO_POLICY.rise * mean + 1e-4
 
 
 def _done(step: int, seconds: float, settings: TtoSettings) -> float:
