@@ -15,9 +15,10 @@ from querysplat_cli.model.anchors import Anchors
 from querysplat_cli.model.memories import Features, Memories
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.tto.optimise import Parametrisation, TtoResult, optimise
-from querysplat_cli.tto.options import Callbacks, TtoSettings
+from querysplat_cli.tto.optimise import TtoResult, optimise
+from querysplat_cli.tto.options import NO_CALLBACKS, Callbacks, TtoSettings
 from querysplat_cli.tto.rendering_loss import RenderingLoss
+from querysplat_cli.tto.variables import Parametrisation
 
 M = TypeVar("M", bound=Memories | Features)
 
@@ -53,7 +54,7 @@ def optimise_memories(
     settings: TtoSettings,
     *,
     generator: torch.Generator,
-    callbacks: Callbacks | None = None,
+    callbacks: Callbacks = NO_CALLBACKS,
     refine_cameras: bool = False,
 ) -> TtoResult[M]:
     """`optimise` for the four tensors of memories, or for the two of features; all at the same rate."""

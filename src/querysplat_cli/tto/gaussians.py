@@ -17,9 +17,10 @@ from torch.nn import functional as F
 
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.tto.densify import densify
-from querysplat_cli.tto.optimise import Denser, Parametrisation, TtoResult, optimise
-from querysplat_cli.tto.options import Callbacks, TtoSettings
+from querysplat_cli.tto.optimise import TtoResult, optimise
+from querysplat_cli.tto.options import NO_CALLBACKS, Callbacks, TtoSettings
 from querysplat_cli.tto.rendering_loss import RenderingLoss
+from querysplat_cli.tto.variables import Denser, Parametrisation
 
 RATES = {"moves": 1.0, "turns": 0.5, "log_scales": 1.0, "logits": 2.0, "colours": 0.5, "bands": 0.1}
 """Steps of the variables relative to the learning rate. Colours are SH numbers, of which 1 is 0.28 of a channel;
@@ -63,7 +64,7 @@ def optimise_gaussians(
     settings: TtoSettings,
     *,
     generator: torch.Generator,
-    callbacks: Callbacks | None = None,
+    callbacks: Callbacks = NO_CALLBACKS,
     densify_to: int | None = None,
     refine_cameras: bool = False,
 ) -> TtoResult[Changes]:

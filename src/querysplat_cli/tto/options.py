@@ -78,3 +78,6 @@ class Callbacks:
 
     progress: Callable[[TtoStep], None] = lambda step: None
     prune: Pruning | None = None
+
+
+NO_CALLBACKS = Callbacks()
