@@ -40,7 +40,10 @@ class BudgetShare:
 
 
 def working_size(budget: Budget, photos: int, scenes: int, shape: tuple[int, int], usual: int) -> int:
-    """Longer side, in pixels, at which `scenes` scenes of photos of (height, width) `shape` leave time to optimise."""
+    """The longer side, in pixels, of working pictures that leave time to optimise.
+
+    `scenes` scenes are made of `photos` photos of (height, width) `shape`; `usual` is the largest side in question.
+    """
     height, width = shape
     available = PIPELINE_POLICY.encoding_share * budget.left - PIPELINE_POLICY.camera_seconds * photos * scenes
     pixels = max(0.0, available) / (PIPELINE_POLICY.pixel_seconds * photos * scenes)
@@ -51,7 +54,7 @@ def working_size(budget: Budget, photos: int, scenes: int, shape: tuple[int, int
 def optimising_seconds(budget: Budget, encoding: float, gaussians: int, scenes: int) -> tuple[float, bool]:
     """Seconds for the optimisation of this scene, and whether there is time for the rest of the `scenes`.
 
-    `encoding` is what depth and queries of this one took, and those of another will.
+    `encoding` is what depth and queries of this scene took; another scene is assumed to take as long.
     """
     writing = PIPELINE_POLICY.write_seconds + PIPELINE_POLICY.write_gaussian_seconds * gaussians
     left = budget.left - writing

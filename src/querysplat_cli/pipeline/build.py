@@ -82,7 +82,7 @@ def build_scene(
     settings: ReconstructSettings,
     stages: Stages | None = None,
 ) -> BuiltScene:
-    """Queries, memories and test-time optimisation: a scene from cameras and geometry that are there already."""
+    """Queries, memories and test-time optimisation: a scene from given cameras and geometry."""
     stages = stages or Stages()
     prepared = _prepared(posed, geometry, model, settings, stages)
     return _optimised(posed, replace(geometry, features=()), prepared, model, settings, stages)
@@ -170,7 +170,7 @@ def _refines(wanted: bool | None, posed: PosedViews) -> bool:
 
 
 def _distinct(posed: PosedViews) -> tuple[PosedViews, tuple[LeftOut, ...]]:
-    """Without the views that show what another one shows, and those."""
+    """The views without near-duplicates, and the near-duplicates."""
     names = posed.views.names
     same = near_duplicates(posed.cameras, posed.points, posed.visibility)
     left_out = tuple(LeftOut(names[view], f"shows what {names[other]} shows") for view, other in same.items())

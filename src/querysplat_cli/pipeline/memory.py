@@ -1,4 +1,4 @@
-"""Whether the photos fit: memory estimated before any work is done."""
+"""How many photos fit into memory, estimated before any work is done."""
 
 import sys
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ from querysplat_cli.scene.views import LeftOut, Photo
 
 
 def free_bytes(device: torch.device) -> int:
-    """What can be had on `device` now; no limit where the system does not say."""
+    """Free memory on `device`; `sys.maxsize` where the system does not report it."""
     if device.type == "cuda":
         return torch.cuda.mem_get_info(device)[0]
     meminfo = Path("/proc/meminfo")
@@ -28,7 +28,7 @@ def free_bytes(device: torch.device) -> int:
 
 @dataclass(frozen=True)
 class MemoryNeeds:
-    """Two networks, pictures of `size` × `size` pixels, and whether memories are optimised."""
+    """What the memory of a scene depends on: two networks, pictures of `size` × `size` pixels, and optimisation."""
 
     encoder: Encoder
     model: QuerySplat
@@ -36,9 +36,9 @@ class MemoryNeeds:
     optimising: bool = False
 
     def bytes(self, views: int) -> int | None:
-        """About the peak of a scene, weights included; None where the encoder cannot tell.
+        """About the peak of a scene of so many views, weights included; None where the encoder has no estimate.
 
-        The encoder's weights are given back before the decoders start.
+        The encoder's weights are freed before the decoders start.
         """
         encoding = self.encoder.bytes_needed(views, self.size)
         if encoding is None:
@@ -51,9 +51,9 @@ class MemoryNeeds:
 def within_memory(
     photos: Sequence[Photo], needs: MemoryNeeds, free: int, limit: int | None
 ) -> tuple[list[Photo], list[LeftOut], int | None]:
-    """Evenly spaced photos, at most `limit` and no more than fit into `free` bytes; the others; bytes expected.
+    """Choose evenly spaced photos, at most `limit` and no more than fit into `free` bytes.
 
-    Raises QuerySplatError when not even one fits.
+    Returns the chosen photos, the others, and the bytes expected. Raises QuerySplatError when not even one fits.
     """
     wanted = min(len(photos), limit or len(photos))
     fitting, needed = wanted, needs.bytes(wanted)

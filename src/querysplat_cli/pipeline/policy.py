@@ -1,4 +1,4 @@
-"""What the pipeline decides when the user does not say: cameras, memory, time."""
+"""Defaults of the pipeline: when cameras are refined, and how memory and time are planned."""
 
 from dataclasses import dataclass
 

@@ -62,10 +62,10 @@ class _Scores:
 
 
 def reconstruct(settings: ReconstructSettings, stages: Stages) -> Report:
-    """Photos to `settings.ply` and the scene folder beside it.
+    """Make a scene of photos: `settings.ply` and the scene folder beside it.
 
-    Raises QuerySplatError on bad input and ImpossibleScene when the photos do not make a scene; nothing is
-    written then.
+    Raises QuerySplatError on bad input and ImpossibleScene when no scene can be made of the photos; nothing is written
+    then.
     """
     outputs = [settings.ply, scene_folder(settings.ply)]
     refuse_replacing(settings.inputs, outputs)
@@ -77,7 +77,7 @@ def reconstruct(settings: ReconstructSettings, stages: Stages) -> Report:
 
 
 def load_parts(settings: ReconstructSettings, device: torch.device) -> tuple[QuerySplat, Encoder]:
-    """The model, and the encoder that feeds it: by default the one that it was made for."""
+    """The model and its encoder: by default the encoder that the model was trained with."""
     precision = check_precision(settings.precision)
     model = load(settings.preset, settings.weights, precision=precision, device=device)
     learned = model.config.queries == "learned"
@@ -209,7 +209,7 @@ def _omissions(settings: ReconstructSettings, scene: BuiltScene, finest: Blurred
     if scene.prepared.anchor_report and not settings.keep_everything:
         found.append(omissions.queries(scene.prepared.anchor_report, scene.adapted))
     if scene.geometry.depth is None:
-        found.append(omissions.DEPTH)
+        found.append(omissions.UNUSED_DEPTH)
     if finest:
         found.append(omissions.resolution(finest))
     if settings.poses:

@@ -1,4 +1,4 @@
-"""Spherical harmonics that the photos do not need."""
+"""Spherical harmonics (SH) that hardly change the renders are left out."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace

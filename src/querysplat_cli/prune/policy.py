@@ -1,4 +1,4 @@
-"""What is left out of a scene when the user does not say."""
+"""Defaults of pruning: what is left out of a scene."""
 
 from dataclasses import dataclass
 

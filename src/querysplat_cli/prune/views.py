@@ -1,4 +1,4 @@
-"""Views that the others make superfluous, and a few views in place of all."""
+"""Near-duplicate views, and a few views in place of all."""
 
 from collections.abc import Sequence
 from typing import TypeVar

@@ -1,4 +1,4 @@
-"""What no photo shows between two that are far apart: optimisation may sharpen it, but open no holes there."""
+"""The coverage loss: between photos that are far apart, optimisation may not open holes that no photo shows."""
 
 from dataclasses import dataclass, fields, replace
 
@@ -16,14 +16,14 @@ from querysplat_cli.tto.rendering_loss import LossAndGradient, gradient_of
 
 @dataclass(frozen=True)
 class CoverageLoss:
-    """Cameras between the input views, and what of their pictures the scene covered before it was optimised."""
+    """Cameras between the input views, and the alpha of their pictures before the scene was optimised."""
 
     cameras: Cameras
     alphas: Float[Tensor, "views height width"]
 
     @classmethod
     def of(cls, gaussians: Gaussians, cameras: Cameras) -> "CoverageLoss":
-        """The cover of a scene between at least two views, in their order."""
+        """The coverage of a scene between at least two views, in their order."""
         step = TTO_POLICY.cameras_between + 1
         path = interpolate(cameras.to("cpu"), step * (len(cameras) - 1) + 1).to(cameras.w2c.device)
         between = path[[i for i in range(len(path)) if i % step]]

@@ -1,4 +1,4 @@
-"""What to optimise, for how many steps, and with how many views each."""
+"""The plan of an optimisation: in which spaces, for how many steps, and with how many views a step."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

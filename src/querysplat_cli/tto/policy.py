@@ -1,6 +1,7 @@
-"""What test-time optimisation does when the user does not say: steps, rates, thresholds."""
+"""Defaults of test-time optimisation: steps, rates, thresholds."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True)
@@ -57,6 +58,19 @@ class TtoPolicy:
     """Weight of a lost pixel in the coverage loss, relative to the photometric loss of one pixel."""
     cameras_between: int = 3
     """Cameras of the coverage loss from one input view to the next."""
+    gaussian_rates: Mapping[str, float] = field(
+        default_factory=lambda: {
+            "moves": 1.0,
+            "turns": 0.5,
+            "log_scales": 1.0,
+            "logits": 2.0,
+            "colours": 0.5,
+            "bands": 0.1,
+        }
+    )
+    """In Gaussian space, the rate of each field of `Changes` relative to the learning rate. Colours are SH
+    coefficients, of which 1 is 0.28 of a channel. Bands, which depend on the direction, learn slowly, because they can
+    fit one view and harm all others."""
     camera_rate: float = 0.1
     """Learning rate of camera refinement, in pixels a step, before the rate falls."""
 
