@@ -1,4 +1,4 @@
-"""How a time budget is shared out."""
+"""How a time budget is divided."""
 
 from hypothesis import given
 from hypothesis import strategies as st
@@ -36,7 +36,7 @@ def test_two_scenes_share_what_is_left_where_it_is_enough() -> None:
     assert optimising_seconds(spent(50.0, of=40.0), 15.0, 100_000, 1) == (0.0, False)
 
 
-def test_with_a_time_the_steps_are_the_most_that_pay() -> None:
+def test_a_time_budget_plans_the_most_steps_that_improve_a_scene() -> None:
     (run,) = plan_tto(None, views=5, gaussians=1000, seconds=3.0)
     assert run.settings.steps == 300
     assert run.settings.seconds == 3.0

@@ -1,4 +1,4 @@
-"""Holes between photos that are far apart."""
+"""The coverage loss keeps optimisation from opening holes between photos that are far apart."""
 
 from dataclasses import replace
 
@@ -33,7 +33,7 @@ def wall(dtype: torch.dtype = torch.float32) -> Gaussians:
 
 
 def two(dtype: torch.dtype = torch.float32) -> Cameras:
-    """Cameras whose pictures of the wall do not meet."""
+    """Two cameras whose pictures show parts of the wall that do not touch."""
     w2c = torch.eye(4, dtype=dtype).repeat(2, 1, 1)
     w2c[:, 0, 3] = torch.tensor([0.7, -0.7])
     K = torch.tensor([[45.0, 0, SIZE / 2], [0, 45.0, SIZE / 2], [0, 0, 1]], dtype=dtype).repeat(2, 1, 1)
@@ -63,7 +63,7 @@ def test_a_scene_that_covers_as_much_is_left_alone() -> None:
         assert all(float(part.abs().max()) < 1e-6 for part in (gradient.opacities, gradient.scales, gradient.means))
 
 
-def test_the_gradient_is_that_of_what_was_lost() -> None:
+def test_the_gradient_is_that_of_the_lost_coverage() -> None:
     before = wall(torch.float64)
     coverage_loss = CoverageLoss.of(before, two(torch.float64))
     thin = replace(before, opacities=0.5 * before.opacities)
@@ -81,7 +81,7 @@ def test_the_gradient_is_that_of_what_was_lost() -> None:
     assert float(found) == pytest.approx((loss(0.4 + 1e-6) - loss(0.4 - 1e-6)) / 2e-6, rel=1e-6)
 
 
-def test_photos_open_no_hole_where_none_of_them_looks() -> None:
+def test_optimisation_opens_no_hole_where_no_photo_shows_the_scene() -> None:
     scene, cameras = wall(), two()
     thin = replace(scene, scales=0.6 * scene.scales)
     masks = torch.ones(2, SIZE, SIZE, dtype=torch.bool)
@@ -108,7 +108,7 @@ def test_a_few_views_keep_their_cover() -> None:
     assert [views for views, keep in kept.items() if keep] == list(range(2, TTO_POLICY.few_views + 1))
 
 
-def test_an_automatic_plan_shows_a_few_photos_only_so_often() -> None:
+def test_an_automatic_plan_bounds_the_passes_over_a_few_photos() -> None:
     for views in range(1, TTO_POLICY.few_views + 1):
         (run,) = plan_tto(None, views=views, gaussians=100)
         assert (

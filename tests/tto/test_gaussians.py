@@ -18,7 +18,7 @@ SIZE = 40
 
 
 def cloud(count: int = 60, stretch: float = 1.0) -> Gaussians:
-    """Gaussians before the cameras; their first axis is `stretch` times as long as the others."""
+    """Gaussians in front of the cameras; their first axis is `stretch` times as long as the others."""
     random = torch.Generator().manual_seed(0)
     scales = torch.full((count, 3), 0.06) * torch.tensor([1.0, 1.0 / stretch, 1.0 / stretch])
     return Gaussians(
@@ -132,6 +132,6 @@ def test_a_run_ends_with_its_time(monkeypatch: pytest.MonkeyPatch) -> None:
         generator=torch.Generator().manual_seed(0),
     )
     assert result.loss_after < result.loss_before
-    # The clock is read twice a step, and a step that would not end in time is not begun.
+    # The clock is read twice a step, and a step that would not end in time is not started.
     assert len(result.history) in (9, 10)
     assert result.history[-1].seconds <= 20
