@@ -5,11 +5,16 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class PipelinePolicy:
-    """Thresholds of the pipeline, chosen on fortress, dtu106, kermit and fox."""
+    """Thresholds and estimates of the pipeline.
+
+    The values up to version 0.1 were chosen on the six sets of docs/benchmarks.md. New ones are chosen on fortress,
+    dtu106, kermit and fox alone.
+    """
 
     refine_above_px: float = 0.5
     """Cameras are refined by default where the median distance of a match from its epipolar line is larger, in pixels.
-    Structure from motion leaves at most 0.24; known cameras that are turned by one pixel, at least 0.74."""
+    Structure from motion leaves at most 0.24 on the six sets; known cameras that are rotated by one pixel, at
+    least 0.74."""
     memory_share: float = 0.9
     """Share of the free memory that a scene may be planned to take."""
     program_bytes: int = int(0.6 * 2**30)

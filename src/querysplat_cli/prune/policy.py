@@ -5,7 +5,11 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class PrunePolicy:
-    """Thresholds of pruning, chosen on fortress, dtu106, kermit and fox."""
+    """Shares and thresholds of pruning.
+
+    The values up to version 0.1 were chosen on the six sets of docs/benchmarks.md. New ones are chosen on fortress,
+    dtu106, kermit and fox alone.
+    """
 
     share_kept: float = 0.5
     """Share of the Gaussians that an automatic choice keeps. Optimisation makes up for most of the rest; what held-out

@@ -6,7 +6,11 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True)
 class TtoPolicy:
-    """Defaults of test-time optimisation, chosen on fortress, dtu106, kermit and fox unless a field says otherwise."""
+    """Rates, steps and thresholds of test-time optimisation.
+
+    The values up to version 0.1 were chosen on the six sets of docs/benchmarks.md. New ones are chosen on fortress,
+    dtu106, kermit and fox alone.
+    """
 
     learning_rate: float = 0.02
     """Of a scene that was not optimised before."""
@@ -25,7 +29,7 @@ class TtoPolicy:
     few_views: int = 4
     """Up to so many photos, an automatic plan bounds `passes` and optimisation may not open holes between the views.
     With so few photos, most of the space between them is seen by one photo or by none. Five photos of kermit already
-    lose by it."""
+    lose by these two."""
     passes: int = 40
     """How often an automatic plan renders each of a few photos at most. More passes only fit the photos themselves."""
     fewest_steps: int = 30
