@@ -8,8 +8,9 @@ from querysplat_cli.queries.rendering_error import CHANNELS, GAINS, LARGEST, ren
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
 from querysplat_cli.scene.views import Views
+from querysplat_cli.splat.blending_weights import blending_weights
 from querysplat_cli.splat.projection import rotation_matrices
-from querysplat_cli.splat.render import contributions, render
+from querysplat_cli.splat.render import render
 
 
 def scene() -> tuple[Gaussians, Cameras]:
@@ -41,7 +42,7 @@ def test_a_scene_that_looks_like_its_photos_is_told_nothing() -> None:
     told = rendering_error(gaussians, photos(render(gaussians, cameras).colour), cameras)
     assert told.shape == (30, CHANNELS)
     assert told[:, :-1].abs().max() < 1e-3
-    torch.testing.assert_close(told[:, -1], (contributions(gaussians, cameras) + 1).log() / 4)
+    torch.testing.assert_close(told[:, -1], (blending_weights(gaussians, cameras) + 1).log() / 4)
 
 
 def test_it_is_the_descent_of_the_squared_error_by_the_reference() -> None:
@@ -62,7 +63,7 @@ def test_it_is_the_descent_of_the_squared_error_by_the_reference() -> None:
     )
     picture = render(moved, cameras.to(torch.float64), backend="reference").colour
     (-0.5 * (images.double() - picture).square().sum()).backward()
-    pixels = contributions(gaussians, cameras).double()[:, None] + 1
+    pixels = blending_weights(gaussians, cameras).double()[:, None] + 1
     slopes = torch.cat([change[name].grad for name in sizes], 1) / pixels  # type: ignore[misc]
     expected = (GAINS * slopes).clamp(-LARGEST, LARGEST)
     torch.testing.assert_close(told[:, :-1].double(), expected, rtol=2e-3, atol=2e-3)
