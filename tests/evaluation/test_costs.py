@@ -78,3 +78,21 @@ def test_a_question_is_asked_once() -> None:
         "estimate_geometry",
         "estimate_cameras",
     ]
+
+
+def test_an_object_that_died_gives_its_answer_to_no_other() -> None:
+    """Python gives the id of an object that was freed to the next one: here, views of another scene."""
+
+    class Scaled(Fake):
+        def estimate_geometry(self, posed: PosedViews, **options: Any) -> Geometry:
+            return Geometry(posed.points[0, 0].expand(1, 4, 4), None, (), 4)
+
+    encoder = MemoisedEncoder(Scaled())
+    views = Views(torch.zeros(1, 3, 4, 4), torch.ones(1, 4, 4, dtype=torch.bool), ("a",), ((4, 4),))
+    cameras = Cameras(torch.eye(4)[None], torch.eye(3)[None], 4, 4)
+    for i in range(20):
+        posed = PosedViews(views, cameras, torch.full((1, 3), float(i)), (torch.tensor([0]),))
+        geometry = encoder.estimate_geometry(posed, seed=1, progress=lambda text, fraction: None)
+        del posed
+        assert geometry.depth is not None
+        assert float(geometry.depth[0, 0, 0]) == i
