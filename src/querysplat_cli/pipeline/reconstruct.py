@@ -265,6 +265,9 @@ def _distinct(posed: PosedViews) -> tuple[PosedViews, tuple[LeftOut, ...]]:
     """Without the views that show what another one shows, and those."""
     names = posed.views.names
     same = near_duplicates(posed.cameras, posed.points, posed.visibility)
+    if not same:
+        # The same object: encoders and memos recognise the views of their own pass by it.
+        return posed, ()
     left_out = tuple(LeftOut(names[view], f"shows what {names[other]} shows") for view, other in same.items())
     return take(posed, [view for view in range(len(names)) if view not in same]), left_out
 
