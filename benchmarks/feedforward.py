@@ -17,7 +17,7 @@ from typing import Any
 
 import torch
 
-from querysplat_cli.encoders.base import PosedViews
+from querysplat_cli.encoders.base import CameraRequest, PosedViews
 from querysplat_cli.encoders.holdout import camera_passes
 from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.evaluation.baseline import back_project
@@ -55,7 +55,7 @@ def passed(data: Path, name: str, size: int) -> Sample:
         photos,
         4,
         "joint",
-        lambda some: encoder.estimate_cameras(some, max_size=size, seed=SEED, known=None, progress=silent),
+        lambda some: encoder.estimate_cameras(some, CameraRequest(size, SEED), silent),
         poses_known=True,
     ).chosen
     assert chosen.heldout

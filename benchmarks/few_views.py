@@ -24,7 +24,7 @@ from torch.nn import functional as F
 
 from feedforward import SEED, silent
 from pruning import pruned_to
-from querysplat_cli.encoders.base import PosedViews
+from querysplat_cli.encoders.base import CameraRequest, PosedViews
 from querysplat_cli.encoders.holdout import take
 from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.model.checkpoints import load
@@ -94,7 +94,7 @@ def passed(data: Path, case: str, size: int, *, free: bool) -> Sample:
     if free or name == "fox":
         known = None if free else read_known_cameras(data / "dl3dv" / "fox")
         return make_sample(photos, names, encoder, known=known, max_size=size, seed=SEED)
-    everything = encoder.estimate_cameras(photos, max_size=size, seed=SEED, known=None, progress=silent)
+    everything = encoder.estimate_cameras(photos, CameraRequest(size, SEED), silent)
     rows = [row for row, each in enumerate(everything.views.names) if each in names]
     others = [row for row in range(len(everything.views)) if row not in rows]
     own = take(everything, rows)

@@ -17,7 +17,7 @@ from typing import Any
 import torch
 
 from feedforward import SEED, silent
-from querysplat_cli.encoders.base import PosedViews
+from querysplat_cli.encoders.base import CameraRequest, PosedViews
 from querysplat_cli.encoders.holdout import camera_passes
 from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.model.checkpoints import load
@@ -48,7 +48,7 @@ def rows(data: Path, name: str, amounts: list[float], steps: int) -> list[dict[s
     photos, _ = load_photos(find_photos(photos_of(data, name)))
 
     def estimate_cameras(some: Any) -> PosedViews:
-        return encoder.estimate_cameras(some, max_size=encoder.size, seed=SEED, known=None, progress=silent)
+        return encoder.estimate_cameras(some, CameraRequest(encoder.size, SEED), silent)
 
     passes = camera_passes(photos, 4, "joint", estimate_cameras, poses_known=True).chosen
     assert passes.heldout

@@ -2,6 +2,7 @@
 
 import tempfile
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -10,7 +11,8 @@ import pytest
 import torch
 from synthetic import FOCAL, WIDTH, arc, camera, photograph, photographs, room, wall
 
-from querysplat_cli.encoders.base import PosedViews
+from querysplat_cli.encoders.base import CameraRequest, PosedViews
+from querysplat_cli.encoders.classical import matches
 from querysplat_cli.encoders.classical.cameras import estimate_cameras
 from querysplat_cli.runtime.errors import ExitCode, ImpossibleScene
 from querysplat_cli.scene.cameras import PhotoCamera
@@ -20,8 +22,8 @@ from querysplat_cli.scene.views import Photo
 SIZE = 256
 
 
-def place(photos: Sequence[Photo], **options: object) -> PosedViews:
-    return estimate_cameras(photos, max_size=SIZE, seed=0, progress=lambda text, fraction: None, **options)  # type: ignore[arg-type]
+def place(photos: Sequence[Photo]) -> PosedViews:
+    return estimate_cameras(photos, CameraRequest(SIZE, seed=0), lambda text, fraction: None)
 
 
 def pose_error(posed: PosedViews, photos: Sequence[Photo], lenses: Sequence[PhotoCamera]) -> tuple[float, float]:
@@ -253,13 +255,13 @@ def test_nothing_is_left_behind_by_ctrl_c(six: list[Photo], tmp_path: Path, monk
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        estimate_cameras(six[:2], max_size=SIZE, seed=0, progress=interrupt)
+        estimate_cameras(six[:2], CameraRequest(SIZE, seed=0), interrupt)
     assert not list(tmp_path.iterdir())
 
 
 def test_many_photos_are_matched_with_the_most_similar(six: list[Photo], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("querysplat_cli.encoders.classical.matches.EXHAUSTIVE", 3)
-    monkeypatch.setattr("querysplat_cli.encoders.classical.matches.PARTNERS", 2)
+    few = replace(matches.CAMERA_POLICY, exhaustive_photos=3, most_partners=2)
+    monkeypatch.setattr(matches, "CAMERA_POLICY", few)
     shuffled = [six[i] for i in (3, 0, 5, 1, 4, 2)]
     found = place(shuffled)
     degrees, _ = pose_error(found, six, arc(6))

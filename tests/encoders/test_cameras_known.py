@@ -8,7 +8,7 @@ import pytest
 import torch
 from synthetic import arc, photograph, photographs, room
 
-from querysplat_cli.encoders.base import PosedViews
+from querysplat_cli.encoders.base import CameraRequest, PosedViews
 from querysplat_cli.encoders.classical.cameras import estimate_cameras
 from querysplat_cli.runtime.errors import ImpossibleScene
 from querysplat_cli.scene.cameras import PhotoCamera, rescaled
@@ -23,7 +23,7 @@ def photos() -> list[Photo]:
 
 
 def place(photos: list[Photo], known: Mapping[str, PhotoCamera]) -> PosedViews:
-    return estimate_cameras(photos, max_size=256, seed=0, progress=lambda text, fraction: None, known=known)
+    return estimate_cameras(photos, CameraRequest(256, 0, known), lambda text, fraction: None)
 
 
 def given(lenses: list[PhotoCamera]) -> dict[str, PhotoCamera]:

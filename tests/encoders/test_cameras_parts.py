@@ -10,11 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from synthetic import arc, camera
 
+from querysplat_cli.encoders.classical.camera_warnings import camera_warnings, is_flat, median_angle
 from querysplat_cli.encoders.classical.encoder import ClassicalEncoder
 from querysplat_cli.encoders.classical.epipolar import epipolar_error, median_epipolar_error, rays, supported
 from querysplat_cli.encoders.classical.matches import Matches, Pair
 from querysplat_cli.encoders.classical.sparse_model import SparseModel, normalised
-from querysplat_cli.encoders.classical.trust import camera_warnings, is_flat, median_angle
 from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import PhotoCamera, rescaled

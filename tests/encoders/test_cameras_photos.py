@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from querysplat_cli.encoders.base import PosedViews
+from querysplat_cli.encoders.base import CameraRequest, PosedViews
 from querysplat_cli.encoders.classical.cameras import estimate_cameras
 from querysplat_cli.scene.sim3 import align_cameras
 from querysplat_cli.scene.views import Photo
@@ -22,7 +22,7 @@ def photos(data: Path, name: str) -> list[Photo]:
 
 
 def place(chosen: list[Photo]) -> PosedViews:
-    return estimate_cameras(chosen, max_size=448, seed=42, progress=lambda text, fraction: None)
+    return estimate_cameras(chosen, CameraRequest(448, seed=42), lambda text, fraction: None)
 
 
 def evenly(items: list[Photo], count: int) -> list[Photo]:

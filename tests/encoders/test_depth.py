@@ -9,8 +9,9 @@ from querysplat_cli.encoders.base import Geometry, PosedViews
 from querysplat_cli.encoders.classical.consistency import carve, confirm
 from querysplat_cli.encoders.classical.depth import estimate_geometry
 from querysplat_cli.encoders.classical.neighbours import choose_sources, inverse_range
+from querysplat_cli.encoders.classical.policy import DEPTH_POLICY
 from querysplat_cli.encoders.classical.semiglobal import aggregate, choose
-from querysplat_cli.encoders.classical.sweep import UNSEEN, WORST, cost_volume, plane_homography
+from querysplat_cli.encoders.classical.sweep import WORST_COST, cost_volume, plane_homography
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.views import Views
 
@@ -186,8 +187,8 @@ def test_costs_are_zero_at_the_true_plane_and_neutral_where_no_source_sees():
     # Inverse depth q moves the picture by 50·q pixels to the left; 0.1 is five pixels.
     costs = cost_volume(wide[:, :60].copy(), K, [(wide[:, 5:65].copy(), K, shift)], np.array([0.0, 0.1, 0.2, 5.0]))
     assert costs[4:-4, 12:-4, 1].max() <= 1
-    assert costs[4:-4, 12:-4, [0, 2]].mean() > 0.7 * WORST
-    assert set(costs[..., 3].ravel()) == {int(UNSEEN * WORST)}
+    assert costs[4:-4, 12:-4, [0, 2]].mean() > 0.7 * WORST_COST
+    assert set(costs[..., 3].ravel()) == {int(DEPTH_POLICY.unseen_cost * WORST_COST)}
 
 
 def test_aggregation_decides_for_undecided_pixels_as_their_neighbours_do():

@@ -5,7 +5,7 @@ import math
 import torch
 
 from querysplat_cli.encoders.base import PosedViews
-from querysplat_cli.encoders.classical.features import CHANNELS, PATCH, patch_features
+from querysplat_cli.encoders.classical.patch_features import CHANNELS, PATCH, patch_features
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.views import Views
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from querysplat_cli.encoders.base import Geometry, PosedViews
+from querysplat_cli.encoders.base import CameraRequest, Geometry, PosedViews
 from querysplat_cli.evaluation.costs import measured
 from querysplat_cli.evaluation.memoised import MemoisedEncoder
 from querysplat_cli.runtime.device import reset_peak_memory
@@ -35,10 +35,10 @@ class Fake:
     def __init__(self) -> None:
         self.asked: list[str] = []
 
-    def estimate_cameras(self, photos: Any, **options: Any) -> PosedViews:
+    def estimate_cameras(self, photos: Any, request: CameraRequest, progress: Any) -> PosedViews:
         self.asked.append("estimate_cameras")
         time.sleep(0.02)
-        if options["seed"] == 13:
+        if request.seed == 13:
             raise ImpossibleScene("no overlap")
         views = Views(torch.zeros(1, 3, 4, 4), torch.ones(1, 4, 4, dtype=torch.bool), ("a",), ((4, 4),))
         return PosedViews(views, Cameras(torch.eye(4)[None], torch.eye(3)[None], 4, 4), torch.zeros(0, 3), ())
@@ -60,17 +60,16 @@ def test_a_question_is_asked_once() -> None:
 
     fake = Fake()
     encoder = MemoisedEncoder(fake)
-    options: dict[str, Any] = {"max_size": 64, "progress": silent}
-    first = encoder.estimate_cameras([], seed=1, **options)
-    assert encoder.estimate_cameras([], seed=1, **options) is first
+    first = encoder.estimate_cameras([], CameraRequest(64, 1), silent)
+    assert encoder.estimate_cameras([], CameraRequest(64, 1), silent) is first
     assert encoder.cost_of(first).seconds >= 0.02
-    other = encoder.estimate_cameras([], seed=1, max_size=32, progress=silent)
+    other = encoder.estimate_cameras([], CameraRequest(32, 1), silent)
     assert other is not first
     depths = [encoder.estimate_geometry(posed, seed=1, progress=silent) for posed in (first, first, other)]
     assert depths[0] is depths[1] is not depths[2]
     for _ in range(2):
         with pytest.raises(ImpossibleScene, match="no overlap"):
-            encoder.estimate_cameras([], seed=13, **options)
+            encoder.estimate_cameras([], CameraRequest(64, 13), silent)
     assert fake.asked == [
         "estimate_cameras",
         "estimate_cameras",

@@ -1,13 +1,12 @@
 """An encoder whose results several rows of an evaluation share, each with the cost of finding it."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
-from querysplat_cli.encoders.base import Encoder, Geometry, PosedViews
+from querysplat_cli.encoders.base import CameraRequest, Encoder, Geometry, PosedViews
 from querysplat_cli.evaluation.costs import Cost, measured
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Progress
-from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.views import Photo
 
 
@@ -40,21 +39,11 @@ class MemoisedEncoder:
         self._results: dict[Any, Any] = {}
         self._costs: dict[_Same, Cost] = {}
 
-    def estimate_cameras(
-        self,
-        photos: Sequence[Photo],
-        *,
-        max_size: int,
-        seed: int,
-        progress: Progress,
-        known: Mapping[str, PhotoCamera] | None = None,
-    ) -> PosedViews:
-        key = ("estimate_cameras", tuple(photo.name for photo in photos), max_size, seed, known is not None)
+    def estimate_cameras(self, photos: Sequence[Photo], request: CameraRequest, progress: Progress) -> PosedViews:
+        names = tuple(photo.name for photo in photos)
         return self._once(
-            key,
-            lambda: self._encoder.estimate_cameras(
-                photos, max_size=max_size, seed=seed, progress=progress, known=known
-            ),
+            ("estimate_cameras", names, request.max_size, request.seed, request.known is not None),
+            lambda: self._encoder.estimate_cameras(photos, request, progress),
         )
 
     def estimate_geometry(self, posed: PosedViews, *, seed: int, progress: Progress) -> Geometry:

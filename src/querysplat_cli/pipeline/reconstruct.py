@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import torch
 
-from querysplat_cli.encoders.base import Encoder, EncoderOptions, Geometry, PosedViews
+from querysplat_cli.encoders.base import CameraRequest, Encoder, EncoderOptions, Geometry, PosedViews
 from querysplat_cli.encoders.holdout import CameraPass, camera_passes, take
 from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.model.checkpoints import load
@@ -119,7 +119,7 @@ def _reconstruct(settings: ReconstructSettings, device: torch.device, stages: St
 
     def estimate_cameras(chosen: Sequence[Photo]) -> PosedViews:
         with stages("cameras") as progress:
-            return encoder.estimate_cameras(chosen, max_size=size, seed=settings.seed, known=known, progress=progress)
+            return encoder.estimate_cameras(chosen, CameraRequest(size, settings.seed, known), progress)
 
     passes = camera_passes(
         photos,

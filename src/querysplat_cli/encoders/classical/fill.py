@@ -1,25 +1,21 @@
-"""Depth where nothing could be measured: from the extend_borders, and not across the edges of the photo."""
+"""Depth where nothing could be measured: from the surroundings, but not across the edges of the photo."""
 
 import cv2
 import numpy as np
 
-REACH = 4000.0
-"""Smoothness of the fill: how far a measured depth spreads over even colour."""
-EDGE = 6.0
-"""Colour difference (of 255) over which it does not spread."""
-TRUST_IN_GUESS = 1e-4
-"""Weight of an unconfirmed depth beside a confirmed one's 1: it counts where nothing else does."""
+from querysplat_cli.encoders.classical.policy import DEPTH_POLICY
 
 
 def fill(inverse: np.ndarray, confidence: np.ndarray, image: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Inverse depth [height, width] in which unconfirmed pixels follow their confirmed extend_borders.
+    """Inverse depth [height, width] in which unconfirmed pixels follow the confirmed ones around them.
 
-    `image` [height, width, 3] in [0, 1] guides an edge-preserving least-squares filter (Min et al. 2014) of
-    the confidence-weighted inverse depth; confirmed pixels keep what was measured.
+    `image` [height, width, 3] in [0, 1] guides an edge-preserving least-squares filter (Min et al. 2014) of the
+    inverse depth, weighted by its `confidence`. Confirmed pixels keep their depth.
     """
-    weight = np.where(mask, confidence + TRUST_IN_GUESS, 1e-6).astype(np.float32)
+    policy = DEPTH_POLICY
+    weight = np.where(mask, confidence + policy.guess_weight, 1e-6).astype(np.float32)
     guide = (image * 255).round().astype(np.uint8)
-    smooth = cv2.ximgproc.createFastGlobalSmootherFilter(guide, REACH, EDGE)
+    smooth = cv2.ximgproc.createFastGlobalSmootherFilter(guide, policy.fill_smoothness, policy.fill_edge)
     spread = smooth.filter(inverse * weight) / np.maximum(smooth.filter(weight), 1e-9)
     share = np.clip(confidence * 2, 0, 1)
     return (share * inverse + (1 - share) * spread).astype(np.float32)
