@@ -18,7 +18,7 @@ import torch
 
 from feedforward import SEED, silent
 from querysplat_cli.encoders.base import CameraRequest, PosedViews
-from querysplat_cli.encoders.holdout import camera_passes
+from querysplat_cli.encoders.holdout import estimate_holdout_cameras
 from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.model.checkpoints import load
 from querysplat_cli.queries.prepare import prepare
@@ -50,7 +50,7 @@ def rows(data: Path, name: str, amounts: list[float], steps: int) -> list[dict[s
     def estimate_cameras(some: Any) -> PosedViews:
         return encoder.estimate_cameras(some, CameraRequest(encoder.size, SEED), silent)
 
-    passes = camera_passes(photos, 4, "joint", estimate_cameras, poses_known=True).chosen
+    passes = estimate_holdout_cameras(photos, 4, "joint", estimate_cameras, poses_known=True).chosen
     assert passes.heldout
     views, theirs = passes.heldout
     model, found = load("compact"), []

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import torch
 
 from querysplat_cli.encoders.base import CameraRequest, Encoder, EncoderOptions, Geometry, PosedViews
-from querysplat_cli.encoders.holdout import CameraPass, camera_passes, take
+from querysplat_cli.encoders.holdout import PosedSplit, estimate_holdout_cameras, select_views
 from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.model.checkpoints import load
 from querysplat_cli.model.querysplat import QuerySplat
@@ -71,7 +71,7 @@ class BuiltScene:
     adapted: Adapted
     time_for_more: bool = True
 
-    def heldout(self, cameras: CameraPass) -> tuple[Views, Cameras] | None:
+    def heldout(self, cameras: PosedSplit) -> tuple[Views, Cameras] | None:
         """The held-out views of the pass that the scene was made from, with cameras corrected as the inputs' were."""
         if cameras.heldout is None:
             return None
@@ -121,7 +121,7 @@ def _reconstruct(settings: ReconstructSettings, device: torch.device, stages: St
         with stages("cameras") as progress:
             return encoder.estimate_cameras(chosen, CameraRequest(size, settings.seed, known), progress)
 
-    passes = camera_passes(
+    passes = estimate_holdout_cameras(
         photos,
         settings.holdout_every,
         settings.holdout_cameras,
@@ -135,12 +135,12 @@ def _reconstruct(settings: ReconstructSettings, device: torch.device, stages: St
     )
     with stages("score"):
         quality = score(scene.adapted.gaussians, scene.posed.views, scene.adapted.cameras)
-        scores = {passes.chosen.source: _score_heldout(scene, passes.chosen)}
+        scores = {passes.chosen.protocol: _score_heldout(scene, passes.chosen)}
     if passes.other and passes.other.heldout and scene.time_for_more and not scene.adapted.interrupted:
-        with stages(f"{passes.other.source} score"):
+        with stages(f"{passes.other.protocol} score"):
             second = build_scene(passes.other.inputs, encoder, model, settings, Stages(), budget=budget)
             if not second.adapted.interrupted:
-                scores[passes.other.source] = _score_heldout(second, passes.other)
+                scores[passes.other.protocol] = _score_heldout(second, passes.other)
     with stages("write"):
         report = Report(
             ply=str(settings.ply),
@@ -150,7 +150,7 @@ def _reconstruct(settings: ReconstructSettings, device: torch.device, stages: St
             seconds=seconds_entry(stages.seconds),
             quality={
                 "input": quality_entry(quality),
-                "heldout": heldout_entry(passes.chosen.source, scores, passes.difference),
+                "heldout": heldout_entry(passes.chosen.protocol, scores, passes.difference),
             },
             left_out=[asdict(saving) for saving in _savings(settings, scene, finest)],
             warnings=[*passes.warnings, *scene.geometry.warnings],
@@ -269,7 +269,7 @@ def _distinct(posed: PosedViews) -> tuple[PosedViews, tuple[LeftOut, ...]]:
         # The same object: encoders and memos recognise the views of their own pass by it.
         return posed, ()
     left_out = tuple(LeftOut(names[view], f"shows what {names[other]} shows") for view, other in same.items())
-    return take(posed, [view for view in range(len(names)) if view not in same]), left_out
+    return select_views(posed, [view for view in range(len(names)) if view not in same]), left_out
 
 
 def optimise_scene(
@@ -417,7 +417,7 @@ def _optimise(
     return to_device(adapted, torch.device("cpu"))
 
 
-def _score_heldout(scene: BuiltScene, cameras: CameraPass) -> Quality | None:
+def _score_heldout(scene: BuiltScene, cameras: PosedSplit) -> Quality | None:
     heldout = scene.heldout(cameras)
     return score(scene.adapted.gaussians, *heldout) if heldout else None
 

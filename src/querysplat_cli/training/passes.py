@@ -13,7 +13,7 @@ from safetensors.torch import save
 from torch import Tensor
 
 from querysplat_cli.encoders.base import CameraRequest, Encoder, Geometry
-from querysplat_cli.encoders.holdout import isolated_pass
+from querysplat_cli.encoders.holdout import isolated_split
 from querysplat_cli.runtime.errors import ImpossibleScene, QuerySplatError
 from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera
@@ -53,7 +53,7 @@ def make_sample(
     own = encoder.estimate_cameras(chosen, request, progress)
     if len(own.views) < len(chosen):
         raise ImpossibleScene(f"{len(chosen) - len(own.views)} of {len(chosen)} inputs have no camera")
-    heldout = isolated_pass(own, everything, inputs)[0].heldout
+    heldout = isolated_split(own, everything, inputs)[0].heldout
     if heldout is None:
         raise ImpossibleScene("no target can be brought to the inputs' frame")
     return Sample(own.views, own.cameras, encoder.estimate_geometry(own, seed=seed, progress=progress), *heldout)
