@@ -1,4 +1,4 @@
-"""VGGT 1B at 518 pixels (Meta and Oxford; `facebook/VGGT-1B`): the paper's ablation backbone."""
+"""VGGT 1B at 518 pixels (Meta and Oxford; `facebook/VGGT-1B`), the backbone of the paper's ablation."""
 
 from collections.abc import Sequence
 
@@ -14,13 +14,11 @@ CONFIG = VgmConfig(registers=4, register_blocks=(), patch=14, pretrained_image=5
 
 
 class Vggt(Vgm):
-    """Its point and track heads are left out."""
+    """VGGT without its point and track heads, which are not used."""
 
     def __init__(self, config: VgmConfig) -> None:
-        super().__init__()
-        self.config = config
+        super().__init__(config, VggtAggregator(config))
         inputs = 2 * config.width
-        self.aggregator = VggtAggregator(config)
         self.camera_head = CameraHead(inputs, config.camera_heads, config.camera_blocks)
         self.depth_head = DepthHead(inputs, config.patch, config.depth_channels, config.depth_levels)
 

@@ -14,13 +14,11 @@ CONFIG = VgmConfig()
 
 
 class VggtOmega(Vgm):
-    """1,411 tensors under three prefixes."""
+    """VGGT-Omega. Its checkpoint holds 1,411 tensors under the prefixes of the three parts."""
 
     def __init__(self, config: VgmConfig) -> None:
-        super().__init__()
-        self.config = config
+        super().__init__(config, OmegaAggregator(config))
         inputs = 2 * config.width
-        self.aggregator = OmegaAggregator(config)
         self.camera_head = CameraHead(inputs, config.camera_heads, config.camera_blocks)
         self.dense_head = DepthHead(inputs, config.depth_channels, config.depth_levels)
 
