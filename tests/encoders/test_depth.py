@@ -24,11 +24,18 @@ TWO_LAYERS = [
 SIDEWAYS = [(0, 0, 0), (0.3, 0, 0), (-0.3, 0.05, 0), (0, 0.3, 0)]
 
 
-def true_depth(planes, lens) -> np.ndarray:
+def true_depth(planes, photo_camera) -> np.ndarray:
     """Camera z of the first surface on the ray of every pixel centre."""
-    v, u = np.mgrid[: lens.height, : lens.width] + 0.5
-    rays = np.stack([(u - lens.principal[0]) / lens.focal[0], (v - lens.principal[1]) / lens.focal[1], 1 + 0 * u], -1)
-    directions, centre = rays @ lens.w2c[:3, :3], -lens.w2c[:3, :3].T @ lens.w2c[:3, 3]
+    v, u = np.mgrid[: photo_camera.height, : photo_camera.width] + 0.5
+    rays = np.stack(
+        [
+            (u - photo_camera.principal[0]) / photo_camera.focal[0],
+            (v - photo_camera.principal[1]) / photo_camera.focal[1],
+            1 + 0 * u,
+        ],
+        -1,
+    )
+    directions, centre = rays @ photo_camera.w2c[:3, :3], -photo_camera.w2c[:3, :3].T @ photo_camera.w2c[:3, 3]
     nearest = np.full(u.shape, np.inf)
     for plane in planes:
         across, down = np.array(plane.across, float), np.array(plane.down, float)
@@ -43,17 +50,17 @@ def true_depth(planes, lens) -> np.ndarray:
 
 def posed(planes, places, look=(0, 0, 1000.0), points=True) -> tuple[PosedViews, np.ndarray]:
     """Views of the planes from the places, with every 12th pixel of the first as a sparse point; true depths."""
-    lenses = [camera(place, look, size=SIZE, focal=FOCAL) for place in places]
-    pictures = [photograph(planes, lens, f"{i}.png").pixels for i, lens in enumerate(lenses)]
+    taken_by = [camera(place, look, size=SIZE, focal=FOCAL) for place in places]
+    pictures = [photograph(planes, each, f"{i}.png").pixels for i, each in enumerate(taken_by)]
     images = torch.from_numpy(np.stack(pictures)).permute(0, 3, 1, 2).float() / 255
-    depth = np.stack([true_depth(planes, lens) for lens in lenses])
-    w2c = torch.from_numpy(np.stack([lens.w2c for lens in lenses])).float()
+    depth = np.stack([true_depth(planes, each) for each in taken_by])
+    w2c = torch.from_numpy(np.stack([each.w2c for each in taken_by])).float()
     K = torch.tensor([[FOCAL, 0, SIZE[1] / 2], [0, FOCAL, SIZE[0] / 2], [0, 0, 1]]).repeat(len(places), 1, 1)
     v, u = (part.ravel() + 0.5 for part in np.mgrid[6 : SIZE[0] : 12, 6 : SIZE[1] : 12])
     z = depth[0, v.astype(int), u.astype(int)]
     rays = np.stack([(u - SIZE[1] / 2) / FOCAL, (v - SIZE[0] / 2) / FOCAL, np.ones_like(u)], -1)[np.isfinite(z)]
-    lens = lenses[0]
-    world = (rays * z[np.isfinite(z), None] - lens.w2c[:3, 3]) @ lens.w2c[:3, :3]
+    first = taken_by[0]
+    world = (rays * z[np.isfinite(z), None] - first.w2c[:3, 3]) @ first.w2c[:3, :3]
     cloud = torch.from_numpy(world).float() if points else torch.zeros(0, 3)
     names = tuple(f"{i}.png" for i in range(len(places)))
     views = Views(images, torch.ones(len(places), *SIZE, dtype=torch.bool), names, (SIZE,) * len(places))
