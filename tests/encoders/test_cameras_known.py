@@ -1,4 +1,4 @@
-"""Cameras that come from another tool."""
+"""Known cameras: poses that another tool has found."""
 
 from collections.abc import Mapping
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""A lens with two distortion terms is recognised as such, and an ideal one is left alone."""
+"""The second distortion term is used for a lens that needs it, and not for a lens without distortion."""
 
 from pathlib import Path
 

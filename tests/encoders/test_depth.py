@@ -146,7 +146,7 @@ def test_masked_pixels_do_not_vote_and_have_no_confidence(slanted):
     assert np.median(error) < 0.01
 
 
-def test_one_view_is_a_guess_and_says_so(slanted):
+def test_one_view_is_a_guess_and_raises_a_warning(slanted):
     scene, _, _ = slanted
     alone = PosedViews(scene.views[[0]], scene.cameras[[0]], torch.zeros(0, 3), (torch.zeros(0, dtype=torch.long),))
     geometry = seen_depth(alone)
@@ -198,7 +198,7 @@ def test_costs_are_zero_at_the_true_plane_and_neutral_where_no_source_sees():
     assert set(costs[..., 3].ravel()) == {int(DEPTH_POLICY.unseen_cost * WORST_COST)}
 
 
-def test_aggregation_decides_for_undecided_pixels_as_their_neighbours_do():
+def test_pixels_without_a_best_plane_take_that_of_their_neighbours():
     costs = np.full((9, 9, 5), 60, np.uint8)
     costs[..., 3] = 20
     costs[4, 4] = 60
@@ -206,7 +206,7 @@ def test_aggregation_decides_for_undecided_pixels_as_their_neighbours_do():
     np.testing.assert_array_equal(plane, 3)
 
 
-def test_confirmation_counts_views_and_carving_clears_what_they_see_through():
+def test_confirmation_counts_views_and_carving_clears_free_space():
     K = np.repeat(np.array([[[24, 0, 12], [0, 24, 12], [0, 0, 1.0]]]), 2, 0)
     w2c = np.repeat(np.eye(4)[None], 2, 0)
     w2c[1, 0, 3] = -0.5
@@ -225,7 +225,7 @@ def test_confirmation_counts_views_and_carving_clears_what_they_see_through():
 
 
 @pytest.mark.parametrize(("own", "other", "cleared"), [(0.0, 0.5, True), (0.3, 0.3, False)])
-def test_a_guess_gives_way_to_farther_guesses_of_another_colour(own: float, other: float, cleared: bool):
+def test_a_guess_moves_back_behind_guesses_of_another_colour(own: float, other: float, cleared: bool):
     K = np.repeat(np.array([[[24, 0, 12], [0, 24, 12], [0, 0, 1.0]]]), 2, 0)
     w2c = np.repeat(np.eye(4)[None], 2, 0)
     w2c[1, 0, 3] = -0.5

@@ -1,4 +1,4 @@
-"""Guesses follow what was confirmed, however far it is, and do not cross the edges of the photo."""
+"""Guesses take the confirmed depth, however far away it is, but not across the edges of the photo."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""What work costs, and that work which rows share is done once and counts for each."""
+"""Costs of a piece of work. Work that several rows share is done once and counts for each row."""
 
 import time
 from typing import Any
@@ -20,7 +20,7 @@ MIB = 1 << 20
 
 def test_a_peak_is_that_of_the_work_alone() -> None:
     if not reset_peak_memory():
-        pytest.skip("this system lets no process forget its peak (not Linux, or /proc is read-only)")
+        pytest.skip("this system cannot reset the peak memory of a process (not Linux, or /proc is read-only)")
     big = measured(lambda: float(np.ones(400 * MIB // 8).sum()))[1]
     small = measured(lambda: float(np.ones(MIB // 8).sum()))[1]
     assert big.peak_gib - small.peak_gib == pytest.approx(400 / 1024, abs=0.08)
@@ -28,15 +28,15 @@ def test_a_peak_is_that_of_the_work_alone() -> None:
 
 
 class Fake:
-    """An encoder that counts what it is asked."""
+    """An encoder that records its calls."""
 
     name, size, own_frame = "fake", 448, False
 
     def __init__(self) -> None:
-        self.asked: list[str] = []
+        self.calls: list[str] = []
 
     def estimate_cameras(self, photos: Any, request: CameraRequest, progress: Any) -> PosedViews:
-        self.asked.append("estimate_cameras")
+        self.calls.append("estimate_cameras")
         time.sleep(0.02)
         if request.seed == 13:
             raise ImpossibleScene("no overlap")
@@ -44,17 +44,17 @@ class Fake:
         return PosedViews(views, Cameras(torch.eye(4)[None], torch.eye(3)[None], 4, 4), torch.zeros(0, 3), ())
 
     def estimate_geometry(self, posed: PosedViews, **options: Any) -> Geometry:
-        self.asked.append("estimate_geometry")
+        self.calls.append("estimate_geometry")
         return Geometry(torch.ones(1, 4, 4), torch.ones(1, 4, 4), (), 4)
 
     def free(self) -> None:
-        raise AssertionError("cases to come need it")
+        raise AssertionError("later cases need it")
 
     def bytes_needed(self, views: int, size: int) -> int | None:
         return None
 
 
-def test_a_question_is_asked_once() -> None:
+def test_each_result_is_computed_once() -> None:
     def silent(text: str, fraction: float) -> None:
         pass
 
@@ -70,7 +70,7 @@ def test_a_question_is_asked_once() -> None:
     for _ in range(2):
         with pytest.raises(ImpossibleScene, match="no overlap"):
             encoder.estimate_cameras([], CameraRequest(64, 13), silent)
-    assert fake.asked == [
+    assert fake.calls == [
         "estimate_cameras",
         "estimate_cameras",
         "estimate_geometry",

@@ -59,8 +59,8 @@ def carve(
         guess = confidence[v] < DEPTH_POLICY.guess_confidence
         if not compared or not guess.any():
             continue
-        measured = inverse, confidence, blurred
-        _carve_view(carved[v], guess, blurred[v], *measured, *_projections(v, compared, K, w2c), least[v])
+        maps = inverse, confidence, blurred
+        _carve_view(carved[v], guess, blurred[v], *maps, *_projections(v, compared, K, w2c), least[v])
         carved[v][guess] = cv2.medianBlur(carved[v], 5)[guess]
     return carved
 
@@ -120,14 +120,15 @@ def _carve_view(carved, guess, colour, inverse, confidence, blurred, views, lead
             if not guess[y, x]:
                 continue
             here = float(carved[y, x])
-            known = inverse, confidence, blurred
-            while here > least and _hides(x + 0.5, y + 0.5, here, colour[y, x], *known, views, leads, shifts):
+            maps = inverse, confidence, blurred
+            while here > least and _hides(x + 0.5, y + 0.5, here, colour[y, x], *maps, views, leads, shifts):
                 here *= _PUSH_BACK
             carved[y, x] = max(here, least)
 
 
 @nb.njit(cache=True, error_model="numpy")
 def _hides(x, y, here, colour, inverse, confidence, blurred, views, leads, shifts):
+    """Whether a guess of this inverse depth hides a measured surface, or more guesses than support it."""
     balance = 0
     for n in range(len(views)):
         ratio, column, row = _surface(x, y, here, inverse, views[n], leads[n], shifts[n])
@@ -135,10 +136,10 @@ def _hides(x, y, here, colour, inverse, confidence, blurred, views, leads, shift
             continue
         if ratio < 1 - _IN_FRONT and confidence[views[n], row, column] >= _MEASURED_CONFIDENCE:
             return True
-        strange = _difference(colour, blurred[views[n], row, column])
-        if ratio < 1 - _IN_FRONT_OF_GUESS and strange > _OTHER_COLOUR:
+        difference = _difference(colour, blurred[views[n], row, column])
+        if ratio < 1 - _IN_FRONT_OF_GUESS and difference > _OTHER_COLOUR:
             balance += 1
-        elif abs(ratio - 1) < _IN_FRONT and strange < _SAME_COLOUR:
+        elif abs(ratio - 1) < _IN_FRONT and difference < _SAME_COLOUR:
             balance -= 1
     return balance > 0
 

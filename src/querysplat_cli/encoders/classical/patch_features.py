@@ -8,7 +8,7 @@ from querysplat_cli.encoders.base import PosedViews
 
 PATCH = 6
 """Side of a patch, in pixels."""
-CHANNELS = 12
+FEATURE_CHANNELS = 12
 
 
 def patch_features(

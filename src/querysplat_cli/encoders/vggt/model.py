@@ -10,7 +10,7 @@ from querysplat_cli.encoders.transformer.vgm import Vgm
 from querysplat_cli.encoders.vggt.aggregator import VggtAggregator
 from querysplat_cli.encoders.vggt.heads import CameraHead, DepthHead
 
-CONFIG = VgmConfig(registers=4, register_blocks=(), patch=14, pretrained_image=518)
+VGGT_CONFIG = VgmConfig(registers=4, register_blocks=(), patch=14, pretrained_image=518)
 
 
 class Vggt(Vgm):

@@ -10,7 +10,7 @@ from querysplat_cli.encoders.transformer.vgm import Vgm
 from querysplat_cli.encoders.vggt_omega.aggregator import OmegaAggregator
 from querysplat_cli.encoders.vggt_omega.heads import CameraHead, DepthHead
 
-CONFIG = VgmConfig()
+VGGT_OMEGA_CONFIG = VgmConfig()
 
 
 class VggtOmega(Vgm):
