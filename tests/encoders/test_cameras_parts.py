@@ -12,9 +12,9 @@ from synthetic import arc, camera
 
 from querysplat_cli.encoders.classical.camera_warnings import camera_warnings, is_flat, median_angle
 from querysplat_cli.encoders.classical.encoder import ClassicalEncoder
-from querysplat_cli.encoders.classical.epipolar import epipolar_error, median_epipolar_error, rays, supported
+from querysplat_cli.encoders.classical.epipolar import epipolar_error, epipolar_support, median_epipolar_error, rays
 from querysplat_cli.encoders.classical.matches import Matches, Pair
-from querysplat_cli.encoders.classical.sparse_model import SparseModel, normalised
+from querysplat_cli.encoders.classical.sparse_model import SparseModel, in_first_camera_frame
 from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import PhotoCamera, rescaled
@@ -72,11 +72,11 @@ def test_epipolar_error_is_zero_for_the_truth_and_pixels_for_a_shift(cloud: np.n
 
 def test_support_finds_a_turned_camera(cloud: np.ndarray) -> None:
     model, matches = scene(arc(4), cloud)
-    assert supported(model, matches).share == 1
-    assert supported(model, matches).sound
+    assert epipolar_support(model, matches).share == 1
+    assert epipolar_support(model, matches).sound
     assert not camera_warnings(model, matches)
     bent = replace(model, cameras={**model.cameras, 1: model.cameras[2], 2: model.cameras[1]})
-    assert not supported(bent, matches).sound
+    assert not epipolar_support(bent, matches).sound
     assert "agree with the cameras" in camera_warnings(bent, matches)[0]
 
 
@@ -95,7 +95,7 @@ def test_the_epipolar_error_is_the_median_distance_from_epipolar_lines(cloud: np
 def test_support_needs_points(cloud: np.ndarray) -> None:
     model, matches = scene(arc(4), cloud)
     bare = SparseModel(model.cameras, cloud[:10], {i: np.arange(10) for i in model.cameras})
-    assert supported(bare, matches).score < 0.2 * supported(model, matches).score
+    assert epipolar_support(bare, matches).score < 0.2 * epipolar_support(model, matches).score
     assert "only 10 points" in camera_warnings(bare, matches)[0]
 
 
@@ -113,7 +113,7 @@ def test_flatness(cloud: np.ndarray) -> None:
 
 
 @given(st.floats(1e-6, 1e6), st.integers(0, 100))
-def test_normalised_undoes_any_similarity(scale: float, seed: int) -> None:
+def test_the_frame_of_the_first_camera_undoes_any_similarity(scale: float, seed: int) -> None:
     points = np.random.default_rng(0).uniform([-1.5, -1, 4], [1.5, 1, 7], (40, 3))
     model, _ = scene(arc(3), points)
     generator = np.random.default_rng(seed)
@@ -126,8 +126,8 @@ def test_normalised_undoes_any_similarity(scale: float, seed: int) -> None:
         w2c[:3, :3] = photo_camera.w2c[:3, :3] @ turn.T
         w2c[:3, 3] = scale * photo_camera.w2c[:3, 3] - w2c[:3, :3] @ shift
         cameras[i] = replace(photo_camera, w2c=w2c)
-    moved = normalised(SparseModel(cameras, scale * points @ turn.T + shift, model.seen))
-    expected = normalised(model)
+    moved = in_first_camera_frame(SparseModel(cameras, scale * points @ turn.T + shift, model.seen))
+    expected = in_first_camera_frame(model)
     assert moved.points == pytest.approx(expected.points, abs=1e-9)
     for i in cameras:
         assert moved.cameras[i].w2c == pytest.approx(expected.cameras[i].w2c, abs=1e-9)

@@ -10,7 +10,7 @@ from querysplat_cli.encoders.classical.consistency import carve, confirm
 from querysplat_cli.encoders.classical.depth import estimate_geometry
 from querysplat_cli.encoders.classical.neighbours import choose_sources, inverse_range
 from querysplat_cli.encoders.classical.policy import DEPTH_POLICY
-from querysplat_cli.encoders.classical.semiglobal import aggregate, choose
+from querysplat_cli.encoders.classical.semiglobal import aggregate_costs, best_planes
 from querysplat_cli.encoders.classical.sweep import WORST_COST, cost_volume, plane_homography
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.views import Views
@@ -202,7 +202,7 @@ def test_pixels_without_a_best_plane_take_that_of_their_neighbours():
     costs = np.full((9, 9, 5), 60, np.uint8)
     costs[..., 3] = 20
     costs[4, 4] = 60
-    plane = choose(aggregate(costs, np.full((9, 9), 0.5, np.float32)))
+    plane = best_planes(aggregate_costs(costs, np.full((9, 9), 0.5, np.float32)))
     np.testing.assert_array_equal(plane, 3)
 
 

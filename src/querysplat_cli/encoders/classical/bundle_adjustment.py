@@ -9,7 +9,7 @@ import pycolmap
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
 
 
-def refined(model: pycolmap.Reconstruction, *, fit_lens: bool) -> pycolmap.Reconstruction:
+def bundle_adjusted(model: pycolmap.Reconstruction, *, fit_lens: bool) -> pycolmap.Reconstruction:
     """The model after bundle adjustment with a robust loss.
 
     Most features scatter by 0.2 px, but some are wrong by pixels. Under a squared loss those would bend the focal

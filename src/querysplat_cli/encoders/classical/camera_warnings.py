@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from querysplat_cli.encoders.classical.epipolar import supported
+from querysplat_cli.encoders.classical.epipolar import epipolar_support
 from querysplat_cli.encoders.classical.matches import Matches
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
 from querysplat_cli.encoders.classical.sparse_model import SparseModel
@@ -18,7 +18,7 @@ from querysplat_cli.scene.cameras import PhotoCamera
 def camera_warnings(model: SparseModel, matches: Matches) -> tuple[str, ...]:
     """Sentences that say why the cameras may be wrong. Empty when every check passes."""
     policy = CAMERA_POLICY
-    support = supported(model, matches)
+    support = epipolar_support(model, matches)
     angle = median_angle(model)
     sentences = [
         (
@@ -42,7 +42,7 @@ def camera_warnings(model: SparseModel, matches: Matches) -> tuple[str, ...]:
 
 
 def median_angle(model: SparseModel) -> float:
-    """The median over the points of the widest angle, in degrees, between the first camera's ray and another's."""
+    """The median angle in degrees between the rays of a point: from its first camera and the one farthest from that."""
     first = np.full((len(model.points), 3), np.nan)
     smallest = np.ones(len(model.points))
     for photo, rows in model.seen.items():

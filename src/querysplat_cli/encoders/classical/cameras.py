@@ -8,12 +8,12 @@ import torch
 
 from querysplat_cli.encoders.base import CameraRequest, PosedViews
 from querysplat_cli.encoders.classical.camera_warnings import camera_warnings
-from querysplat_cli.encoders.classical.epipolar import median_epipolar_error, supported
+from querysplat_cli.encoders.classical.epipolar import epipolar_support, median_epipolar_error
 from querysplat_cli.encoders.classical.mapping import map_photos
 from querysplat_cli.encoders.classical.matches import Matches, matched
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
 from querysplat_cli.encoders.classical.pure_rotation import placed_alone, placed_by_rotation
-from querysplat_cli.encoders.classical.sparse_model import SparseModel, normalised
+from querysplat_cli.encoders.classical.sparse_model import SparseModel, in_first_camera_frame
 from querysplat_cli.encoders.classical.triangulation import triangulated
 from querysplat_cli.runtime.errors import ImpossibleScene
 from querysplat_cli.runtime.progress import Progress
@@ -52,7 +52,7 @@ def estimate_cameras(photos: Sequence[Photo], request: CameraRequest, progress: 
     else:
         placement = _place(originals, seed=request.seed, progress=progress)
     progress("removing lens distortion", 0.9)
-    model = normalised(placement.model)
+    model = in_first_camera_frame(placement.model)
     used = sorted(model.cameras)
     photo_cameras = tuple(model.cameras[i] for i in used)
     views, cameras = undistorted([originals[i] for i in used], photo_cameras, max_size=request.max_size)
@@ -128,7 +128,7 @@ def _missing(matches: Matches, model: SparseModel | None) -> list[int]:
 
 
 def _better(second: SparseModel, matches: Matches, first: SparseModel) -> bool:
-    return len(second.cameras) > len(first.cameras) and supported(second, matches).sound
+    return len(second.cameras) > len(first.cameras) and epipolar_support(second, matches).sound
 
 
 def _place_alone(photo: Photo) -> Placement:

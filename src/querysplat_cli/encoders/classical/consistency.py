@@ -18,8 +18,9 @@ _PUSH_BACK = DEPTH_POLICY.push_back
 def confirm(
     inverse: np.ndarray, match: np.ndarray, K: np.ndarray, w2c: np.ndarray, sources: list[list[int]]
 ) -> np.ndarray:
-    """Confidence [views, height, width] in [0, 1]: the share of two sources that find the same surface.
+    """Confidence [views, height, width] in [0, 1] of depths that the views' sources confirm.
 
+    It is 1 where two sources find the same surface, 1/2 where one of several does, and less where the match is poor.
     `inverse` depth and matching cost `match` (0 perfect, 1 none) are [views, height, width]. `K` [views, 3, 3] and
     `w2c` [views, 4, 4] are in float64. `sources` are the views that each view was measured against.
     """

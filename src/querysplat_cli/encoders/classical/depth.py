@@ -8,12 +8,12 @@ import torch
 
 from querysplat_cli.encoders.base import Geometry, PosedViews
 from querysplat_cli.encoders.classical.consistency import carve, confirm
-from querysplat_cli.encoders.classical.fill import fill
+from querysplat_cli.encoders.classical.fill_depth import fill_depth
 from querysplat_cli.encoders.classical.neighbours import InverseRange, choose_sources, inverse_range, nearest_views
 from querysplat_cli.encoders.classical.patch_features import PATCH, patch_features
-from querysplat_cli.encoders.classical.patchmatch import Planes, Source, refine
+from querysplat_cli.encoders.classical.patchmatch import Planes, Source, refine_planes
 from querysplat_cli.encoders.classical.policy import DEPTH_POLICY
-from querysplat_cli.encoders.classical.semiglobal import aggregate, choose
+from querysplat_cli.encoders.classical.semiglobal import aggregate_costs, best_planes
 from querysplat_cli.encoders.classical.sweep import cost_volume
 from querysplat_cli.runtime.progress import Progress
 
@@ -46,14 +46,14 @@ def estimate_geometry(posed: PosedViews, *, seed: int, progress: Progress) -> Ge
     for v, chosen in enumerate(sources):
         inverse[v] = planes[v].inverse
         if chosen:
-            found, match[v] = refine(measured[v], [measured[s] for s in chosen], planes[v], ranges[v])
+            found, match[v] = refine_planes(measured[v], [measured[s] for s in chosen], planes[v], ranges[v])
             inverse[v] = found.inverse
         progress(f"refining {views.names[v]}", 0.6 + 0.3 * (v + 1) / len(views))
     K, w2c = (part.double().numpy() for part in (posed.cameras.K, posed.cameras.w2c))
     confidence = confirm(inverse, match, K, w2c, sources) * masks
     pictures = views.images.permute(0, 2, 3, 1).contiguous().numpy()
     for v in range(len(views)):
-        inverse[v] = fill(inverse[v], confidence[v], pictures[v], masks[v])
+        inverse[v] = fill_depth(inverse[v], confidence[v], pictures[v], masks[v])
         inverse[v] = np.clip(inverse[v], ranges[v].far, ranges[v].near)
     progress("clearing free space", 0.95)
     least = [limits.far for limits in ranges]
@@ -85,7 +85,7 @@ def _first_planes(photos: list[Source], view: int, sources: list[int], limits: I
         return Planes(np.full_like(grey, limits.middle), flat, flat)
     others = [photos[s] for s in sources]
     start = _swept(_halved(photos[view]), [_halved(other) for other in others], limits)
-    found, _ = refine(photos[view], others, start, limits)
+    found, _ = refine_planes(photos[view], others, start, limits)
     return found
 
 
@@ -105,7 +105,7 @@ def _swept(view: Source, others: list[Source], limits: InverseRange) -> Planes:
     planes = int(np.clip(shift * (limits.near - limits.far), *DEPTH_POLICY.planes))
     steps = np.linspace(limits.far, limits.near, planes)
     costs = cost_volume(view.grey, view.K, [(o.grey, o.K, T) for o, T in zip(others, relative, strict=True)], steps)
-    inverse = np.interp(choose(aggregate(costs, view.grey)), np.arange(planes), steps).astype(np.float32)
+    inverse = np.interp(best_planes(aggregate_costs(costs, view.grey)), np.arange(planes), steps).astype(np.float32)
     smooth = cv2.medianBlur(inverse, 5)
     slope_y, slope_x = (slope / 2 for slope in np.gradient(smooth))
     edge = np.abs(slope_x) + np.abs(slope_y) > DEPTH_POLICY.edge_slope * smooth

@@ -37,7 +37,7 @@ class Support:
         return self.explained * min(1.0, self.coverage / CAMERA_POLICY.covered_share)
 
 
-def supported(model: SparseModel, matches: Matches) -> Support:
+def epipolar_support(model: SparseModel, matches: Matches) -> Support:
     """How many verified matches lie within `epipolar_tolerance` of their epipolar lines.
 
     Each pair was verified with a geometry of its own. So a folded or bent model contradicts the matches, even where

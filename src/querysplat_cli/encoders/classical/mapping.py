@@ -7,9 +7,9 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pycolmap
 
-from querysplat_cli.encoders.classical.bundle_adjustment import refined
+from querysplat_cli.encoders.classical.bundle_adjustment import bundle_adjusted
 from querysplat_cli.encoders.classical.camera_warnings import has_ordinary_lens
-from querysplat_cli.encoders.classical.epipolar import supported
+from querysplat_cli.encoders.classical.epipolar import epipolar_support
 from querysplat_cli.encoders.classical.matches import Matches
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY, Attempt
 from querysplat_cli.encoders.classical.sparse_model import SparseModel
@@ -35,16 +35,16 @@ def map_photos(matches: Matches, *, seed: int) -> SparseModel | None:
     for attempt in CAMERA_POLICY.attempts:
         for reconstruction in _mapped(matches, attempt, seed):
             model = from_colmap(reconstruction)
-            support, ordinary = supported(model, matches), has_ordinary_lens(model)
+            support, ordinary = epipolar_support(model, matches), has_ordinary_lens(model)
             score = support.score if ordinary else support.score / 2
             if best is None or score > best[0]:
                 best = score, reconstruction, attempt
             if len(model.cameras) >= connected and support.sound and ordinary:
-                return from_colmap(refined(reconstruction, fit_lens=attempt.fit_lens))
+                return from_colmap(bundle_adjusted(reconstruction, fit_lens=attempt.fit_lens))
     if best is None:
         return None
     _, reconstruction, attempt = best
-    return from_colmap(refined(_extended(reconstruction, matches, seed), fit_lens=attempt.fit_lens))
+    return from_colmap(bundle_adjusted(_extended(reconstruction, matches, seed), fit_lens=attempt.fit_lens))
 
 
 def from_colmap(reconstruction: pycolmap.Reconstruction) -> SparseModel:
@@ -97,7 +97,7 @@ def _mapped(
 def _extended(model: pycolmap.Reconstruction, matches: Matches, seed: int) -> pycolmap.Reconstruction:
     """The model, extended by photos that have few matches with it where that raises its score."""
     for grown in _mapped(matches, CAMERA_POLICY.extending, seed, model):
-        if supported(from_colmap(grown), matches).score > supported(from_colmap(model), matches).score:
+        if epipolar_support(from_colmap(grown), matches).score > epipolar_support(from_colmap(model), matches).score:
             model = grown
     return model
 

@@ -50,7 +50,9 @@ class Source:
         return np.asarray(self.w2c @ np.linalg.inv(other.w2c))
 
 
-def refine(view: Source, sources: list[Source], start: Planes, limits: InverseRange) -> tuple[Planes, np.ndarray]:
+def refine_planes(
+    view: Source, sources: list[Source], start: Planes, limits: InverseRange
+) -> tuple[Planes, np.ndarray]:
     """Better planes, and their matching cost [height, width] from 0 (perfect) to 1 (no match).
 
     Leaving `start` costs something, which keeps even surfaces smooth. The changes that are tried follow a fixed

@@ -221,7 +221,7 @@ class DepthPolicy:
     push_back: float = 0.9
     """A guess moves back by this factor of its inverse depth until it hides nothing."""
 
-    # Filling in (fill.py).
+    # Filling in (fill_depth.py).
     fill_smoothness: float = 4000.0
     """How far a measured depth spreads over even colour (the filter's lambda)."""
     fill_edge: float = 6.0

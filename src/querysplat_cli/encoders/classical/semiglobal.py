@@ -15,7 +15,7 @@ _LARGEST_JUMP = np.uint16(_LARGE_STEP)
 """Penalty of a jump where there is no neighbour to compare brightness with."""
 
 
-def aggregate(costs: np.ndarray, grey: np.ndarray) -> np.ndarray:
+def aggregate_costs(costs: np.ndarray, grey: np.ndarray) -> np.ndarray:
     """Sum of the eight path costs [height, width, planes], as unsigned 16-bit numbers."""
     sums = np.zeros((2, *costs.shape), np.uint16)
     _two_passes(costs, grey, sums)
@@ -23,10 +23,10 @@ def aggregate(costs: np.ndarray, grey: np.ndarray) -> np.ndarray:
     return sums[0]
 
 
-def choose(sums: np.ndarray) -> np.ndarray:
+def best_planes(sums: np.ndarray) -> np.ndarray:
     """The best plane of each pixel [height, width], refined between planes by a parabola."""
     plane = np.empty(sums.shape[:2], np.float32)
-    _choose(sums, plane)
+    _best_planes(sums, plane)
     return plane
 
 
@@ -97,7 +97,7 @@ def _step(cost, previous, low, jump, result, total):
 
 
 @nb.njit(cache=True, error_model="numpy", parallel=True)
-def _choose(sums, plane):
+def _best_planes(sums, plane):
     height, width, planes = sums.shape
     for y in nb.prange(height):
         for x in range(width):

@@ -29,7 +29,7 @@ class SparseModel:
         return np.asarray(-w2c[:3, :3].T @ w2c[:3, 3])
 
 
-def normalised(model: SparseModel) -> SparseModel:
+def in_first_camera_frame(model: SparseModel) -> SparseModel:
     """The same model with the first photo's camera as origin and a median depth of 1.
 
     The median is over all observations of all cameras. Without points the scale is kept.

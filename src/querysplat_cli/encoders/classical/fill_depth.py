@@ -6,7 +6,7 @@ import numpy as np
 from querysplat_cli.encoders.classical.policy import DEPTH_POLICY
 
 
-def fill(inverse: np.ndarray, confidence: np.ndarray, image: np.ndarray, mask: np.ndarray) -> np.ndarray:
+def fill_depth(inverse: np.ndarray, confidence: np.ndarray, image: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """Inverse depth [height, width] in which unconfirmed pixels follow the confirmed ones around them.
 
     `image` [height, width, 3] in [0, 1] guides an edge-preserving least-squares filter (Min et al. 2014) of the
