@@ -77,7 +77,7 @@ def arc(count: int, **options: object) -> list[PhotoCamera]:
 
 
 def photograph(scene: Sequence[Plane], photo_camera: PhotoCamera, name: str, focal: float | None = None) -> Photo:
-    """The photo that `photo_camera` takes, two samples along each side of a pixel; `focal` is what its EXIF says."""
+    """The photo that `lens` takes, two samples along each side of a pixel; `focal` is its EXIF entry."""
     rays = _rays(photo_camera, samples=2)
     rotation, centre = photo_camera.w2c[:3, :3], -photo_camera.w2c[:3, :3].T @ photo_camera.w2c[:3, 3]
     directions = rays @ rotation

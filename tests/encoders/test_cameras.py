@@ -1,4 +1,4 @@
-"""Cameras of synthetic photos, where the truth is given, and of photos that make no ordinary scene."""
+"""Estimated cameras against known ones, and sets of photos that do not show one ordinary scene."""
 
 import tempfile
 from collections.abc import Sequence
@@ -70,7 +70,7 @@ def test_the_frame(posed: PosedViews) -> None:
 
 
 def test_points_lie_on_the_surfaces(six: list[Photo], posed: PosedViews) -> None:
-    """Seen from two views, a point has the same colour: its projection lands on the same surface."""
+    """A sparse point has the same colour in two views, so it projects to the same place on a surface."""
     shared = np.intersect1d(posed.visibility[2], posed.visibility[3])
     assert len(shared) > 100
     colours = []
@@ -214,7 +214,7 @@ def test_no_photo() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("step", [0.1, 0.03, 0.005])
 def test_small_baselines(step: float) -> None:
-    """2 %, 0.6 % and 0.1 % of the depth between neighbours: no warning, then a warning, then no motion at all."""
+    """Baselines of 2 %, 0.6 % and 0.1 % of the depth: sound cameras, then a warning, then no motion at all."""
     cameras = [camera((step * i, 0, 0), (step * i, 0, 6)) for i in range(4)]
     photos = photographs(room(), cameras)
     found = place(photos)

@@ -1,4 +1,4 @@
-"""The second distortion term is used for a lens that needs it, and not for a lens without distortion."""
+"""A lens with two distortion terms is estimated, and an ideal lens keeps no distortion."""
 
 from pathlib import Path
 

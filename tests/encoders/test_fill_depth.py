@@ -1,4 +1,4 @@
-"""Guesses take the confirmed depth, however far away it is, but not across the edges of the photo."""
+"""Filled depth follows confirmed depth at any distance, and does not cross the edges in the photo."""
 
 import numpy as np
 
