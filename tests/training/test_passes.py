@@ -1,5 +1,6 @@
 """Samples: two isolated passes joined by a similarity, kept on disk as they are, and drawn by the step's number."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -7,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from querysplat_cli.encoders.base import Geometry, PosedViews
+from querysplat_cli.encoders.base import CameraRequest, Geometry, PosedViews
 from querysplat_cli.runtime.errors import ImpossibleScene, QuerySplatError
 from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.cameras import Cameras
@@ -29,7 +30,7 @@ class Surveyor:
         self._loses = loses
         self.passes: list[tuple[str, ...]] = []
 
-    def estimate_cameras(self, photos, *, max_size: int, seed: int, progress: Progress, known=None) -> PosedViews:  # type: ignore[no-untyped-def]
+    def estimate_cameras(self, photos: Sequence[Photo], request: CameraRequest, progress: Progress) -> PosedViews:
         photos = [photo for photo in photos if photo.name != self._loses]
         self.passes.append(tuple(photo.name for photo in photos))
         true = places()
@@ -125,7 +126,7 @@ def test_what_is_prepared_once_is_not_prepared_again(tmp_path: Path) -> None:
     asked = 0
 
     class Failing(Surveyor):
-        def estimate_cameras(self, photos, **rest) -> PosedViews:  # type: ignore[no-untyped-def]
+        def estimate_cameras(self, photos: Sequence[Photo], request: CameraRequest, progress: Progress) -> PosedViews:
             raise ImpossibleScene("nothing overlaps")
 
     def encoder() -> Surveyor:

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 import torch
 
-from querysplat_cli.encoders.base import Encoder, PosedViews
+from querysplat_cli.encoders.base import CameraRequest, Encoder, PosedViews
 from querysplat_cli.evaluation.baseline import back_project
 from querysplat_cli.evaluation.costs import Cost, measured
 from querysplat_cli.evaluation.lpips import Lpips
@@ -235,7 +235,7 @@ class CaseRunner:
         photos = [shown for name, (_, shown) in self.photos.items() if name in names]
         # No smaller than the protocol shows them, and no smaller than suits the encoder.
         size = settings.max_size or max(encoder.size, *(max(_size(photo)) for photo in photos))
-        return encoder.estimate_cameras(photos, max_size=size, seed=settings.seed, progress=_silent, known=known)
+        return encoder.estimate_cameras(photos, CameraRequest(size, settings.seed, known), _silent)
 
     def _names(self, group: str) -> set[str]:
         return {frame.name for frame in self.groups[group]}

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import torch
 
 from querysplat_cli.encoders.base import Encoder, Geometry, PosedViews
-from querysplat_cli.encoders.holdout import CameraPass, take
+from querysplat_cli.encoders.holdout import PosedSplit, select_views
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.pipeline.budget import BudgetShare
 from querysplat_cli.pipeline.optimise import optimise_start
@@ -42,7 +42,7 @@ class BuiltScene:
     duplicates: tuple[LeftOut, ...] = ()
     time_for_more: bool = True
 
-    def heldout(self, cameras: CameraPass) -> tuple[Views, Cameras] | None:
+    def heldout(self, cameras: PosedSplit) -> tuple[Views, Cameras] | None:
         """The held-out views of the pass that the scene was made from, with cameras corrected as the inputs' were."""
         if cameras.heldout is None:
             return None
@@ -173,5 +173,7 @@ def _distinct(posed: PosedViews) -> tuple[PosedViews, tuple[LeftOut, ...]]:
     """The views without near-duplicates, and the near-duplicates."""
     names = posed.views.names
     same = near_duplicates(posed.cameras, posed.points, posed.visibility)
+    if not same:
+        return posed, ()  # the same object: encoders and memos recognise the views of their own pass by it
     left_out = tuple(LeftOut(names[view], f"shows what {names[other]} shows") for view, other in same.items())
-    return take(posed, [view for view in range(len(names)) if view not in same]), left_out
+    return select_views(posed, [view for view in range(len(names)) if view not in same]), left_out

@@ -5,8 +5,8 @@ from dataclasses import asdict, dataclass
 
 import torch
 
-from querysplat_cli.encoders.base import Encoder, EncoderOptions, PosedViews
-from querysplat_cli.encoders.holdout import CameraPass, CameraSource, Passes, camera_passes
+from querysplat_cli.encoders.base import CameraRequest, Encoder, EncoderOptions, PosedViews
+from querysplat_cli.encoders.holdout import HoldoutCameras, HoldoutProtocol, PosedSplit, estimate_holdout_cameras
 from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.model.checkpoints import load
 from querysplat_cli.model.querysplat import QuerySplat
@@ -58,7 +58,7 @@ class _Scores:
     """Of the inputs, and of the held-out views by the source of their cameras (None: not scored)."""
 
     inputs: Quality
-    heldout: dict[CameraSource, Quality | None]
+    heldout: dict[HoldoutProtocol, Quality | None]
 
 
 def reconstruct(settings: ReconstructSettings, stages: Stages) -> Report:
@@ -134,14 +134,13 @@ def _read_inputs(settings: ReconstructSettings, device: torch.device, stages: St
     return _Inputs(photos, (*unread, *too_many), model, encoder, known, budget, size, finest, expected)
 
 
-def _find_cameras(inputs: _Inputs, settings: ReconstructSettings, stages: Stages) -> Passes:
+def _find_cameras(inputs: _Inputs, settings: ReconstructSettings, stages: Stages) -> HoldoutCameras:
     def estimate_cameras(chosen: Sequence[Photo]) -> PosedViews:
         with stages("cameras") as progress:
-            return inputs.encoder.estimate_cameras(
-                chosen, max_size=inputs.size, seed=settings.seed, known=inputs.known, progress=progress
-            )
+            request = CameraRequest(inputs.size, settings.seed, inputs.known)
+            return inputs.encoder.estimate_cameras(chosen, request, progress)
 
-    return camera_passes(
+    return estimate_holdout_cameras(
         inputs.photos,
         settings.holdout_every,
         settings.holdout_cameras,
@@ -152,30 +151,30 @@ def _find_cameras(inputs: _Inputs, settings: ReconstructSettings, stages: Stages
 
 
 def _score(
-    inputs: _Inputs, passes: Passes, scene: BuiltScene, settings: ReconstructSettings, stages: Stages
+    inputs: _Inputs, passes: HoldoutCameras, scene: BuiltScene, settings: ReconstructSettings, stages: Stages
 ) -> _Scores:
     """Scores of the scene, and of a second one with the other pass's cameras where there is time for it."""
     with stages("score"):
         quality = score(scene.adapted.gaussians, scene.posed.views, scene.adapted.cameras)
-        heldout = {passes.chosen.source: _score_heldout(scene, passes.chosen)}
+        heldout = {passes.chosen.protocol: _score_heldout(scene, passes.chosen)}
     other = passes.other
     if other and other.heldout and scene.time_for_more and not scene.adapted.interrupted:
-        with stages(f"{other.source} score"):
+        with stages(f"{other.protocol} score"):
             share = inputs.budget.share() if inputs.budget else None
             second = encode_and_build(other.inputs, inputs.encoder, inputs.model, settings, Stages(), share=share)
             if not second.adapted.interrupted:
-                heldout[other.source] = _score_heldout(second, other)
+                heldout[other.protocol] = _score_heldout(second, other)
     return _Scores(quality, heldout)
 
 
-def _score_heldout(scene: BuiltScene, cameras: CameraPass) -> Quality | None:
+def _score_heldout(scene: BuiltScene, cameras: PosedSplit) -> Quality | None:
     heldout = scene.heldout(cameras)
     return score(scene.adapted.gaussians, *heldout) if heldout else None
 
 
 def _report(
     inputs: _Inputs,
-    passes: Passes,
+    passes: HoldoutCameras,
     scene: BuiltScene,
     scores: _Scores,
     settings: ReconstructSettings,
@@ -190,7 +189,7 @@ def _report(
         seconds=seconds_entry(stages.seconds),
         quality={
             "input": quality_entry(scores.inputs),
-            "heldout": heldout_entry(passes.chosen.source, scores.heldout, passes.difference),
+            "heldout": heldout_entry(passes.chosen.protocol, scores.heldout, passes.difference),
         },
         left_out=[asdict(omission) for omission in _omissions(settings, scene, inputs.finest)],
         warnings=[*passes.warnings, *scene.geometry.warnings],
@@ -219,7 +218,7 @@ def _omissions(settings: ReconstructSettings, scene: BuiltScene, finest: Blurred
     return found
 
 
-def _stored(passes: Passes, scene: BuiltScene, settings: ReconstructSettings) -> StoredScene:
+def _stored(passes: HoldoutCameras, scene: BuiltScene, settings: ReconstructSettings) -> StoredScene:
     return StoredScene(
         scene.posed.views,
         scene.adapted.cameras,

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from querysplat_cli.encoders.holdout import CameraSource
+from querysplat_cli.encoders.holdout import HoldoutProtocol
 from querysplat_cli.prune.gaussians import Amount
 from querysplat_cli.queries.prepare import Target
 from querysplat_cli.scene.fit import Fit
@@ -17,7 +17,7 @@ class ReconstructSettings:
     inputs: tuple[Path, ...]
     ply: Path
     holdout_every: int | None = None
-    holdout_cameras: CameraSource = "isolated"
+    holdout_cameras: HoldoutProtocol = "isolated"
     tto: int | None = None
     tto_target: Target = "kv"
     tto_space: Space = "features"

@@ -11,7 +11,7 @@ from typing import Any
 
 import torch
 
-from querysplat_cli.encoders.holdout import CameraSource, PoseDifference
+from querysplat_cli.encoders.holdout import HoldoutProtocol, PoseDifference
 from querysplat_cli.reporting.view_scores import Quality
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.sim3 import rotation_angles
@@ -76,7 +76,7 @@ def quality_entry(quality: Quality) -> dict[str, Any]:
 
 
 def heldout_entry(
-    chosen: CameraSource, scores: dict[CameraSource, Quality | None], difference: PoseDifference | None
+    chosen: HoldoutProtocol, scores: dict[HoldoutProtocol, Quality | None], difference: PoseDifference | None
 ) -> dict[str, Any] | None:
     """The score of the kept scene, the scores of both protocols, and the distance between their cameras."""
     kept = scores.get(chosen)

@@ -12,8 +12,8 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
-from querysplat_cli.encoders.base import Encoder, Geometry
-from querysplat_cli.encoders.holdout import isolated_pass
+from querysplat_cli.encoders.base import CameraRequest, Encoder, Geometry
+from querysplat_cli.encoders.holdout import isolated_split
 from querysplat_cli.runtime.errors import ImpossibleScene, QuerySplatError
 from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera
@@ -47,12 +47,13 @@ def make_sample(
     Raises ImpossibleScene when an input or every target is lost on the way.
     """
     # The inputs come last: some encoders keep the pass that they made last for their depth and features.
-    everything = encoder.estimate_cameras(photos, max_size=max_size, seed=seed, progress=progress, known=known)
+    request = CameraRequest(max_size, seed, known)
+    everything = encoder.estimate_cameras(photos, request, progress)
     chosen = [photo for photo in photos if photo.name in inputs]
-    own = encoder.estimate_cameras(chosen, max_size=max_size, seed=seed, progress=progress, known=known)
+    own = encoder.estimate_cameras(chosen, request, progress)
     if len(own.views) < len(chosen):
         raise ImpossibleScene(f"{len(chosen) - len(own.views)} of {len(chosen)} inputs have no camera")
-    heldout = isolated_pass(own, everything, inputs)[0].heldout
+    heldout = isolated_split(own, everything, inputs)[0].heldout
     if heldout is None:
         raise ImpossibleScene("no target can be brought to the inputs' frame")
     return Sample(own.views, own.cameras, encoder.estimate_geometry(own, seed=seed, progress=progress), *heldout)

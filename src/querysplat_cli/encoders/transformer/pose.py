@@ -1,6 +1,7 @@
-"""Nine numbers for a camera, as both VGMs predict them (spec, section 12).
+"""The pose encoding of both VGMs: nine numbers for a camera (docs/reference/official-checkpoint.md).
 
-Translation 3, quaternion x y z w 4, vertical and horizontal field of view; w2c = [R | t].
+They are translation (3), quaternion x y z w (4), and vertical and horizontal field of view in radians (2), with
+world-to-camera = [R | t].
 """
 
 import torch
@@ -11,7 +12,7 @@ from querysplat_cli.scene.cameras import Cameras
 
 
 def decode_pose(encoding: Float[Tensor, "views 9"], height: int, width: int) -> Cameras:
-    """Cameras of a picture of the given size: principal point in the middle, fx and fy from their own angles.
+    """Cameras of pictures of the given size. The principal point is the middle; fx and fy follow from their angles.
 
     Quaternions may have any length and sign. A field of view of 0 gives an infinite focal length.
     """
@@ -27,7 +28,7 @@ def decode_pose(encoding: Float[Tensor, "views 9"], height: int, width: int) -> 
 
 
 def encode_pose(cameras: Cameras) -> Float[Tensor, "views 9"]:
-    """The encoding with a unit quaternion of w ≥ 0; the principal point is not in it."""
+    """The encoding with a unit quaternion of w ≥ 0. It does not contain the principal point."""
     field = torch.stack([cameras.height / 2 / cameras.K[:, 1, 1], cameras.width / 2 / cameras.K[:, 0, 0]], 1)
     return torch.cat([cameras.w2c[:, :3, 3], _quaternion(cameras.w2c[:, :3, :3]), 2 * torch.atan(field)], 1)
 
