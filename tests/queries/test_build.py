@@ -2,8 +2,6 @@
 
 import pytest
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from querysplat_cli.model.anchors import Anchors
@@ -15,7 +13,6 @@ from querysplat_cli.queries.build import (
     FINEST,
     AnchorReport,
     build_anchors,
-    quaternions,
 )
 from querysplat_cli.queries.rendering_error import with_rendering_error
 from querysplat_cli.runtime.errors import QuerySplatError
@@ -184,14 +181,6 @@ def test_blocks_beside_a_photo_keep_about_the_size_of_their_prior() -> None:
     grown = (scales / prior(anchors).scales)[9 * report.kept :, :2]
     assert report.beyond > 0
     assert float(grown.median()) < 2
-
-
-@given(st.lists(st.floats(-1, 1), min_size=4, max_size=4).filter(lambda q: sum(x * x for x in q) > 0.01))
-def test_quaternions_are_scipy_s(parts: list[float]) -> None:
-    rotation = Rotation.from_quat(parts)
-    found = quaternions(torch.from_numpy(rotation.as_matrix()))
-    again = Rotation.from_quat(found.roll(-1, -1).numpy())
-    assert (again.inv() * rotation).magnitude() < 1e-7
 
 
 def test_what_is_known_of_an_anchor_does_not_depend_on_the_frame() -> None:

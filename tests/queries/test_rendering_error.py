@@ -7,8 +7,8 @@ from torch.nn import functional as F
 from querysplat_cli.queries.rendering_error import CHANNELS, GAINS, LARGEST, rendering_error
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
+from querysplat_cli.scene.rotations import quaternion_to_matrix
 from querysplat_cli.scene.views import Views
-from querysplat_cli.splat.projection import rotation_matrices
 from querysplat_cli.splat.render import contributions, render
 
 
@@ -52,7 +52,7 @@ def test_it_is_the_descent_of_the_squared_error_by_the_reference() -> None:
     exact = gaussians.map(Tensor.double)
     sizes = {"c": 3, "o": 1, "f": 3, "s": 3}
     change = {name: torch.zeros(30, n, dtype=torch.float64).requires_grad_() for name, n in sizes.items()}
-    axes = rotation_matrices(exact.quats)
+    axes = quaternion_to_matrix(exact.quats)
     moved = Gaussians(
         exact.means + torch.einsum("nij,nj->ni", axes, exact.scales * change["f"]),
         exact.quats,

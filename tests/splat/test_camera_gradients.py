@@ -10,7 +10,7 @@ from torch.nn import functional as F
 
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.scene.sim3 import skew
+from querysplat_cli.scene.rotations import skew
 from querysplat_cli.splat.render import RenderSettings, render
 from scenes import camera, cloud
 

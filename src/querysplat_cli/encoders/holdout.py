@@ -9,7 +9,8 @@ import torch
 from querysplat_cli.encoders.base import PosedViews
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras, project
-from querysplat_cli.scene.sim3 import DegenerateAlignment, align_cameras, rotation_angles
+from querysplat_cli.scene.rotations import rotation_angles
+from querysplat_cli.scene.sim3 import DegenerateAlignment, align_cameras
 from querysplat_cli.scene.views import LeftOut, Photo, Views
 
 CameraSource = Literal["isolated", "joint"]

@@ -10,6 +10,7 @@ from torch.nn import functional as F
 from querysplat_cli.model.anchors import Anchors
 from querysplat_cli.model.config import ModelConfig
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
+from querysplat_cli.scene.rotations import quaternion_product, rotate_vectors
 
 GEOMETRY_CHANNELS = 10
 """Centre 3, scale 3, quaternion 4."""
@@ -79,31 +80,9 @@ def assemble_anchored(
     rest = torch.tanh(bands[:, 1:])
     quats = anchors.quats.flatten(0, 1)
     return Gaussians(
-        means=anchors.means.flatten(0, 1) + rotated(quats, spacing * signed_exponential(geometry[:, :3])),
+        means=anchors.means.flatten(0, 1) + rotate_vectors(quats, spacing * signed_exponential(geometry[:, :3])),
         quats=quaternion_product(quats, turn),
         scales=anchors.scales.flatten(0, 1) * torch.exp(geometry[:, 3:6].clamp(SHRINK, GROW)),
         opacities=torch.sigmoid(torch.logit(anchors.opacities.flatten(), eps=1e-6) + appearance[:, -1]),
         sh=torch.cat([first, rest], 1),
-    )
-
-
-def rotated(quats: Float[Tensor, "n 4"], vectors: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
-    """`vectors` turned by unit quaternions w, x, y, z."""
-    axis = quats[:, 1:]
-    cross = torch.linalg.cross(axis, vectors)
-    return vectors + 2 * (quats[:, :1] * cross + torch.linalg.cross(axis, cross))
-
-
-def quaternion_product(left: Float[Tensor, "n 4"], right: Float[Tensor, "n 4"]) -> Float[Tensor, "n 4"]:
-    """Hamilton product of quaternions w, x, y, z: first `right`, then `left`."""
-    w, x, y, z = left.unbind(1)
-    a, b, c, d = right.unbind(1)
-    return torch.stack(
-        [
-            w * a - x * b - y * c - z * d,
-            w * b + x * a + y * d - z * c,
-            w * c - x * d + y * a + z * b,
-            w * d + x * c - y * b + z * a,
-        ],
-        1,
     )

@@ -19,6 +19,7 @@ from querysplat_cli.model.anchors import Anchors, Neighbours
 from querysplat_cli.queries.outpaint import extend_borders
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.rotations import matrix_to_quaternion
 from querysplat_cli.scene.views import Views
 
 CELLS = 3
@@ -396,31 +397,7 @@ def _discs(cells: _Cells) -> tuple[Tensor, Tensor, Tensor]:
     length_y = (cells.along_y * axis_y).sum(-1, keepdim=True).abs()
     rotation = torch.stack([axis_x, axis_y, cells.normal], -1)
     scales = torch.cat([FILL * length_x, FILL * length_y, THICKNESS * cells.footprint[..., None]], -1)
-    return cells.point, scales, quaternions(rotation)
-
-
-def quaternions(rotation: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 4"]:
-    """Unit quaternions w, x, y, z of rotation matrices, exact to rounding at every angle.
-
-    Of the four classical formulas the one with the largest divisor is taken, so nothing is divided by
-    less than 1/2 (Shepperd 1978).
-    """
-    m = rotation
-    xx, yy, zz = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
-    squares = torch.stack([1 + xx + yy + zz, 1 + xx - yy - zz, 1 - xx + yy - zz, 1 - xx - yy + zz], -1)
-    a, b, c = m[..., 2, 1] - m[..., 1, 2], m[..., 0, 2] - m[..., 2, 0], m[..., 1, 0] - m[..., 0, 1]
-    d, e, f = m[..., 1, 0] + m[..., 0, 1], m[..., 0, 2] + m[..., 2, 0], m[..., 2, 1] + m[..., 1, 2]
-    candidates = torch.stack(
-        [
-            torch.stack([squares[..., 0], a, b, c], -1),
-            torch.stack([a, squares[..., 1], d, e], -1),
-            torch.stack([b, d, squares[..., 2], f], -1),
-            torch.stack([c, e, f, squares[..., 3]], -1),
-        ],
-        -2,
-    )
-    best = squares.argmax(-1)[..., None, None].expand(*squares.shape[:-1], 1, 4)
-    return torch.nn.functional.normalize(candidates.gather(-2, best).squeeze(-2), dim=-1)
+    return cells.point, scales, matrix_to_quaternion(rotation)
 
 
 def _patch_positions(cameras: Cameras, depth: Tensor, patch: int) -> Float[Tensor, "tokens 3"]:

@@ -14,8 +14,8 @@ from torch.nn import functional as F
 from querysplat_cli.model.anchors import Anchors
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
+from querysplat_cli.scene.rotations import quaternion_to_matrix
 from querysplat_cli.scene.views import Views
-from querysplat_cli.splat.projection import rotation_matrices
 from querysplat_cli.splat.render import contributions, render
 
 CHANNELS = 11
@@ -52,7 +52,7 @@ def rendering_error(gaussians: Gaussians, views: Views, cameras: Cameras) -> Flo
     shape = {"move": (len(gaussians), 3), "grow": (len(gaussians), 3), "fade": (len(gaussians),)}
     change = {name: torch.zeros(size).requires_grad_() for name, size in shape.items()}
     colour = gaussians.sh.detach()[:, :1].clone().requires_grad_()
-    axes = rotation_matrices(F.normalize(gaussians.quats, dim=1))
+    axes = quaternion_to_matrix(F.normalize(gaussians.quats, dim=1))
     with torch.enable_grad():
         for view in range(len(views)):
             moved = Gaussians(

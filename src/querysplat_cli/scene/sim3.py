@@ -41,53 +41,6 @@ class Sim3:
         rotation = self.rotation.T
         return Sim3(1.0 / self.scale, rotation, -(rotation @ self.translation) / self.scale)
 
-    def compose(self, first: "Sim3") -> "Sim3":
-        """The similarity that applies `first`, then this one."""
-        return Sim3(
-            self.scale * first.scale,
-            self.rotation @ first.rotation,
-            self.scale * self.rotation @ first.translation + self.translation,
-        )
-
-
-def skew(vectors: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3 3"]:
-    """The matrices that take the cross product with `vectors` from the left; their exponentials turn about these."""
-    x, y, z = vectors.unbind(1)
-    zero = torch.zeros_like(x)
-    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
-    return torch.stack([torch.stack(row, 1) for row in rows], 1)
-
-
-def rotation_angles(rotations: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch"]:
-    """Angles of rotations in degrees; accurate near 0 and near 180."""
-    skew = rotations - rotations.mT
-    sine = torch.stack([skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0]]).norm(dim=0) / 2
-    cosine = (rotations.diagonal(dim1=-2, dim2=-1).sum(-1) - 1) / 2
-    return torch.rad2deg(torch.atan2(sine, cosine))
-
-
-def align_sim3(source: Float[Tensor, "n 3"], target: Float[Tensor, "n 3"]) -> Sim3:
-    """Least-squares similarity with target ≈ s·R·source + t (Umeyama 1991, eq. 40–43).
-
-    Needs n ≥ 3 points that do not lie on one line; raises DegenerateAlignment otherwise,
-    because scale and rotation about that line are then free. Both in scene units.
-    """
-    x, y = source.double(), target.double()
-    mean_x, mean_y = x.mean(0), y.mean(0)
-    centred_x, centred_y = x - mean_x, y - mean_y
-    spread = torch.linalg.svdvals(centred_x)
-    if len(x) < 3 or spread[1] <= 1e-6 * spread[0]:
-        raise DegenerateAlignment(
-            f"{len(x)} points that coincide or lie on one line do not fix a similarity",
-            "Use at least three cameras that are not in a row.",
-        )
-    u, singular, vt = torch.linalg.svd(centred_y.T @ centred_x)
-    sign = torch.ones(3, dtype=torch.float64)
-    sign[2] = torch.sign(torch.linalg.det(u) * torch.linalg.det(vt))
-    rotation = u @ torch.diag(sign) @ vt
-    scale = float((singular * sign).sum() / centred_x.square().sum())
-    return Sim3(scale, rotation, mean_y - scale * rotation @ mean_x)
-
 
 def align_cameras(source: Float[Tensor, "n 4 4"], target: Float[Tensor, "n 4 4"]) -> Sim3:
     """Similarity that maps the world of `source` onto the world of `target`, from n shared cameras.

@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from querysplat_cli.scene.gaussians import SH_0, SH_1, SH_2, SH_3, Gaussians
+from querysplat_cli.scene.rotations import quaternion_to_matrix
 from querysplat_cli.splat.conventions import (
     CLAMP_MARGIN,
     COLOUR_LIMIT,
@@ -60,7 +61,7 @@ def project(
     jacobian = torch.stack(
         [torch.stack([fx / z, zero, -fx * slope_x / z], 1), torch.stack([zero, fy / z, -fy * slope_y / z], 1)], 1
     )
-    axes = jacobian @ rotation @ rotation_matrices(quats) * scales[:, None, :]
+    axes = jacobian @ rotation @ quaternion_to_matrix(quats) * scales[:, None, :]
     first, second = axes[:, 0], axes[:, 1]
     low_pass = settings.low_pass
     xx, yy = first.square().sum(1) + low_pass, second.square().sum(1) + low_pass
@@ -75,18 +76,6 @@ def project(
         opacity=gaussians.opacities,
         visible=visible,
     )
-
-
-def rotation_matrices(quats: Float[Tensor, "n 4"]) -> Float[Tensor, "n 3 3"]:
-    """Rotation matrices of quaternions w, x, y, z of any length but 0."""
-    size = quats.abs().amax(1, keepdim=True)  # keeps the norm's squares in range for lengths of 1e±20
-    w, x, y, z = torch.nn.functional.normalize(quats / size, dim=1).unbind(1)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return torch.stack([torch.stack(row, 1) for row in rows], 1)
 
 
 def colours(sh: Float[Tensor, "n bands 3"], directions: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:

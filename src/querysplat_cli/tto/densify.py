@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
-from querysplat_cli.splat.projection import rotation_matrices
+from querysplat_cli.scene.rotations import quaternion_to_matrix
 from querysplat_cli.splat.render import render
 from querysplat_cli.tto.rendering_loss import RenderingLoss
 
@@ -45,7 +45,7 @@ def split(gaussians: Gaussians) -> tuple[Gaussians, Gaussians]:
     rows = torch.arange(len(longest), device=longest.device)
     narrower = math.sqrt(1 - APART**2)
     overlap = narrower * math.exp(-((APART / narrower) ** 2)) / 2
-    axis = rotation_matrices(gaussians.quats)[rows, :, longest]
+    axis = quaternion_to_matrix(gaussians.quats)[rows, :, longest]
     aside = APART * gaussians.scales[rows, longest, None] * axis
     scales = gaussians.scales.clone()
     scales[rows, longest] *= narrower
