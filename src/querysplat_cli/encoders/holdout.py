@@ -8,7 +8,7 @@ import torch
 
 from querysplat_cli.encoders.base import PosedViews
 from querysplat_cli.runtime.errors import QuerySplatError
-from querysplat_cli.scene.cameras import Cameras, project
+from querysplat_cli.scene.cameras import Cameras, project_points
 from querysplat_cli.scene.rotations import rotation_angles
 from querysplat_cli.scene.sim3 import DegenerateAlignment, align_cameras
 from querysplat_cli.scene.views import LeftOut, Photo, Views
@@ -155,5 +155,5 @@ def _pose_difference(own: PosedViews, rows: Sequence[int], others: Cameras) -> P
         degrees.append(rotation_angles(w2c[:3, :3] @ mine[:3, :3].T))
         points = own.points[own.visibility[row]].double()
         if len(points):
-            pixels.append((project(points, mine, lens) - project(points, w2c, K)).norm(dim=1).median())
+            pixels.append((project_points(points, mine, lens) - project_points(points, w2c, K)).norm(dim=1).median())
     return PoseDifference(float(torch.stack(degrees).mean()), float(torch.stack(pixels).mean()) if pixels else None)

@@ -150,7 +150,7 @@ def plucker_rays(cameras: Cameras) -> Float[Tensor, "views 6 height width"]:
 
 
 def _plucker_rays(cameras: Cameras) -> Float[Tensor, "views 6 height width"]:
-    fx, fy, cx, cy = (cameras.K[:, i, j, None, None] for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    fx, fy, cx, cy = (part[:, None, None] for part in cameras.intrinsics)
     columns, rows = (torch.arange(size).to(cameras.K) + 0.5 for size in (cameras.width, cameras.height))
     x = (columns - cx) / fx
     y = (rows[:, None] - cy) / fy

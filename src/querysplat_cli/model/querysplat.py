@@ -109,7 +109,7 @@ class QuerySplat(nn.Module):
         cameras: Cameras,
     ) -> Memories:
         """Keys and values of both branches. `images` in [0, 1], sides multiples of the patch."""
-        return self.project(self.embed(features, images, cameras))
+        return self.keys_and_values(self.embed(features, images, cameras))
 
     def embed(
         self,
@@ -120,7 +120,7 @@ class QuerySplat(nn.Module):
         """Tokens of both branches: the first half of `encode`."""
         return Features(self.layer_mixer(features, self.eye_token), self.photo_embedding(images, cameras))
 
-    def project(self, features: Features) -> Memories:
+    def keys_and_values(self, features: Features) -> Memories:
         """Keys and values of tokens: the second half of `encode`."""
         return Memories(*self.geometry_memory(features.geometry), *self.appearance_memory(features.appearance))
 
@@ -132,7 +132,7 @@ class QuerySplat(nn.Module):
         if (anchors is not None) != (self.config.queries == "anchored"):
             raise QuerySplatError("anchored queries need anchors, and learned ones take none", "This is a bug.")
         if isinstance(memories, Features):
-            memories = self.project(memories)
+            memories = self.keys_and_values(memories)
         if anchors is None:
             tokens = self.geometry_tokens(memories)
             after = self.appearance_tokens(tokens, memories)

@@ -218,9 +218,9 @@ def build_scene(
             posed,
             geometry,
             queries=settings.queries,
-            about=None if settings.keep_everything or settings.tto == 0 else QUERIES,
+            soft_query_limit=None if settings.keep_everything or settings.tto == 0 else QUERIES,
             target=settings.tto_target,
-            everything=settings.keep_everything,
+            keep_all=settings.keep_everything,
         )
         geometry = replace(geometry, features=())
     with stages("tto") as progress:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from querysplat_cli.scene.cameras import Cameras, project
+from querysplat_cli.scene.cameras import Cameras, project_points
 
 STILL = 0.004
 """Share of the picture's width that the scene's points must move by, in the median, from one view to another."""
@@ -31,5 +31,5 @@ def _same(cameras: Cameras, points: Tensor, visibility: Sequence[Tensor], view: 
     shared = visibility[view][torch.isin(visibility[view], visibility[other])]
     if not len(shared) or len(shared) < COMMON * len(visibility[view]):
         return False
-    here, there = (project(points[shared], cameras.w2c[each], cameras.K[each]) for each in (view, other))
+    here, there = (project_points(points[shared], cameras.w2c[each], cameras.K[each]) for each in (view, other))
     return float((here - there).norm(dim=1).median()) < STILL * cameras.width

@@ -119,7 +119,7 @@ def adapt(
         if result.interrupted:
             break
     assert gaussians is not None
-    memories = variables if isinstance(variables, Memories) else model.project(variables)
+    memories = variables if isinstance(variables, Memories) else model.keys_and_values(variables)
     return Adapted(memories, gaussians, target.cameras, tuple(runs), kept, pruned)
 
 
