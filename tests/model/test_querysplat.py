@@ -116,11 +116,11 @@ def test_plucker_rays_pass_through_their_camera_and_their_pixel() -> None:
 
 
 def test_blocks_run_again_backward_give_the_same_gradient() -> None:
-    """Learned queries forget what is between blocks; the gradient is that of the plain chain."""
+    """For learned queries nothing is stored inside a block; the gradient is that of the plain chain."""
     torch.manual_seed(0)
     model = QuerySplat(TINY).requires_grad_(False)
     for block in (*model.geometry_decoder.blocks, *model.appearance_decoder.blocks):
-        for scale in (block.cross_scale, block.among_scale, block.mlp_scale):
+        for scale in (block.cross_scale, block.self_attention_scale, block.mlp_scale):
             scale.gamma.fill_(0.3)
     shape = (20, TINY.heads, TINY.width // TINY.heads)
     stored = Memories(*(torch.randn(shape) for _ in range(4))).map(lambda tensor: tensor.requires_grad_())
@@ -128,10 +128,10 @@ def test_blocks_run_again_backward_give_the_same_gradient() -> None:
     found = torch.autograd.grad(model.decode(stored).means.sum() + model.decode(stored).sh.sum(), tensors)
     tokens = torch.cat([model.eye_token, model.geometry_queries])
     for block in model.geometry_decoder.blocks:
-        tokens = block(tokens, stored.geometry_keys, stored.geometry_values)
+        tokens = block(tokens, stored.geometry())
     after = tokens[1:] + model.appearance_queries
     for block in model.appearance_decoder.blocks:
-        after = block(after, stored.appearance_keys, stored.appearance_values)
+        after = block(after, stored.appearance())
     made = assemble(*model._raw(tokens[1:], after), TINY)
     expected = torch.autograd.grad(made.means.sum() + made.sh.sum(), tensors)
     for ours, theirs in zip(found, expected, strict=True):

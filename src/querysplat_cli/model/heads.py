@@ -16,7 +16,7 @@ GEOMETRY_CHANNELS = 10
 """Centre 3, scale 3, quaternion 4."""
 OPACITY_BIAS = 2.0
 LARGEST_EXPONENT = 40.0
-"""exp is linear beyond this: a raw number of 1e4 stays finite, and so does the square of its gradient."""
+"""Beyond this exp continues as its tangent: for a raw number of 1e4, it and its squared gradient stay finite."""
 SHRINK, GROW = -4.0, 2.0
 """Bounds of the change of a prior's log-scale."""
 
@@ -36,7 +36,7 @@ def signed_exponential(raw: Tensor) -> Tensor:
 def activate_geometry(
     raw: Float[Tensor, "*n 10"], config: ModelConfig
 ) -> tuple[Float[Tensor, "*n 3"], Float[Tensor, "*n 3"], Float[Tensor, "*n 4"]]:
-    """Centre without its z offset, scale, quaternion (spec, section 5). A raw quaternion of 0 stays 0."""
+    """Centre without its z offset, scale, quaternion (paper, section 3.3). A raw quaternion of 0 stays 0."""
     cap = math.log(config.scale_cap)
     scale = torch.exp((raw[..., 3:6] - (1 - cap)).clamp_max(cap))
     return signed_exponential(raw[..., :3]), scale, F.normalize(raw[..., 6:], dim=-1)
@@ -45,7 +45,7 @@ def activate_geometry(
 def activate_appearance(
     raw: Float[Tensor, "*n channels"], config: ModelConfig
 ) -> tuple[Float[Tensor, "*n bands 3"], Float[Tensor, "*n"]]:
-    """SH and opacity (spec, section 6)."""
+    """SH coefficients and opacity (paper, section 3.3)."""
     bands = raw[..., :-1].unflatten(-1, (config.sh_bands, 3))
     first = 0.5 * torch.tanh(bands[..., :1, :]) / SH_0
     rest = config.sh_rest_scale * torch.tanh(bands[..., 1:, :])
