@@ -6,10 +6,11 @@ import pytest
 import torch
 from model_scenes import PATCHES, VIEWS, anchors, compact, memories, photos
 
+from querysplat_cli.model.anchors import Neighbours
 from querysplat_cli.model.config import ModelConfig, preset
 from querysplat_cli.model.heads import assemble
 from querysplat_cli.model.initialise import initial_model
-from querysplat_cli.model.memories import Memories, attended_rows, plucker_rays
+from querysplat_cli.model.memories import Memories, Memory, attended_rows, plucker_rays
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.gaussians import SH_0
@@ -76,19 +77,18 @@ def test_rows_that_nobody_attends_to_can_go() -> None:
     assert all(torch.equal(a, b) for a, b in zip(before.__dict__.values(), after.__dict__.values(), strict=True))
 
 
-def test_local_decoding_equals_global_decoding_when_everything_is_near() -> None:
-    """Every query near every row: the anchored road and the learned one are the same decoder."""
+def test_local_decoding_equals_global_decoding_when_every_row_is_near() -> None:
+    """Each query has all rows as its neighbours: anchored and learned queries then share one result."""
     config = compact(width=16, heads=2, gaussians_per_query=1)
     torch.manual_seed(0)
     model = QuerySplat(config).double().requires_grad_(False)
     tokens, keys, values = (torch.randn(*shape, dtype=torch.float64) for shape in ((5, 16), (9, 2, 8), (9, 2, 8)))
-    from querysplat_cli.model.anchors import Neighbours
 
     def everyone(rows: int) -> Neighbours:
         return Neighbours(torch.arange(rows).expand(5, -1), torch.zeros(5, rows, dtype=torch.float64))
 
-    local = model.geometry_decoder(tokens, keys, values, everyone(9), everyone(5))
-    torch.testing.assert_close(local, model.geometry_decoder(tokens, keys, values), rtol=1e-12, atol=1e-12)
+    local = model.geometry_decoder(tokens, Memory(keys, values, everyone(9)), everyone(5))
+    torch.testing.assert_close(local, model.geometry_decoder(tokens, Memory(keys, values)), rtol=1e-12, atol=1e-12)
 
 
 def test_anchors_and_learned_queries_are_not_mixed_up() -> None:

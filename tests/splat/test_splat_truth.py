@@ -153,7 +153,7 @@ def test_auto_takes_the_reference_for_float64_and_the_kernel_otherwise() -> None
 
 
 def test_an_unknown_backend_is_refused() -> None:
-    with pytest.raises(QuerySplatError, match="no splatter called vulkan"):
+    with pytest.raises(QuerySplatError, match="no splatter named 'vulkan'"):
         render(cloud(0, 5, camera(8, 8)), camera(8, 8), backend="vulkan")
 
 

@@ -1,9 +1,9 @@
 """Tiles, their lists of Gaussians, and blending with its derivative, compiled.
 
-A picture is cut into tiles of WIDE × HIGH pixels. The Gaussians, sorted by depth once, are dealt to the tiles
-that their ellipse α ≥ alpha_min really touches, so every tile's list is in depth order without a sort of its
-own. Tiles are blended independently, one Gaussian after the other, WIDE pixels of a row at a time: the inner
-loops over `c` have constant length and no branches, and become a handful of vector instructions.
+A picture is cut into tiles of WIDE × HIGH pixels. The Gaussians are sorted by depth once, and then assigned to the
+tiles that their ellipse α ≥ alpha_min touches, so every tile's list is in depth order without a sort of its own. Tiles
+are blended independently, one Gaussian after the other, WIDE pixels of a row at a time. The inner loops over `c` have
+constant length and no branches, and become a few vector instructions.
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
@@ -36,10 +36,10 @@ from querysplat_cli.splat.compiled_projection import (
 WIDE, HIGH = 16, 32
 PIXELS = WIDE * HIGH
 PLANES = 5
-"""What is blended: red, green, blue, 1 (alpha) and z."""
+"""The values that are blended: red, green, blue, 1 (for alpha) and z."""
 PLANE_PIXELS = PLANES * PIXELS
 SUMS = 7
-"""What the backward pass sums over a column: −∂loss/∂σ times 1, dy, dy²; red, green, blue, z."""
+"""The sums of the backward pass over a column: −∂loss/∂σ times 1, dy, dy²; red, green, blue, z."""
 COLUMN_SUMS = SUMS * WIDE
 
 AHEAD = 4

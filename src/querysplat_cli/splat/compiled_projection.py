@@ -19,7 +19,7 @@ from querysplat_cli.splat.conventions import (
 
 X, Y, A, B, C, OPACITY, RED, GREEN, BLUE, DEPTH, HALF_WIDTH, HALF_HEIGHT, LOST = range(13)
 """Columns of a projected row: centre and half extent in pixels (0: not visible), and the conic's factor, px⁻¹:
-2σ = (A·dx + B·dy)² + (C·dy)². A needle keeps its digits so, which the three terms of the conic would cancel.
+2σ = (A·dx + B·dy)² + (C·dy)². In this form a needle keeps its digits, which the three terms of the conic would cancel.
 LOST = −ln(opacity), so that α = exp(−σ − LOST)."""
 COLUMNS = 13
 XX, XY, YY = A, B, C
@@ -92,7 +92,7 @@ def _fill_slopes(slope, bands, x, y, z):
 
 
 @nb.njit(cache=True, error_model="numpy", parallel=True)
-def project(means, quats, scales, opacities, sh, view, limits, rows, depths):
+def project_view(means, quats, scales, opacities, sh, view, limits, rows, depths):
     """Fill rows [n, COLUMNS] for one view, and depths [n]: ∞ for what is not visible."""
     n = means.shape[0]
     bands = sh.shape[1]
@@ -163,7 +163,7 @@ def project(means, quats, scales, opacities, sh, view, limits, rows, depths):
             rows[i, A], rows[i, B], rows[i, C] = np.sqrt(yy / det), -xy / np.sqrt(yy * det), 1 / np.sqrt(yy)
             rows[i, OPACITY], rows[i, LOST], rows[i, DEPTH] = opacity, -np.log(opacity), z
             depths[i] = z
-            # A hair more than float32 rounding, so that the extent never cuts what the threshold keeps.
+            # Slightly more than float32 rounding, so that the extent never cuts off a pixel that the threshold keeps.
             rows[i, HALF_WIDTH], rows[i, HALF_HEIGHT] = half_width * 1.0001 + 1e-3, half_height * 1.0001 + 1e-3
 
 
@@ -199,7 +199,7 @@ def by_depth(bits):
 
 
 @nb.njit(cache=True, error_model="numpy", parallel=True)
-def project_backward(
+def project_view_backward(
     means,
     quats,
     scales,
@@ -216,9 +216,12 @@ def project_backward(
     d_sh,
     d_view,
 ):
-    """Add to the five gradients what `given` [parts, n, GRADIENT_COLUMNS] (summed over parts) implies, and to each
-    row of `d_view` [chunks(n), VIEW_COLUMNS] what its Gaussians say of the camera: the gradient with respect to the
-    rotation about the camera's centre (9 numbers), to minus the centre (3), and to fx, fy, cx, cy."""
+    """Add to the five gradients and to `d_view` what follows from `given`, the gradient of the projected rows.
+
+    `given` [parts, n, GRADIENT_COLUMNS] is summed over parts. Each row of `d_view` [chunks(n), VIEW_COLUMNS] belongs to
+    the Gaussians of one chunk: the gradient with respect to the rotation about the camera's centre (9 numbers), to
+    minus the centre (3), and to fx, fy, cx, cy.
+    """
     n = means.shape[0]
     bands = sh.shape[1]
     low_pass = limits[2]

@@ -1,4 +1,4 @@
-"""Gaussians transform_gaussians by a similarity: centres, sizes, orientations, and the directions of their colours."""
+"""Gaussians in the world of a similarity: centres, sizes, orientations, and the directions of their colours."""
 
 import torch
 from jaxtyping import Float
@@ -14,7 +14,7 @@ DIRECTIONS = 64
 
 
 def transform_gaussians(gaussians: Gaussians, similarity: Sim3) -> Gaussians:
-    """The same scene in the world that `similarity` maps to: a render from moved cameras is the render from before."""
+    """The same scene in the world that `similarity` maps to. With cameras transformed alike, renders do not change."""
     rotation = similarity.rotation
     quats = quaternion_product(matrix_to_quaternion(rotation.double()), gaussians.quats.double())
     bands = rotate_sh(gaussians.sh.double(), rotation)
@@ -30,8 +30,8 @@ def transform_gaussians(gaussians: Gaussians, similarity: Sim3) -> Gaussians:
 def rotate_sh(sh: Float[Tensor, "n bands 3"], rotation: Float[Tensor, "3 3"]) -> Float[Tensor, "n bands 3"]:
     """Coefficients of the function that has at R·d the value that `sh` has at d, degree 0 to 3, float64.
 
-    A rotated basis function is a sum of those of its own degree; the weights solve a small least-squares problem
-    whose residual is zero.
+    A rotated basis function is a weighted sum of those of its own degree. The weights solve a small least-squares
+    problem whose residual is zero.
     """
     generator = torch.Generator().manual_seed(0)
     directions = torch.nn.functional.normalize(torch.randn(DIRECTIONS, 3, generator=generator).double(), dim=1)
