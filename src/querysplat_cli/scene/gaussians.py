@@ -1,4 +1,4 @@
-"""The scene itself: a set of 3D Gaussians."""
+"""A scene: a set of 3D Gaussians."""
 
 import math
 from dataclasses import dataclass

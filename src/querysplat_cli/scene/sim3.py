@@ -8,16 +8,16 @@ from torch import Tensor
 
 from querysplat_cli.runtime.errors import ImpossibleScene
 
-MANY_ENOUGH = 4
-"""Cameras from which one that is wrong can be told: without it, three agree in rotation, direction and scale."""
-OUTLYING = 5.0
-"""How many times further off than any other a camera must be to be left out."""
-NOISE = 1e-6
-"""Error below which cameras agree perfectly."""
+FEWEST_WITH_OUTLIER = 4
+"""With fewer cameras no outlier is sought: three that agree in rotation, direction and scale must remain."""
+OUTLIER_RATIO = 5.0
+"""A camera is an outlier if its error is at least this many times the largest error of the others."""
+PERFECT_FIT = 1e-6
+"""Errors below this count as this much, so that rounding makes no outliers."""
 
 
 class DegenerateAlignment(ImpossibleScene):
-    """The correspondences leave part of the similarity free."""
+    """The cameras leave part of the similarity free."""
 
 
 @dataclass(frozen=True)
@@ -45,11 +45,11 @@ class Sim3:
 def align_cameras(source: Float[Tensor, "n 4 4"], target: Float[Tensor, "n 4 4"]) -> Sim3:
     """Similarity that maps the world of `source` onto the world of `target`, from n shared cameras.
 
-    Both are world-to-camera matrices of the same cameras in two frames. Rotation is the chordal mean of
-    the relative camera rotations, so that two cameras, or cameras in a row, are enough; scale is the
-    ratio of the spreads of the centres and translation joins their means. Of four or more cameras, one
-    that does not fit while the others agree without it is left out. Raises DegenerateAlignment with fewer
-    than two cameras, when the centres coincide (scale is then free), or no positive scale fits.
+    Both are world-to-camera matrices of the same cameras in two frames. The rotation is the chordal mean of the
+    relative camera rotations, so that two cameras, or cameras in a row, are enough. The scale is the least-squares
+    one between the centres around their means, and the translation maps one mean onto the other. Of four or more
+    cameras, an outlier is left out. Raises DegenerateAlignment with fewer than two cameras, when the centres coincide
+    (the scale is then free), and when no positive scale fits.
     """
     a, b = source.double(), target.double()
     outlier = _outlier(a, b)
@@ -60,8 +60,8 @@ def align_cameras(source: Float[Tensor, "n 4 4"], target: Float[Tensor, "n 4 4"]
 
 
 def _outlier(a: Float[Tensor, "n 4 4"], b: Float[Tensor, "n 4 4"]) -> int | None:
-    """The camera without which the others agree at least `OUTLYING` times better, and which is as far off."""
-    if len(a) < MANY_ENOUGH:
+    """The camera that fits worst when the others are aligned without it, if its error is that of an outlier."""
+    if len(a) < FEWEST_WITH_OUTLIER:
         return None
     worst, without = 1.0, None
     for i in range(len(a)):
@@ -70,14 +70,14 @@ def _outlier(a: Float[Tensor, "n 4 4"], b: Float[Tensor, "n 4 4"]) -> int | None
             error = _errors(_align_all(a[rest], b[rest]), a, b)
         except DegenerateAlignment:
             continue
-        ratio = float(error[i] / error[rest].max().clamp_min(NOISE))
-        if ratio > max(worst, OUTLYING):
+        ratio = float(error[i] / error[rest].max().clamp_min(PERFECT_FIT))
+        if ratio > max(worst, OUTLIER_RATIO):
             worst, without = ratio, i
     return without
 
 
 def _errors(similarity: Sim3, a: Float[Tensor, "n 4 4"], b: Float[Tensor, "n 4 4"]) -> Float[Tensor, "n"]:
-    """Of each camera: chordal distance of rotations, and distance of centres in units of their median spread."""
+    """For each camera: chordal distance of rotations, plus distance of centres in units of their median spread."""
     centres_a, centres_b = _centres(a), _centres(b)
     turned = a[:, :3, :3] @ similarity.rotation.T - b[:, :3, :3]
     apart = (similarity.apply(centres_a) - centres_b).norm(dim=1)
@@ -90,7 +90,7 @@ def _centres(w2c: Float[Tensor, "n 4 4"]) -> Float[Tensor, "n 3"]:
 
 
 def _align_all(a: Float[Tensor, "n 4 4"], b: Float[Tensor, "n 4 4"]) -> Sim3:
-    """The similarity of all cameras."""
+    """The similarity that fits all cameras."""
     rotation_a, rotation_b = a[:, :3, :3], b[:, :3, :3]
     centres_a, centres_b = _centres(a), _centres(b)
     u, _, vt = torch.linalg.svd((rotation_b.mT @ rotation_a).sum(0))

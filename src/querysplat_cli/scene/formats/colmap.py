@@ -11,7 +11,7 @@ from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.photos import short_names
 
 MODEL_FOLDERS = ("", "0", "sparse", "sparse/0", "colmap/sparse/0")
-"""Where a model may lie in a folder that the user names."""
+"""Where a model may be in a folder that the user gives."""
 DISTORTION = {
     "SIMPLE_PINHOLE": (),
     "PINHOLE": (),
@@ -43,7 +43,7 @@ def read_colmap(folder: Path) -> dict[str, PhotoCamera]:
         camera = model.cameras[image.camera_id]
         if camera.model_name not in DISTORTION:
             raise QuerySplatError(
-                f"{folder}: the lens of {name} is {camera.model_name}; known are {', '.join(DISTORTION)}",
+                f"{folder}: the lens model of {name} is {camera.model_name}; supported are {', '.join(DISTORTION)}",
                 "Undistort the photos first, with `colmap image_undistorter`.",
             )
         w2c = np.eye(4)
@@ -64,21 +64,21 @@ def read_colmap(folder: Path) -> dict[str, PhotoCamera]:
 
 
 def write_colmap(folder: Path, cameras: Mapping[str, PhotoCamera], *, text: bool = False) -> None:
-    """Write a model without points into the empty `folder`; photos whose lenses are equal share one camera."""
+    """Write a model without points into the empty `folder`; photos with equal intrinsics share one camera."""
     import pycolmap
 
     model = pycolmap.Reconstruction()
     numbers: dict[tuple[object, ...], int] = {}
     for image_id, (name, camera) in enumerate(cameras.items(), start=1):
         distorted = any(camera.distortion)
-        lens = (*camera.focal, *camera.principal, *(camera.distortion if distorted else ()))
-        key = (camera.width, camera.height, *lens)
+        intrinsics = (*camera.focal, *camera.principal, *(camera.distortion if distorted else ()))
+        key = (camera.width, camera.height, *intrinsics)
         if key not in numbers:
             numbers[key] = len(numbers) + 1
             kind = "OPENCV" if distorted else "PINHOLE"
             size = {"width": camera.width, "height": camera.height}
             model.add_camera_with_trivial_rig(
-                pycolmap.Camera(model=kind, **size, params=list(lens), camera_id=numbers[key])
+                pycolmap.Camera(model=kind, **size, params=list(intrinsics), camera_id=numbers[key])
             )
         image = pycolmap.Image(name=name, camera_id=numbers[key], image_id=image_id)
         model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(camera.w2c[:3]))
@@ -86,7 +86,7 @@ def write_colmap(folder: Path, cameras: Mapping[str, PhotoCamera], *, text: bool
 
 
 def copy_colmap(source: Path, folder: Path, *, text: bool = False) -> None:
-    """Write the model in `source`, points and all, into the empty `folder`, binary or as text."""
+    """Write the model in `source`, points included, into the empty `folder`, binary or as text."""
     model = _opened(source)
     (model.write_text if text else model.write_binary)(folder)
 
