@@ -30,7 +30,7 @@ def test_signed_exponential_and_its_slope(dtype: torch.dtype, tolerance: float) 
     torch.testing.assert_close(slope, x.abs().exp(), rtol=tolerance, atol=0)
 
 
-def test_signed_exponential_goes_on_straight_where_it_would_overflow() -> None:
+def test_signed_exponential_continues_as_its_tangent_where_it_would_overflow() -> None:
     x = torch.tensor([-50.0, 45.0], requires_grad=True)
     (slope,) = torch.autograd.grad(signed_exponential(x).sum(), x)
     torch.testing.assert_close(slope, torch.full((2,), math.exp(40)))
@@ -60,7 +60,7 @@ def test_scale_cap_and_colour_bounds() -> None:
 @pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])
 @pytest.mark.parametrize("kind", ["official", "anchored"])
 def test_extreme_raw_numbers_stay_finite_with_their_gradients(dtype: torch.dtype, kind: str) -> None:
-    """Stability row 27."""
+    """Row 27 of docs/reference/stability-cases.md: raw numbers saturate."""
     config = compact()
     scene = anchors(config, queries=len(EXTREMES))
     count = len(EXTREMES) * config.gaussians_per_query

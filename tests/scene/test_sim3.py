@@ -89,7 +89,7 @@ def test_one_wrong_camera_does_not_move_the_others(seed: int, count: int, kind: 
     torch.testing.assert_close(found.rotation, truth.rotation, rtol=0, atol=0.02)
 
 
-def test_nobody_is_left_out_for_a_little_noise() -> None:
+def test_no_camera_is_left_out_for_a_little_noise() -> None:
     before = cameras(1, 6)
     w2c = before.w2c.clone()
     w2c[:, :3, 3] += 0.01 * torch.from_numpy(np.random.default_rng(0).normal(size=(6, 3)))
@@ -98,7 +98,7 @@ def test_nobody_is_left_out_for_a_little_noise() -> None:
     assert all(abs(everybody.scale - each.scale) > 1e-9 for each in alone)
 
 
-def test_cameras_that_disagree_altogether_are_refused() -> None:
+def test_cameras_without_a_positive_scale_are_refused() -> None:
     before = cameras(5, 2)
     after = before.w2c.clone()
     after[:, :3, 3] = after[[1, 0], :3, 3]
