@@ -5,7 +5,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from querysplat_cli.queries.policy import QUERY_POLICY
-from querysplat_cli.queries.rendering_error import CHANNELS, error_gains, rendering_error
+from querysplat_cli.queries.rendering_error import ERROR_CHANNELS, error_gains, rendering_error
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
 from querysplat_cli.scene.rotations import quaternion_to_matrix
@@ -40,7 +40,7 @@ def photos(images: Tensor) -> Views:
 def test_a_scene_that_looks_like_its_photos_has_no_error() -> None:
     gaussians, cameras = scene()
     found = rendering_error(gaussians, photos(render(gaussians, cameras).colour), cameras)
-    assert found.shape == (30, CHANNELS)
+    assert found.shape == (30, ERROR_CHANNELS)
     assert found[:, :-1].abs().max() < 1e-3
     torch.testing.assert_close(found[:, -1], (contributions(gaussians, cameras) + 1).log() / 4)
 

@@ -4,11 +4,11 @@
 import numba as nb
 import numpy as np
 
-SUMS = {"reassoc", "contract", "nsz"}
+REORDERED_SUMS = {"reassoc", "contract", "nsz"}
 """Sums may be vectorised; NaN and infinities stay what they are."""
 
 
-@nb.njit(cache=True, error_model="numpy", fastmath=SUMS, parallel=True)
+@nb.njit(cache=True, error_model="numpy", fastmath=REORDERED_SUMS, parallel=True)
 def attend_forward(query, keys, values, index, bias, attended, weights):
     """Fill attended [queries, heads, channels] and weights [queries, heads, near]."""
     queries, heads, channels = query.shape
@@ -39,7 +39,7 @@ def attend_forward(query, keys, values, index, bias, attended, weights):
                     result[c] += share * v[c]
 
 
-@nb.njit(cache=True, error_model="numpy", fastmath=SUMS, parallel=True)
+@nb.njit(cache=True, error_model="numpy", fastmath=REORDERED_SUMS, parallel=True)
 def backward_to_queries(query, keys, values, index, weights, given, by_query, by_logit):
     """Fill by_query, and by_logit with ∂s/√channels."""
     queries, heads, channels = query.shape
@@ -66,7 +66,7 @@ def backward_to_queries(query, keys, values, index, weights, given, by_query, by
                     result[c] += change * k[c]
 
 
-@nb.njit(cache=True, error_model="numpy", fastmath=SUMS, parallel=True)
+@nb.njit(cache=True, error_model="numpy", fastmath=REORDERED_SUMS, parallel=True)
 def backward_to_memory(query, index, weights, by_logit, given, by_key, by_value):
     """Fill by_key and by_value, each row by one thread and in the order of the queries."""
     heads, channels = query.shape[1:]

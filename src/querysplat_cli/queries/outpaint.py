@@ -78,6 +78,6 @@ def _shares(
     The last channel is the share of the cell that lies inside the mask.
     """
     height, width = mask.shape
-    known = torch.where(mask, torch.cat([picture, torch.ones(1, height, width)]), 0)
-    whole = F.pad(known, (0, -width % cell, 0, -height % cell))
+    weighted = torch.where(mask, torch.cat([picture, torch.ones(1, height, width)]), 0)
+    whole = F.pad(weighted, (0, -width % cell, 0, -height % cell))
     return F.pad(F.avg_pool2d(whole[None], cell)[0], (ring,) * 4)

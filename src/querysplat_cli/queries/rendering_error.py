@@ -19,7 +19,7 @@ from querysplat_cli.scene.rotations import quaternion_to_matrix
 from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.render import contributions, render
 
-CHANNELS = 11
+ERROR_CHANNELS = 11
 """Numbers for each Gaussian: colour 3, opacity, centre along its own axes 3, size along them 3, pixels."""
 
 
@@ -41,7 +41,7 @@ def prior_gaussians(anchors: Anchors) -> Gaussians:
 
 
 def error_gains() -> Float[Tensor, "10"]:
-    """The factor of each slope, in the order of `CHANNELS`."""
+    """The factor of each slope, in the order of `ERROR_CHANNELS`."""
     policy = QUERY_POLICY
     return torch.tensor([policy.colour_gain] * 3 + [policy.opacity_gain] + [policy.shape_gain] * 6)
 

@@ -21,8 +21,8 @@ IMAGENET_STD = (0.229, 0.224, 0.225)
 def network_views(photos: Sequence[Photo], size: int, patch: int, fit: Fit) -> Views:
     """The photos as inputs of a network: sides of at most `size` pixels, multiples of `patch`.
 
-    A padded photo stands in the middle of its canvas, white around it and masked there, so that its optical
-    axis stays in the middle.
+    A padded photo is centred on its canvas, which is white and masked around it, so that the optical axis stays in the
+    middle.
     """
     side = size // patch * patch
     pixels = [torch.from_numpy(np.ascontiguousarray(photo.pixels)).permute(2, 0, 1) for photo in photos]

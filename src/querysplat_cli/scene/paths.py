@@ -13,7 +13,7 @@ from querysplat_cli.scene.cameras import Cameras
 RING_GAP = 2.1
 """The inputs surround their middle when no gap between their directions is wider than this, in radians."""
 LEAST_SWAY = 0.05
-"""Half the width and height of the path in radians, where all inputs stand in one place."""
+"""Half the width and height of the path in radians, where all inputs were taken from one place."""
 LEVEL_WEIGHT = 1e3
 """Weight of the pictures' horizontal axes relative to their vertical ones when the up direction is estimated."""
 ORBIT_SHARE = 0.8
@@ -25,14 +25,16 @@ def orbit(cameras: Cameras, middle: Float[Tensor, "3"], frames: int) -> Cameras:
 
     Where the inputs surround `middle`, so does the path. Where they stand on one side (a forward-facing capture), it is
     an ellipse on that side, within their angular range. The up direction is estimated from all inputs, the intrinsics
-    are the medians of theirs. Raises QuerySplatError when the inputs stand in `middle`.
+    are the medians of theirs. Raises QuerySplatError when the inputs' centres are at `middle`.
     """
     centres, target = cameras.centres.double().numpy(), middle.double().numpy()
     up = _upright(cameras)
     arms = centres - target
     radius = float(np.median(np.linalg.norm(arms, axis=1)))
     if radius == 0:
-        raise QuerySplatError("the cameras stand where they should look", "Give a path with --cameras FILE.")
+        raise QuerySplatError(
+            "the cameras are at the point that they should look at", "Give a path with --cameras FILE."
+        )
     forward = _unit(np.cross(up, _least_parallel_axis(up)))
     side = np.cross(up, forward)
     azimuth = np.arctan2(arms @ side, arms @ forward)

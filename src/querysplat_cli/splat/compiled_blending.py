@@ -35,9 +35,9 @@ from querysplat_cli.splat.compiled_projection import (
 
 WIDE, HIGH = 16, 32
 PIXELS = WIDE * HIGH
-PLANES = 5
+BLENDED_PLANES = 5
 """The values that are blended: red, green, blue, 1 (for alpha) and z."""
-PLANE_PIXELS = PLANES * PIXELS
+PLANE_PIXELS = BLENDED_PLANES * PIXELS
 SUMS = 7
 """The sums of the backward pass over a column: −∂loss/∂σ times 1, dy, dy²; red, green, blue, z."""
 COLUMN_SUMS = SUMS * WIDE
@@ -161,7 +161,7 @@ def _blend_tile_backward(rows, members, left, top, width, height, limits, planes
     alpha_max, alpha_min, least = limits[0], limits[1], limits[2]
     through = nb.carray(_scratch(PIXELS), (HIGH, WIDE))
     behind = nb.carray(_scratch(PIXELS), (HIGH, WIDE))
-    g = nb.carray(_scratch(PLANE_PIXELS), (PLANES, HIGH, WIDE))
+    g = nb.carray(_scratch(PLANE_PIXELS), (BLENDED_PLANES, HIGH, WIDE))
     lanes = nb.carray(_scratch(COLUMN_SUMS), (SUMS, WIDE))
     dy = nb.carray(_scratch(HIGH), HIGH)
     start = nb.carray(_scratch(HIGH), HIGH)
@@ -172,7 +172,7 @@ def _blend_tile_backward(rows, members, left, top, width, height, limits, planes
             inside = r < used and left + c < width
             through[r, c] = ONE if inside else -ONE
             behind[r, c] = ZERO
-            for plane in range(PLANES):
+            for plane in range(BLENDED_PLANES):
                 g[plane, r, c] = given[plane, top + r, left + c] if inside else ZERO
                 behind[r, c] += g[plane, r, c] * planes[plane, top + r, left + c] if inside else ZERO
     for k in range(len(members)):
@@ -340,7 +340,7 @@ def deal(order, first, offsets, spans, tiles_x, tiles_y, bands, starts, lists):
 
 @nb.njit(cache=True, error_model="numpy", parallel=True)
 def blend(rows, starts, lists, tiles_x, limits, planes):
-    """planes [PLANES, height, width] of one view, colour on black. `limits`: alpha_max, alpha_min, T_min."""
+    """planes [BLENDED_PLANES, height, width] of one view, colour on black. `limits`: alpha_max, alpha_min, T_min."""
     height, width = planes.shape[1], planes.shape[2]
     for tile in nb.prange(len(starts) - 1):
         left, top = (tile % tiles_x) * WIDE, (tile // tiles_x) * HIGH
@@ -352,7 +352,7 @@ def blend_backward(rows, starts, lists, bounds, tiles_x, limits, planes, given, 
     """parts [tasks, n, GRADIENT_COLUMNS]: gradients of projected rows from `given` = ∂loss/∂planes.
 
     Task t owns tiles bounds[t] to bounds[t + 1] and the slice parts[t], so nothing is shared and the sum does
-    not depend on timing. Front to back: what lies behind a Gaussian is the total minus what came before.
+    not depend on timing. Tiles are walked front to back: what lies behind a Gaussian is the total minus what is in front of it.
     """
     height, width = planes.shape[1], planes.shape[2]
     for task in nb.prange(len(bounds) - 1):

@@ -21,13 +21,14 @@ X, Y, A, B, C, OPACITY, RED, GREEN, BLUE, DEPTH, HALF_WIDTH, HALF_HEIGHT, LOST =
 """Columns of a projected row: centre and half extent in pixels (0: not visible), and the conic's factor, px⁻¹:
 2σ = (A·dx + B·dy)² + (C·dy)². In this form a needle keeps its digits, which the three terms of the conic would cancel.
 LOST = −ln(opacity), so that α = exp(−σ − LOST)."""
-COLUMNS = 13
+ROW_COLUMNS = 13
 XX, XY, YY = A, B, C
 """In a row of gradients, these columns belong to the conic instead."""
 GRADIENT_COLUMNS = 10
 """The columns that blending sends gradients to: all but the extent."""
 VIEW_COLUMNS = 16
-CHUNK = 512
+GAUSSIANS_AT_ONCE = 512
+"""Gaussians of one task. Each task has its own row of camera gradients."""
 DIGITS, MASK = 2048, np.uint32(2047)
 INFINITY = np.uint32(0x7F800000)
 """The bits of ∞ in float32."""
@@ -93,15 +94,15 @@ def _fill_slopes(slope, bands, x, y, z):
 
 @nb.njit(cache=True, error_model="numpy", parallel=True)
 def project_view(means, quats, scales, opacities, sh, view, limits, rows, depths):
-    """Fill rows [n, COLUMNS] for one view, and depths [n]: ∞ for what is not visible."""
+    """Fill rows [n, ROW_COLUMNS] for one view, and depths [n]: ∞ for what is not visible."""
     n = means.shape[0]
     bands = sh.shape[1]
     near, far, low_pass, alpha_min = limits[0], limits[1], limits[2], limits[3]
     fx, fy, cx, cy, width, height = view[12], view[13], view[14], view[15], view[16], view[17]
     margin_x, margin_y = CLAMP_MARGIN * width / (2 * fx), CLAMP_MARGIN * height / (2 * fy)
-    for chunk in nb.prange((n + CHUNK - 1) // CHUNK):
+    for chunk in nb.prange((n + GAUSSIANS_AT_ONCE - 1) // GAUSSIANS_AT_ONCE):
         basis = np.empty(16)
-        for i in range(chunk * CHUNK, min(n, (chunk + 1) * CHUNK)):
+        for i in range(chunk * GAUSSIANS_AT_ONCE, min(n, (chunk + 1) * GAUSSIANS_AT_ONCE)):
             rows[i, HALF_WIDTH], depths[i] = np.float32(0), np.inf
             dx = np.float64(means[i, 0]) - view[9]
             dy = np.float64(means[i, 1]) - view[10]
@@ -227,12 +228,12 @@ def project_view_backward(
     low_pass = limits[2]
     fx, fy, cx, cy, width, height = view[12], view[13], view[14], view[15], view[16], view[17]
     margin_x, margin_y = CLAMP_MARGIN * width / (2 * fx), CLAMP_MARGIN * height / (2 * fy)
-    for chunk in nb.prange((n + CHUNK - 1) // CHUNK):
+    for chunk in nb.prange((n + GAUSSIANS_AT_ONCE - 1) // GAUSSIANS_AT_ONCE):
         basis = np.empty(16)
         slope = np.empty((16, 3))
         g = np.empty(GRADIENT_COLUMNS)
         of_view = d_view[chunk]
-        for i in range(chunk * CHUNK, min(n, (chunk + 1) * CHUNK)):
+        for i in range(chunk * GAUSSIANS_AT_ONCE, min(n, (chunk + 1) * GAUSSIANS_AT_ONCE)):
             if rows[i, HALF_WIDTH] == 0:
                 continue
             size = 0.0

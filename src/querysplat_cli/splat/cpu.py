@@ -12,12 +12,20 @@ from torch import Tensor
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.splat.compiled_blending import HIGH, PLANES, WIDE, blend_backward, deal, find_spans, tile_rows
+from querysplat_cli.splat.compiled_blending import (
+    BLENDED_PLANES,
+    HIGH,
+    WIDE,
+    blend_backward,
+    deal,
+    find_spans,
+    tile_rows,
+)
 from querysplat_cli.splat.compiled_blending import blend as blend_tiles
 from querysplat_cli.splat.compiled_projection import (
-    CHUNK,
-    COLUMNS,
+    GAUSSIANS_AT_ONCE,
     GRADIENT_COLUMNS,
+    ROW_COLUMNS,
     VIEW_COLUMNS,
     by_depth,
     project_view,
@@ -84,7 +92,7 @@ class _Blend(torch.autograd.Function):
         settings: RenderSettings,
     ) -> Tensor:
         arrays = [tensor.detach().numpy() for tensor in (means, quats, scales, opacities, sh)]
-        planes = np.empty((len(w2c), PLANES, height, width), np.float32)
+        planes = np.empty((len(w2c), BLENDED_PLANES, height, width), np.float32)
         rows = _camera_rows(Cameras(w2c.detach().double(), K.detach().double(), height, width))
         views = [_forward_view(arrays, camera, settings, planes[v]) for v, camera in enumerate(rows)]
         result = torch.from_numpy(planes)
@@ -99,7 +107,7 @@ class _Blend(torch.autograd.Function):
         gradients = [np.zeros_like(array) for array in arrays]
         tasks = numba.get_num_threads()
         parts = np.empty((tasks, len(arrays[0]), GRADIENT_COLUMNS), np.float32)
-        of_views = np.zeros((len(ctx.views), -(-len(arrays[0]) // CHUNK), VIEW_COLUMNS))
+        of_views = np.zeros((len(ctx.views), -(-len(arrays[0]) // GAUSSIANS_AT_ONCE), VIEW_COLUMNS))
         slopes, planes = given.contiguous().numpy(), result.numpy()
         tiles_x = -(-planes.shape[3] // WIDE)
         for v, view in enumerate(ctx.views):
@@ -124,7 +132,7 @@ class _Blend(torch.autograd.Function):
 def _forward_view(arrays: list[np.ndarray], camera: np.ndarray, settings: RenderSettings, planes: np.ndarray) -> _View:
     height, width = planes.shape[1:]
     tiles_x, tiles_y = -(-width // WIDE), -(-height // HIGH)
-    rows = np.empty((len(arrays[0]), COLUMNS), np.float32)
+    rows = np.empty((len(arrays[0]), ROW_COLUMNS), np.float32)
     depths = np.empty(len(arrays[0]), np.float32)
     project_view(*arrays, camera, _projection_limits(settings), rows, depths)
     order = by_depth(depths.view(np.uint32))

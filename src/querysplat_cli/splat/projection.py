@@ -1,4 +1,4 @@
-"""Gaussians in the picture plane: the plain torch form, in whatever precision the tensors have."""
+"""Gaussians projected into the picture plane: in plain torch, in the precision of the tensors."""
 
 from dataclasses import dataclass
 

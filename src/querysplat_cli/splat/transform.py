@@ -35,12 +35,12 @@ def rotate_sh(sh: Float[Tensor, "n bands 3"], rotation: Float[Tensor, "3 3"]) ->
     """
     generator = torch.Generator().manual_seed(0)
     directions = torch.nn.functional.normalize(torch.randn(DIRECTIONS, 3, generator=generator).double(), dim=1)
-    before, after = basis(directions @ rotation), basis(directions)
+    here, there = basis(directions @ rotation), basis(directions)
     turned = [sh[:, :1]]
     start = 1
     while start < sh.shape[1]:
         stop = start + 2 * len(turned) + 1
-        mixing = torch.linalg.lstsq(after[:, start:stop], before[:, start:stop]).solution
+        mixing = torch.linalg.lstsq(there[:, start:stop], here[:, start:stop]).solution
         turned.append(torch.einsum("ij,njc->nic", mixing, sh[:, start:stop]))
         start = stop
     return torch.cat(turned, 1)

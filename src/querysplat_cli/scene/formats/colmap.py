@@ -12,7 +12,7 @@ from querysplat_cli.scene.photos import short_names
 
 MODEL_FOLDERS = ("", "0", "sparse", "sparse/0", "colmap/sparse/0")
 """Where a model may be in a folder that the user gives."""
-DISTORTION = {
+DISTORTION_PARAMETERS = {
     "SIMPLE_PINHOLE": (),
     "PINHOLE": (),
     "SIMPLE_RADIAL": (0,),
@@ -41,15 +41,16 @@ def read_colmap(folder: Path) -> dict[str, PhotoCamera]:
     cameras = {}
     for name, image in zip(names, images, strict=True):
         camera = model.cameras[image.camera_id]
-        if camera.model_name not in DISTORTION:
+        if camera.model_name not in DISTORTION_PARAMETERS:
             raise QuerySplatError(
-                f"{folder}: the lens model of {name} is {camera.model_name}; supported are {', '.join(DISTORTION)}",
+                f"{folder}: the lens model of {name} is {camera.model_name}; "
+                f"supported are {', '.join(DISTORTION_PARAMETERS)}",
                 "Undistort the photos first, with `colmap image_undistorter`.",
             )
         w2c = np.eye(4)
         w2c[:3] = image.cam_from_world().matrix()
         distortion = [0.0, 0.0, 0.0, 0.0]
-        for place, index in zip(DISTORTION[camera.model_name], camera.extra_params_idxs(), strict=True):
+        for place, index in zip(DISTORTION_PARAMETERS[camera.model_name], camera.extra_params_idxs(), strict=True):
             distortion[place] = float(camera.params[index])
         k1, k2, p1, p2 = distortion
         cameras[name] = PhotoCamera(

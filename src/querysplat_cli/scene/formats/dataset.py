@@ -15,7 +15,7 @@ from querysplat_cli.scene.formats.colmap import MODEL_FOLDERS, read_colmap
 from querysplat_cli.scene.formats.transforms import is_rigid, read_transforms
 from querysplat_cli.scene.photos import SUFFIXES, natural_key
 
-PICTURE_FOLDERS = ("images_4", "images_2", "images", "images_8")
+DATASET_FOLDERS = ("images_4", "images_2", "images", "images_8")
 """DL3DV's sizes in the order of preference: 960 × 540 is what its users evaluate with."""
 HOMES = ("", "nerfstudio", "colmap", "gaussian_splat")
 """Where in a scene's folder DL3DV's releases (10K, Benchmark and sample) keep pictures and cameras."""
@@ -56,7 +56,7 @@ class CapturedScene:
     notes: tuple[str, ...]
 
 
-def find_scenes(places: Sequence[Path], pictures: str = PICTURE_FOLDERS[0]) -> list[CapturedScene]:
+def find_scenes(places: Sequence[Path], pictures: str = DATASET_FOLDERS[0]) -> list[CapturedScene]:
     """Every scene in `places`: scene folders, zips of scenes, or folders of those, by name in natural order.
 
     `pictures` is the preferred folder of pictures (images_4, …). Where a scene does not have it another one is taken,
@@ -127,7 +127,7 @@ def _scenes(place: Traversable, name: str, pictures: str, depth: int) -> Iterato
 
 def _scene(place: Traversable, name: str, pictures: str) -> CapturedScene | None:
     for home in (_inside(place, part) for part in HOMES):
-        folders = [folder for folder in (pictures, *PICTURE_FOLDERS) if _inside(home, folder).is_dir()]
+        folders = [folder for folder in (pictures, *DATASET_FOLDERS) if _inside(home, folder).is_dir()]
         if (home / "transforms.json").is_file() or folders:
             return _read(home, name, folders[0] if folders else None, pictures)
     if any(_is_picture(entry) for entry in place.iterdir()):
@@ -179,7 +179,9 @@ def _cameras(home: Traversable) -> tuple[dict[str, PhotoCamera], list[str]]:
                     _copied(file, Path(scratch))
                 cameras = read_colmap(Path(scratch))
                 return cameras, list(cameras)
-        if (home / "cameras.json").is_file():  # our scene folder's; the original 3DGS writes another one beside a model
+        if (
+            home / "cameras.json"
+        ).is_file():  # our scene folder's; the original 3DGS writes another kind next to a COLMAP model
             return _listed(_copied(home / "cameras.json", Path(scratch)))
     return {}, []
 
