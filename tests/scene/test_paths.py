@@ -73,7 +73,7 @@ def test_in_front_of_a_forward_facing_capture_the_orbit_stays_there(towards: flo
 
 
 def test_cameras_in_the_middle_are_refused() -> None:
-    with pytest.raises(QuerySplatError, match="at the point that they should look at"):
+    with pytest.raises(QuerySplatError, match="at the point to look at"):
         orbit(CAMERA, torch.zeros(3), 10)
 
 

@@ -32,9 +32,7 @@ def orbit(cameras: Cameras, middle: Float[Tensor, "3"], frames: int) -> Cameras:
     arms = centres - target
     radius = float(np.median(np.linalg.norm(arms, axis=1)))
     if radius == 0:
-        raise QuerySplatError(
-            "the cameras are at the point that they should look at", "Give a path with --cameras FILE."
-        )
+        raise QuerySplatError("the cameras are at the point to look at", "Give a path with --cameras FILE.")
     forward = _unit(np.cross(up, _least_parallel_axis(up)))
     side = np.cross(up, forward)
     azimuth = np.arctan2(arms @ side, arms @ forward)

@@ -37,10 +37,6 @@ class Sim3:
         moved = self.scale * points.double() @ self.rotation.T + self.translation
         return moved.to(points.dtype)
 
-    def inverse(self) -> "Sim3":
-        rotation = self.rotation.T
-        return Sim3(1.0 / self.scale, rotation, -(rotation @ self.translation) / self.scale)
-
 
 def align_cameras(source: Float[Tensor, "n 4 4"], target: Float[Tensor, "n 4 4"]) -> Sim3:
     """Similarity that maps the world of `source` onto the world of `target`, from n shared cameras.

@@ -352,7 +352,7 @@ def blend_backward(rows, starts, lists, bounds, tiles_x, limits, planes, given, 
     """parts [tasks, n, GRADIENT_COLUMNS]: gradients of projected rows from `given` = ∂loss/∂planes.
 
     Task t owns tiles bounds[t] to bounds[t + 1] and the slice parts[t], so nothing is shared and the sum does
-    not depend on timing. Tiles are walked front to back: what lies behind a Gaussian is the total minus what is in front of it.
+    not depend on timing. Gaussians are visited front to back: what is behind one is the total minus what is in front.
     """
     height, width = planes.shape[1], planes.shape[2]
     for task in nb.prange(len(bounds) - 1):

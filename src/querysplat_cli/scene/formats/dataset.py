@@ -179,9 +179,8 @@ def _cameras(home: Traversable) -> tuple[dict[str, PhotoCamera], list[str]]:
                     _copied(file, Path(scratch))
                 cameras = read_colmap(Path(scratch))
                 return cameras, list(cameras)
-        if (
-            home / "cameras.json"
-        ).is_file():  # our scene folder's; the original 3DGS writes another kind next to a COLMAP model
+        # Our scene folder's. The original 3DGS writes another kind of cameras.json next to a COLMAP model.
+        if (home / "cameras.json").is_file():
             return _listed(_copied(home / "cameras.json", Path(scratch)))
     return {}, []
 
