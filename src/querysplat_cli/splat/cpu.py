@@ -12,15 +12,7 @@ from torch import Tensor
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.splat.compiled_blending import (
-    BLENDED_PLANES,
-    HIGH,
-    WIDE,
-    blend_backward,
-    deal,
-    find_spans,
-    tile_rows,
-)
+from querysplat_cli.splat.compiled_blending import BLENDED_PLANES, blend_backward
 from querysplat_cli.splat.compiled_blending import blend as blend_tiles
 from querysplat_cli.splat.compiled_projection import (
     GAUSSIANS_AT_ONCE,
@@ -29,8 +21,9 @@ from querysplat_cli.splat.compiled_projection import (
     VIEW_COLUMNS,
     by_depth,
     project_view,
-    project_view_backward,
 )
+from querysplat_cli.splat.compiled_projection_backward import project_view_backward
+from querysplat_cli.splat.compiled_tiles import HIGH, WIDE, deal, find_spans, tile_rows
 from querysplat_cli.splat.conventions import RenderSettings
 
 PAIRS_LIMIT = 2**28
