@@ -24,12 +24,12 @@ SHRINK, GROW = -4.0, 2.0
 def signed_exponential(raw: Tensor) -> Tensor:
     """sign(x)·(e^|x| − 1), continued by its tangent beyond |x| = 40.
 
-    Its slope at 0 is 1. Written with |x| and sign(x), automatic differentiation would make it 0, and centres
-    that start at their prior would never move.
+    Its slope at 0 is 1. Written with |x| and sign(x), automatic differentiation would give 0 there, and centres that
+    start at their prior would never move.
     """
     inside = raw.clamp(-LARGEST_EXPONENT, LARGEST_EXPONENT)
     value = torch.where(raw > 0, torch.expm1(inside), -torch.expm1(-inside))
-    # A choice, not a sum: the tangent's slope of e^40 would swallow the other's in rounding.
+    # A choice, not a sum: in a sum, rounding to the tangent's slope of e^40 would lose the other slope.
     return torch.where(raw == inside, value, value + (raw - inside) * math.exp(LARGEST_EXPONENT))
 
 

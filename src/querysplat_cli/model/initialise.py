@@ -2,10 +2,10 @@
 
     python -m querysplat_cli.model.initialise compact.safetensors --seed 0
 
-Values and the last layers of the MLPs start at zero, so the decoders add nothing. Attention, output projection
-and heads are laid out so that a value channel of a memory token drives one raw number of the Gaussians near
-that token. Test-time optimisation of the memories then starts well conditioned, and training, which leaves that
-layout alone, starts from a sensible scene.
+Values and the last layers of the MLPs start at zero, so the decoders add nothing. Attention, output projection and
+heads are set so that each value channel of a memory token controls one raw number of the Gaussians near that token.
+Test-time optimisation of the memories then starts well conditioned. Training does not change these parts, and starts
+from the prior's scene.
 """
 
 import argparse

@@ -20,8 +20,8 @@ NEAREST_DEPTH = 1e-6
 class AnchorReport:
     """How many blocks of `side` pixels the pictures have, and why some carry no query.
 
-    `redundant` blocks show what another view's blocks cover, `hiding` ones stand in front of surfaces that other
-    views measured, `empty` ones lie outside the mask. `beyond` counts the queries outside all photos.
+    `redundant` blocks show what another view's blocks cover, `hiding` ones are in front of surfaces that other views
+    measured, `empty` ones lie outside the mask. `beyond` counts the queries outside all photos.
     """
 
     blocks: int

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 class QueryPolicy:
     """Where queries are placed, and what their prior Gaussians look like.
 
-    Where sets are named, a value was chosen by held-out photos of these sets. The others were set once, by their
-    meaning, and no comparison of alternatives is recorded. The bundled checkpoint was trained with the fields from
-    `fill` on: a change of these needs training.
+    Where sets are named, a value was chosen by looking at these sets. The others were set by their meaning, and no
+    comparison of alternatives is recorded. The bundled checkpoint was trained with the fields from `fill` on, so a
+    change of these needs training.
     """
 
     finest_cell: int = 2
@@ -23,14 +23,14 @@ class QueryPolicy:
     free_space: float = 0.1
     """A point that is nearer than a measured surface by more than this fraction would hide that surface."""
     coarser: float = 1.1
-    """A cell covers a cell of another view if it is at most this many times as large (fortress)."""
+    """A cell covers a cell of another view if it is at most this many times as large."""
     covered: float = 0.95
-    """A block is left out when at least this share of its cells is covered (fortress: lower left holes in walls)."""
+    """A block is left out when at least this share of its cells is covered. A share of 0.7 left holes in walls."""
     border: float = 0.1
-    """Photos are extended beyond their borders by this share of their longer side, rounded up to whole blocks
-    (fortress)."""
+    """Photos are extended beyond their borders by this share of their longer side, rounded up to whole blocks. That
+    photos are extended at all was decided on fortress."""
     border_coarser: int = 4
-    """Cells beyond the borders are this many times as large as those of the photos (fortress)."""
+    """Cells beyond the borders are this many times as large as those of the photos."""
     fill: float = 0.7
     """Standard deviation of a prior Gaussian in units of its cell: neighbours just close the surface."""
     thickness: float = 0.2
