@@ -10,7 +10,8 @@ from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
 from querysplat_cli.scene.rotations import quaternion_to_matrix
 from querysplat_cli.scene.views import Views
-from querysplat_cli.splat.render import contributions, render
+from querysplat_cli.splat.blending_weights import blending_weights
+from querysplat_cli.splat.render import render
 
 
 def scene() -> tuple[Gaussians, Cameras]:
@@ -42,7 +43,7 @@ def test_a_scene_that_looks_like_its_photos_has_no_error() -> None:
     found = rendering_error(gaussians, photos(render(gaussians, cameras).colour), cameras)
     assert found.shape == (30, ERROR_CHANNELS)
     assert found[:, :-1].abs().max() < 1e-3
-    torch.testing.assert_close(found[:, -1], (contributions(gaussians, cameras) + 1).log() / 4)
+    torch.testing.assert_close(found[:, -1], (blending_weights(gaussians, cameras) + 1).log() / 4)
 
 
 def test_it_is_the_descent_of_the_squared_error_by_the_reference_renderer() -> None:
@@ -63,7 +64,7 @@ def test_it_is_the_descent_of_the_squared_error_by_the_reference_renderer() -> N
     )
     picture = render(moved, cameras.to(torch.float64), backend="reference").colour
     (-0.5 * (images.double() - picture).square().sum()).backward()
-    pixels = contributions(gaussians, cameras).double()[:, None] + 1
+    pixels = blending_weights(gaussians, cameras).double()[:, None] + 1
     slopes = torch.cat([change[name].grad for name in sizes], 1) / pixels  # type: ignore[misc]
     limit = QUERY_POLICY.largest_error
     expected = (error_gains() * slopes).clamp(-limit, limit)

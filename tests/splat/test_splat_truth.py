@@ -12,8 +12,9 @@ from splat_scenes import as_kernel_sees, assert_agree, outcome
 from querysplat_cli.runtime.errors import MissingPart, QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.splat.blending_weights import blending_weights
 from querysplat_cli.splat.projection import colours
-from querysplat_cli.splat.render import RenderSettings, contributions, render
+from querysplat_cli.splat.render import RenderSettings, render
 from scenes import FIELDS, camera, cloud
 
 SMOOTH = RenderSettings(alpha_min=1e-30, transmittance_min=0.0, alpha_max=1.0)
@@ -137,7 +138,7 @@ def test_contributions_are_the_blending_weights(backend: str) -> None:
     scene = cloud(3, 80, cameras)
     scene = scene if backend == "reference" else scene.to(torch.float32)
     with torch.no_grad():
-        weights = contributions(scene, cameras)
+        weights = blending_weights(scene, cameras)
     alpha = render(scene, cameras, backend=backend).alpha
     assert weights.min() >= 0
     torch.testing.assert_close(weights.sum(), alpha.sum(), rtol=1e-4, atol=0)

@@ -39,20 +39,23 @@ def tto(
     """
     count = number_or_auto(0)(steps)
     from querysplat_cli.cli.console import exit_if_interrupted, print_report, showing_stages
-    from querysplat_cli.pipeline.reconstruct import optimise_scene
+    from querysplat_cli.pipeline.resume import optimise_scene
+    from querysplat_cli.tto.options import OptimiseOptions
 
     with showing_stages(quiet=quiet) as stages:
         report = optimise_scene(
             scene,
-            steps=count,
-            lr=lr,
+            OptimiseOptions(
+                steps=count,
+                lr=lr,
+                space=None if space is None else space.value,
+                prune=amount(prune),
+                densify_to=densify,
+                refine_cameras=bool(refine_cameras),
+                seed=seed,
+            ),
+            stages,
             device=device,
-            seed=seed,
-            stages=stages,
-            space=None if space is None else space.value,
-            amount=amount(prune),
-            densify_to=densify,
-            refine_cameras=bool(refine_cameras),
             weights=weights,
         )
     print_report(report, quiet=quiet, as_json=json)

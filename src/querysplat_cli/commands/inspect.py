@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from querysplat_cli.model.attention_maps import attention_of
-from querysplat_cli.pipeline.reconstruct import load_again
+from querysplat_cli.pipeline.resume import load_again
 from querysplat_cli.pipeline.scene_folder import StoredScene, read_scene
 from querysplat_cli.queries.prepare import MemoryMap
 from querysplat_cli.runtime.errors import QuerySplatError

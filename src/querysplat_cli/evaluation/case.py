@@ -18,7 +18,8 @@ from querysplat_cli.evaluation.memoised import MemoisedEncoder
 from querysplat_cli.evaluation.metrics import Scores, compare
 from querysplat_cli.evaluation.protocol import Protocol
 from querysplat_cli.model.querysplat import QuerySplat
-from querysplat_cli.pipeline.reconstruct import build_scene, load_parts
+from querysplat_cli.pipeline.build import encode_and_build
+from querysplat_cli.pipeline.reconstruct import load_parts
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.runtime.device import find_device
 from querysplat_cli.runtime.errors import QuerySplatError
@@ -193,7 +194,7 @@ class CaseRunner:
             gaussians, cost = measured(lambda: back_project(posed.views, posed.cameras, depth))
             return gaussians, {"depth": encoder.cost_of(geometry), "splat": cost}, geometry.warnings
         stages = Stages()
-        scene, cost = measured(lambda: build_scene(posed, encoder, model, settings, stages))
+        scene, cost = measured(lambda: encode_and_build(posed, encoder, model, settings, stages))
         costs = {stage: Cost(spent, cost.peak_gib) for stage, spent in stages.seconds.items()}
         # The stage was nearly free when an earlier row had asked the same.
         geometry = encoder.estimate_geometry(posed, seed=settings.seed, progress=_silent)

@@ -17,7 +17,8 @@ from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
 from querysplat_cli.scene.rotations import quaternion_to_matrix
 from querysplat_cli.scene.views import Views
-from querysplat_cli.splat.render import contributions, render
+from querysplat_cli.splat.blending_weights import blending_weights
+from querysplat_cli.splat.render import render
 
 ERROR_CHANNELS = 11
 """Numbers for each Gaussian: colour 3, opacity, centre along its own axes 3, size along them 3, pixels."""
@@ -68,7 +69,7 @@ def rendering_error(gaussians: Gaussians, views: Views, cameras: Cameras) -> Flo
             picture = render(moved, cameras[[view]]).colour[0]
             error = (views.images[view] - picture.detach()) * views.masks[view]
             (picture * error).sum().backward()
-    pixels = contributions(gaussians, cameras)[:, None]
+    pixels = blending_weights(gaussians, cameras)[:, None]
     given = [colour.grad, change["fade"].grad, change["move"].grad, change["grow"].grad]
     slopes = torch.cat([torch.zeros(0) if each is None else each.reshape(len(gaussians), -1) for each in given], 1)
     slopes = torch.cat([slopes[:, :3] / SH_0, slopes[:, 3:]], 1) / (pixels + 1)

@@ -10,10 +10,10 @@ from torch import Tensor
 
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
-from querysplat_cli.scene.gaussians import SH_0, Gaussians
+from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.splat.conventions import RenderSettings
 
-__all__ = ["RenderSettings", "Rendering", "contributions", "render"]
+__all__ = ["RenderSettings", "Rendering", "render"]
 
 BACKENDS = {"reference": "reference", "cpu": "cpu", "gsplat": "gsplat_backend"}
 """Name → module of this package with a function `blend`; imported when first used."""
@@ -50,25 +50,6 @@ def render(
     if background is not None:
         colour = colour + (1 - alpha[:, None]) * background.to(colour)[:, None, None]
     return Rendering(colour, alpha, weighted_depth / alpha.clamp_min(1e-10))
-
-
-def contributions(gaussians: Gaussians, cameras: Cameras, settings: RenderSettings | None = None) -> Float[Tensor, "n"]:
-    """The blending weight of each Gaussian, summed over all pixels of all views. Views are rendered one by one."""
-    # The weights are what the colour's gradient with respect to a flat colour adds up to.
-    flat = Gaussians(
-        gaussians.means.detach(),
-        gaussians.quats.detach(),
-        gaussians.scales.detach(),
-        gaussians.opacities.detach(),
-        torch.zeros_like(gaussians.sh[:, :1]).requires_grad_(),
-    )
-    total = torch.zeros_like(flat.opacities)
-    for view in range(len(cameras)):
-        with torch.enable_grad():
-            red = render(flat, cameras[[view]], settings=settings).colour[:, 0]
-            (gradient,) = torch.autograd.grad(red.sum(), flat.sh)
-        total += gradient[:, 0, 0] / SH_0
-    return total
 
 
 def _backend(gaussians: Gaussians, name: str):  # type: ignore[no-untyped-def]
