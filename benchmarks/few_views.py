@@ -38,7 +38,7 @@ from querysplat_cli.scene.formats.known import read_known_cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.paths import interpolate
 from querysplat_cli.scene.photos import find_photos, load_photos
-from querysplat_cli.scene.sim3 import skew
+from querysplat_cli.scene.rotations import skew
 from querysplat_cli.splat.render import render
 from querysplat_cli.training.passes import Sample, make_sample, read_sample, write_sample
 from querysplat_cli.tto.features import optimise_memories

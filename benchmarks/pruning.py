@@ -66,7 +66,7 @@ def rows(name: str, sample: Sample, model: QuerySplat) -> list[Row]:
     posed = PosedViews(sample.views, sample.cameras, torch.zeros(0, 3), ())
     found = []
     for what, (about, share) in CASES.items():
-        prepared = prepare(model, posed, sample.geometry, queries=None, about=about, target="kv")
+        prepared = prepare(model, posed, sample.geometry, queries=None, soft_query_limit=about, target="kv")
         assert prepared.anchors is not None
         count = prepared.anchors.opacities.numel()
         amount: Amount = count // 3 if share == "third" else share

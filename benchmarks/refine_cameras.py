@@ -26,7 +26,8 @@ from querysplat_cli.reporting.report import machine
 from querysplat_cli.reporting.view_scores import score
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.photos import find_photos, load_photos
-from querysplat_cli.scene.sim3 import align_cameras, skew
+from querysplat_cli.scene.rotations import skew
+from querysplat_cli.scene.sim3 import align_cameras
 from querysplat_cli.tto.cameras import with_refined_focal
 from querysplat_cli.tto.features import optimise_memories
 from querysplat_cli.tto.optimise import TtoSettings

@@ -105,7 +105,7 @@ def curve(model: QuerySplat, start: Start, sample: Sample, plan: tuple[TtoRun, .
 
 def curves(name: str, sample: Sample, model: QuerySplat, steps: int | None) -> dict[str, Any]:
     posed = PosedViews(sample.views, sample.cameras, torch.zeros(0, 3), ())
-    prepared = prepare(model, posed, sample.geometry, queries=None, about=QUERIES, target="kv")
+    prepared = prepare(model, posed, sample.geometry, queries=None, soft_query_limit=QUERIES, target="kv")
     assert prepared.anchors is not None
     start = Start(prepared.variables.map(torch.Tensor.float), prepared.anchors)
     count = prepared.anchors.opacities.numel()

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 
+from querysplat_cli.encoders.base import Geometry
 from querysplat_cli.model.memories import Memories
 from querysplat_cli.pipeline.scene_folder import StoredScene, read_scene, write_scene
 from querysplat_cli.queries.build import build_anchors
@@ -43,7 +44,7 @@ def stored() -> tuple[StoredScene, Gaussians]:
     inputs, cameras = views(("a.png", "sub/b.png", "c.webp"), 0)
     heldout = views(("d.png",), 1)
     depth = torch.full(inputs.masks.shape, 3.0)
-    anchors, _ = build_anchors(inputs, cameras, depth, torch.ones_like(depth), patch=6)
+    anchors, _ = build_anchors(inputs, cameras, Geometry(depth, torch.ones_like(depth), (), 6))
     generator = torch.Generator().manual_seed(2)
     memories = Memories(*(torch.randn(5 + i // 2, 2, 3, generator=generator) for i in range(4)))
     gaussians = Gaussians(

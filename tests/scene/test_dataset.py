@@ -147,7 +147,7 @@ def test_frames_are_in_natural_order_whatever_the_list_says(tmp_path: Path) -> N
     assert [frame.index for frame in scene.frames] == [order.index(i) for i in range(1, 6)]
 
 
-def test_cameras_that_are_none(tmp_path: Path) -> None:
+def test_cameras_that_are_not_rigid_are_left_out(tmp_path: Path) -> None:
     """NaN and mirrored cameras occur in DL3DV (DepthSplat's loader skips them)."""
     numbers = list(range(1, FRAMES + 1))
     content = listing(numbers)
@@ -169,7 +169,7 @@ def test_plain_photos_have_no_cameras(tmp_path: Path) -> None:
     assert [frame.index for frame in scene.frames] == [0, 1, 2]
 
 
-def test_what_is_no_scene(tmp_path: Path) -> None:
+def test_places_without_a_scene_are_refused(tmp_path: Path) -> None:
     with pytest.raises(QuerySplatError, match="no such file"):
         find_scenes([tmp_path / "nowhere"])
     (tmp_path / "text.zip").write_text("no zip")

@@ -8,8 +8,8 @@ import torch
 
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
+from querysplat_cli.scene.rotations import quaternion_to_matrix
 from querysplat_cli.scene.views import Views
-from querysplat_cli.splat.projection import rotation_matrices
 from querysplat_cli.splat.render import render
 from querysplat_cli.tto.densify import densify, disagreement, split
 from querysplat_cli.tto.gaussians import optimise_gaussians
@@ -59,7 +59,7 @@ def ellipsoids(count: int, opacity: float) -> Gaussians:
 
 
 def covariance(some: Gaussians) -> torch.Tensor:
-    axes = rotation_matrices(some.quats) * some.scales[:, None]
+    axes = quaternion_to_matrix(some.quats) * some.scales[:, None]
     return axes @ axes.mT
 
 

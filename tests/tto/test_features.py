@@ -5,6 +5,7 @@ import math
 import pytest
 import torch
 
+from querysplat_cli.encoders.base import Geometry
 from querysplat_cli.model.anchors import Anchors
 from querysplat_cli.model.config import preset
 from querysplat_cli.model.initialise import initial_model
@@ -46,7 +47,7 @@ def wall() -> tuple[Views, Cameras]:
 def scene(wall: tuple[Views, Cameras]) -> tuple[QuerySplat, Memories, Anchors]:
     views, cameras = wall
     depth = torch.ones(len(views), SIZE, SIZE)
-    anchors = with_rendering_error(build_anchors(views, cameras, depth, depth, patch=6)[0], views, cameras)
+    anchors = with_rendering_error(build_anchors(views, cameras, Geometry(depth, depth, (), 6))[0], views, cameras)
     model = initial_model(preset("compact"), seed=0).requires_grad_(False)
     features = torch.randn(len(views), (SIZE // 6) ** 2, 12, generator=torch.Generator().manual_seed(0))
     with torch.no_grad():

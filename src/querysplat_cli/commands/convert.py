@@ -20,7 +20,8 @@ from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.match_cameras import match_cameras
 from querysplat_cli.scene.photos import WHOLE, find_photos, load_photo, short_names
 from querysplat_cli.scene.pictures import stored_name
-from querysplat_cli.scene.sim3 import Sim3, skew
+from querysplat_cli.scene.rotations import skew
+from querysplat_cli.scene.sim3 import Sim3
 from querysplat_cli.scene.undistort import undistorted
 from querysplat_cli.scene.views import LeftOut
 from querysplat_cli.splat.transform import transform_gaussians

@@ -17,7 +17,7 @@ from querysplat_cli.queries.prepare import MemoryMap
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.figures import new_figure, save_figure
 from querysplat_cli.runtime.progress import Stages
-from querysplat_cli.scene.cameras import Cameras, project
+from querysplat_cli.scene.cameras import Cameras, project_points
 from querysplat_cli.scene.files import atomic_folder, refuse_existing
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
 from querysplat_cli.scene.pictures import write_picture
@@ -139,7 +139,7 @@ def _overlays(views: Views, cameras: Cameras, weight: Tensor, own: Gaussians) ->
 
 def _projected(own: Gaussians, cameras: Cameras, view: int) -> list[tuple[float, float]]:
     """Pixels of the centres before the camera and in the picture."""
-    pixels = project(own.means[cameras.sees(own.means, view)], cameras.w2c[view], cameras.K[view])
+    pixels = project_points(own.means[cameras.sees(own.means, view)], cameras.w2c[view], cameras.K[view])
     return [(float(x), float(y)) for x, y in pixels]
 
 

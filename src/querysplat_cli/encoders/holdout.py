@@ -15,8 +15,9 @@ import torch
 
 from querysplat_cli.encoders.base import PosedViews
 from querysplat_cli.runtime.errors import QuerySplatError
-from querysplat_cli.scene.cameras import Cameras, project
-from querysplat_cli.scene.sim3 import DegenerateAlignment, align_cameras, rotation_angles
+from querysplat_cli.scene.cameras import Cameras, project_points
+from querysplat_cli.scene.rotations import rotation_angles
+from querysplat_cli.scene.sim3 import DegenerateAlignment, align_cameras
 from querysplat_cli.scene.views import LeftOut, Photo, Views
 
 HoldoutProtocol = Literal["isolated", "joint"]
@@ -173,6 +174,6 @@ def _pose_difference(own: PosedViews, rows: Sequence[int], others: Cameras) -> P
         degrees.append(rotation_angles(other_w2c[:3, :3] @ own_w2c[:3, :3].T))
         points = own.points[own.visibility[row]].double()
         if len(points):
-            shift = project(points, own_w2c, own_K) - project(points, other_w2c, other_K)
+            shift = project_points(points, own_w2c, own_K) - project_points(points, other_w2c, other_K)
             pixels.append(shift.norm(dim=1).median())
     return PoseDifference(float(torch.stack(degrees).mean()), float(torch.stack(pixels).mean()) if pixels else None)

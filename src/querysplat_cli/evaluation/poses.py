@@ -13,7 +13,8 @@ from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.figures import new_figure, save_figure
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.files import atomic_path
-from querysplat_cli.scene.sim3 import Sim3, align_cameras, rotation_angles
+from querysplat_cli.scene.rotations import rotation_angles
+from querysplat_cli.scene.sim3 import Sim3, align_cameras
 
 THRESHOLDS = (5, 15, 30)
 """Degrees of RRA, RTA and AUC."""

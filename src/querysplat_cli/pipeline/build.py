@@ -97,9 +97,9 @@ def _prepared(
             posed,
             geometry,
             queries=settings.queries,
-            about=None if settings.keep_everything or settings.tto == 0 else TTO_POLICY.queries,
+            soft_query_limit=None if settings.keep_everything or settings.tto == 0 else TTO_POLICY.queries,
             target=settings.tto_target,
-            everything=settings.keep_everything,
+            keep_all=settings.keep_everything,
         )
 
 

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from querysplat_cli.prune.policy import PRUNE_POLICY
-from querysplat_cli.queries.build import BORDER
+from querysplat_cli.queries.policy import QUERY_POLICY
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
 from querysplat_cli.splat.render import RenderSettings, render
@@ -90,7 +90,7 @@ def importance(gaussians: Gaussians, cameras: Cameras) -> Float[Tensor, "n"]:
 
 
 def _wider(cameras: Cameras) -> Cameras:
-    margin = math.ceil(BORDER * max(cameras.height, cameras.width))
+    margin = math.ceil(QUERY_POLICY.border * max(cameras.height, cameras.width))
     K = cameras.K.clone()
     K[:, :2, 2] += margin
     return replace(cameras, K=K, height=cameras.height + 2 * margin, width=cameras.width + 2 * margin)

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from querysplat_cli.prune.policy import PRUNE_POLICY
-from querysplat_cli.scene.cameras import Cameras, project
+from querysplat_cli.scene.cameras import Cameras, project_points
 
 Item = TypeVar("Item")
 
@@ -38,5 +38,5 @@ def _same(cameras: Cameras, points: Tensor, visibility: Sequence[Tensor], view: 
     shared = visibility[view][torch.isin(visibility[view], visibility[other])]
     if not len(shared) or len(shared) < PRUNE_POLICY.duplicate_overlap * len(visibility[view]):
         return False
-    here, there = (project(points[shared], cameras.w2c[each], cameras.K[each]) for each in (view, other))
+    here, there = (project_points(points[shared], cameras.w2c[each], cameras.K[each]) for each in (view, other))
     return float((here - there).norm(dim=1).median()) < PRUNE_POLICY.duplicate_shift * cameras.width

@@ -6,7 +6,8 @@ from statistics import median
 from typing import Any
 
 from querysplat_cli.prune.resolution import Blurred
-from querysplat_cli.queries.build import CELLS, AnchorReport
+from querysplat_cli.queries.cells import CELLS
+from querysplat_cli.queries.coverage import AnchorReport
 from querysplat_cli.tto.adapt import Adapted
 from querysplat_cli.tto.optimise import TtoResult
 

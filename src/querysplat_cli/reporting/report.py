@@ -14,7 +14,7 @@ import torch
 from querysplat_cli.encoders.holdout import HoldoutProtocol, PoseDifference
 from querysplat_cli.reporting.view_scores import Quality
 from querysplat_cli.scene.cameras import Cameras
-from querysplat_cli.scene.sim3 import rotation_angles
+from querysplat_cli.scene.rotations import rotation_angles
 from querysplat_cli.scene.views import LeftOut
 from querysplat_cli.tto.optimise import TtoResult
 from querysplat_cli.tto.plan import TtoRun

@@ -42,10 +42,7 @@ class SampleLoss:
 
 def anchored(sample: Sample) -> Anchors:
     """The anchors of the inputs, and what the inputs say against their prior."""
-    depth, confidence = sample.geometry.depth, sample.geometry.confidence
-    assert depth is not None
-    assert confidence is not None
-    anchors, _ = build_anchors(sample.views, sample.cameras, depth, confidence, patch=sample.geometry.patch)
+    anchors, _ = build_anchors(sample.views, sample.cameras, sample.geometry)
     return with_rendering_error(anchors, sample.views, sample.cameras)
 
 

@@ -75,7 +75,7 @@ def adapt(
         runs.append((run, result))
         if result.interrupted:
             break
-    memories = start.variables if isinstance(start.variables, Memories) else model.project(start.variables)
+    memories = start.variables if isinstance(start.variables, Memories) else model.keys_and_values(start.variables)
     return Adapted(memories, gaussians_of(model, start), target.cameras, tuple(runs), start.kept, pruned)
 
 

@@ -9,7 +9,8 @@ from torch import Tensor
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.scene.sim3 import DegenerateAlignment, align_cameras, skew
+from querysplat_cli.scene.rotations import skew
+from querysplat_cli.scene.sim3 import DegenerateAlignment, align_cameras
 from querysplat_cli.tto.policy import TTO_POLICY
 
 CAMERA_BETAS = (0.8, 0.95)

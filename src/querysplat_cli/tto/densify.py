@@ -8,8 +8,8 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.rotations import quaternion_to_matrix
 from querysplat_cli.splat.blending_weights import blending_weights
-from querysplat_cli.splat.projection import rotation_matrices
 from querysplat_cli.splat.render import render
 from querysplat_cli.tto.rendering_loss import RenderingLoss
 
@@ -47,7 +47,7 @@ def split(gaussians: Gaussians) -> tuple[Gaussians, Gaussians]:
     rows = torch.arange(len(longest), device=longest.device)
     narrower = math.sqrt(1 - SPLIT_DISTANCE**2)
     overlap = narrower * math.exp(-((SPLIT_DISTANCE / narrower) ** 2)) / 2
-    axis = rotation_matrices(gaussians.quats)[rows, :, longest]
+    axis = quaternion_to_matrix(gaussians.quats)[rows, :, longest]
     aside = SPLIT_DISTANCE * gaussians.scales[rows, longest, None] * axis
     scales = gaussians.scales.clone()
     scales[rows, longest] *= narrower
