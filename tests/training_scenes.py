@@ -18,7 +18,8 @@ from querysplat_cli.training.config import (
 )
 from querysplat_cli.training.data import cache_folder
 from querysplat_cli.training.passes import Sample, write_sample
-from querysplat_cli.training.procedural import cast, make_scene, walk
+from querysplat_cli.training.photographer import cast, walk
+from querysplat_cli.training.rooms import make_room
 
 TINY = ModelConfig(
     width=120,
@@ -39,7 +40,7 @@ TINY = ModelConfig(
 
 def sample(seed: int, inputs: int = 2, targets: int = 2) -> Sample:
     """Neighbouring views of a room at 72 × 54 pixels; every other one is a target. Features are noise."""
-    room = make_scene(seed)
+    room = make_room(seed)
     cameras = walk(room, inputs + targets, seed).resized(54, 72)
     images, depth = cast(room, cameras, samples=1)
     rows = list(range(inputs + targets))

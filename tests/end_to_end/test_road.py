@@ -21,7 +21,8 @@ from querysplat_cli.prune.gaussians import MENDED
 from querysplat_cli.runtime.errors import ExitCode
 from querysplat_cli.scene.formats.ply import read_ply
 from querysplat_cli.scene.formats.transforms import read_cameras
-from querysplat_cli.training.procedural import cast, make_scene, walk
+from querysplat_cli.training.photographer import cast, walk
+from querysplat_cli.training.rooms import make_room
 
 PHOTOS = 7
 SMALL = ["--max-size", "192", "--tto", "24", "--quiet"]
@@ -30,7 +31,7 @@ SMALL = ["--max-size", "192", "--tto", "24", "--quiet"]
 def take_photos(folder: Path, seed: int, count: int = PHOTOS, *, mirrored: bool = False) -> list[Path]:
     """Photos of a made-up room, 448 × 336. Rooms share patterns; nothing matches between one and a mirrored one."""
     folder.mkdir(parents=True, exist_ok=True)
-    scene = make_scene(seed)
+    scene = make_room(seed)
     cameras = walk(scene, count, seed)
     files = [folder / f"room{seed}_{i}.png" for i in range(count)]
     for i, file in enumerate(files):

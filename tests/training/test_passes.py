@@ -14,7 +14,7 @@ from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.sim3 import Sim3
 from querysplat_cli.scene.views import Photo, Views
 from querysplat_cli.training.config import DataSettings, SourceSettings
-from querysplat_cli.training.data import Kept, Samples, cache_folder, prepare_samples
+from querysplat_cli.training.data import RecentResults, Samples, cache_folder, prepare_samples
 from querysplat_cli.training.passes import make_sample, read_sample, write_sample
 from training_scenes import sample, training
 
@@ -162,7 +162,7 @@ def test_what_a_step_sees_depends_on_seed_step_and_process_alone(tmp_path: Path)
 
 
 def test_the_latest_results_are_kept() -> None:
-    kept: Kept[int] = Kept(2)
+    kept: RecentResults[int] = RecentResults(2)
     made: list[str] = []
 
     def get(name: str) -> int:
