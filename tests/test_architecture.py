@@ -1,4 +1,4 @@
-"""Imports point down the flow only, and the command line starts without the heavy packages."""
+"""Imports point down the layers only, and the command line starts without importing heavy packages."""
 
 import ast
 import subprocess

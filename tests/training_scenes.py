@@ -1,4 +1,4 @@
-"""Small samples with true depth, written where a training looks for them."""
+"""Small samples with true depth, in the cache folder of a training."""
 
 import json
 from pathlib import Path
@@ -82,7 +82,7 @@ def training(cache: Path, *, scenes: int = 3, **changes: object) -> TrainConfig:
 
 
 def toml(config: TrainConfig) -> str:
-    """A file that says the same."""
+    """The same training as the text of a TOML file."""
     from querysplat_cli.training.config import as_table
 
     table = as_table(config)

@@ -1,4 +1,4 @@
-"""The efficiency and precision programs, but for the hours that they take."""
+"""The efficiency and precision programs, on inputs small enough for a test."""
 
 import torch
 

@@ -1,4 +1,4 @@
-"""`querysplat train` as its users meet it."""
+"""`querysplat train`, run as a command."""
 
 import json
 from pathlib import Path

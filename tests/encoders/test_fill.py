@@ -1,4 +1,4 @@
-"""Guesses follow what was confirmed, however far it is, and do not cross the edges of the photo."""
+"""Filled depth follows confirmed depth at any distance, and does not cross the edges in the photo."""
 
 import numpy as np
 

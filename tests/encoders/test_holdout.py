@@ -1,4 +1,4 @@
-"""Held-out photos: which, and in whose frame."""
+"""Held-out photos: their choice, and the frame of their cameras."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -34,7 +34,7 @@ def truth(count: int) -> Cameras:
 
 
 def place(chosen: Sequence[Photo], count: int, frame: Sim3, turned: float = 0.0) -> PosedViews:
-    """What a perfect pass finds, in a frame of its own; cameras rolled by `turned` degrees, left and right in turn."""
+    """The cameras of a perfect pass in a frame of its own, rolled by `turned` degrees to the left and right in turn."""
     rows = [int(photo.name.split(".")[0]) for photo in chosen]
     cameras = truth(count)[rows].transformed(frame)
     off = torch.eye(4).repeat(len(rows), 1, 1)
@@ -74,7 +74,7 @@ def test_too_few_are_left() -> None:
 
 @pytest.mark.parametrize("source", ["isolated", "joint"])
 def test_both_protocols_put_held_out_cameras_right(source: str) -> None:
-    """The two passes live in frames of their own; each scene's held-out cameras are in its inputs' frame."""
+    """The two passes have different frames; each scene's held-out cameras are in its inputs' frame."""
     everything = photos(9)
 
     def estimate_cameras(chosen: Sequence[Photo]) -> PosedViews:
@@ -102,7 +102,7 @@ def test_no_held_out_pixel_is_an_input() -> None:
 
 
 def test_the_difference_of_the_passes_is_measured() -> None:
-    """Cameras rolled by 2° in one pass, which no alignment takes back."""
+    """Cameras rolled by 2° in one pass, which no similarity can undo."""
 
     def estimate_cameras(chosen: Sequence[Photo]) -> PosedViews:
         return place(chosen, 9, Sim3.identity(), turned=2.0 if len(chosen) == 9 else 0.0)

@@ -11,7 +11,7 @@ from querysplat_cli.scene.views import Views
 
 
 def features_of_a_wall(depth: float) -> torch.Tensor:
-    """Features [rows, columns, 12] of a wall at one depth before a camera that stands at (1, 2, 3)."""
+    """Features [rows, columns, 12] of a wall at one depth in front of a camera at (1, 2, 3)."""
     height, width = 24, 36
     w2c = torch.eye(4)[None].clone()
     w2c[0, :3, 3] = torch.tensor([-1.0, -2, -3])

@@ -1,4 +1,4 @@
-"""Cameras of the photos, whatever an encoder made of them."""
+"""Cameras of whole photos, from those of padded or cropped network inputs."""
 
 from pathlib import Path
 
@@ -20,7 +20,7 @@ from querysplat_cli.scene.views import Photo
 
 
 def posed(sizes: list[tuple[int, int]], fit: Fit) -> PosedViews:
-    """Photos as a network of 112 pixels sees them, each with its optical axis in the middle."""
+    """Photos fitted to a network of 112 pixels, each with its principal point in the middle."""
     photos = [Photo(f"{i}.png", Path(f"{i}.png"), np.zeros((*size, 3), np.uint8)) for i, size in enumerate(sizes)]
     views = network_views(photos, 112, 16, fit)
     height, width = views.sizes[0]

@@ -1,4 +1,4 @@
-"""Other methods' outputs: pictures and scenes, in the frames and under the names in which they come."""
+"""Scores of other methods' pictures and scenes, in any frame and under any accepted file name."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -45,7 +45,7 @@ def runner(room: CapturedScene, request: pytest.FixtureRequest) -> CaseRunner:
 
 @pytest.fixture
 def scene(runner: CaseRunner) -> Gaussians:
-    """Something to look at: two photos on walls at a fixed depth."""
+    """Two photos, each on a wall at a fixed depth."""
     names = [frame.name for frame in runner.groups["input"]][:2]
     shown = [runner.photos[name][1].pixels for name in names]
     images = torch.stack([torch.from_numpy(pixels).permute(2, 0, 1).float() / 255 for pixels in shown])
@@ -62,7 +62,7 @@ def flat(result: RowResult) -> dict[tuple[str, str], float]:
 
 
 def test_the_truth_scores_best_under_every_name(runner: CaseRunner, tmp_path: Path) -> None:
-    """As the photo or as its number, in the group's folder or in another."""
+    """Named like the photo or by its number, in the group's folder or in another one."""
     for group, frames in runner.groups.items():
         for number, frame in enumerate(frames):
             name = Path(frame.name).stem if number % 2 else f"{frame.index:04d}"
@@ -87,7 +87,7 @@ def test_the_truth_scores_best_under_every_name(runner: CaseRunner, tmp_path: Pa
 
 
 def test_a_scene_in_another_frame_scores_the_same(runner: CaseRunner, scene: Gaussians, tmp_path: Path) -> None:
-    """Only the inputs' cameras are given: the targets follow through the dataset's."""
+    """Only the inputs' cameras are given. The targets' come from the dataset, by the similarity of the inputs'."""
     expected = runner.judge(scene, runner.known, "")
     similarity = Sim3(
         1.7,

@@ -1,4 +1,4 @@
-"""Results on disk: what they add up to, what may be merged, and what is refused."""
+"""Results on disk: their summary, their merging, and runs that are refused."""
 
 import csv
 import json

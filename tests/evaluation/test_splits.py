@@ -1,4 +1,4 @@
-"""Splits: generated ones keep their promises, and both forms of file come back as they were."""
+"""Generated splits follow their rules, and both forms of split files survive writing and reading."""
 
 import json
 from pathlib import Path

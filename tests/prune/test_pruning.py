@@ -1,4 +1,4 @@
-"""What is left out: Gaussians, SH bands and views that change nothing."""
+"""Pruning removes Gaussians, SH bands and views that do not change the pictures."""
 
 import math
 from dataclasses import fields, replace
@@ -54,7 +54,7 @@ def photos(gaussians: Gaussians, views: Cameras) -> RenderingLoss:
 
 
 def test_importance_is_what_colours_the_picture_times_what_goes_with_it() -> None:
-    """Against blending weights and pictures without each Gaussian, in so many views that signs average out."""
+    """Against blending weights, and renders without each Gaussian, in enough views for signs to average out."""
     scene, views = wall_and_hidden(0)[::9], cameras(*torch.linspace(-0.2, 0.2, 200).tolist())
     scene = replace(scene, opacities=torch.linspace(0.2, 0.9, len(scene)))
     margin = math.ceil(SIZE / 10)

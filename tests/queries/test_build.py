@@ -30,7 +30,7 @@ BLOCKS = (HEIGHT // 6) * (WIDTH // 6)
 
 
 def plane(shifts: list[float], seed: int = 0) -> tuple[Views, Cameras, torch.Tensor, torch.Tensor]:
-    """Cameras side by side that look straight at the plane z = 2; random pictures, depth sure everywhere."""
+    """Cameras side by side in front of the plane z = 2, with random pictures and full confidence everywhere."""
     count = len(shifts)
     w2c = torch.eye(4).repeat(count, 1, 1)
     w2c[:, 0, 3] = -torch.tensor(shifts)
@@ -70,7 +70,7 @@ def test_a_second_photo_from_the_same_place_adds_nothing() -> None:
 
 
 def test_a_view_to_the_side_adds_what_only_it_sees() -> None:
-    """A shift of two blocks: the last two columns of the second view are new."""
+    """The second view is shifted by two blocks, so only its last two columns of blocks are new."""
     _, report = build(*plane([0.0, 12 * DEPTH / FOCAL]))
     assert report.kept == BLOCKS + 2 * HEIGHT // 6
 
@@ -141,7 +141,7 @@ def prior(anchors: Anchors) -> Gaussians:
 
 
 def test_the_plane_goes_on_beside_the_photo() -> None:
-    """Even stripes along x go on for ever: a camera half a picture to the left sees them where no photo does."""
+    """Stripes along x are extended beyond the photo: a camera half a picture to the left sees them there."""
     views, cameras, depth, confidence = plane([0.0])
     views.images[:] = torch.linspace(0.2, 0.8, HEIGHT)[:, None]
     anchors, report = build(views, cameras, depth, confidence)
@@ -159,7 +159,7 @@ def test_the_plane_goes_on_beside_the_photo() -> None:
 
 
 def test_no_query_stands_beside_a_photo_where_another_photo_looks() -> None:
-    """Two views side by side: the borders between them are left out, the four around both stay."""
+    """Two views side by side: extensions between the views are left out, and the outer ones stay."""
     scene = plane([0.0, WIDTH / 2 * DEPTH / FOCAL])
     anchors, report = build(*scene)
     beyond = anchors.means[report.kept :]
@@ -173,7 +173,7 @@ def test_no_query_stands_beside_a_photo_where_another_photo_looks() -> None:
 
 
 def test_blocks_beside_a_photo_keep_about_the_size_of_their_prior() -> None:
-    """The bundled decoder has never seen any: told plainly what they are, it makes them several times larger."""
+    """The bundled decoder was trained without extended blocks. Features that mark them would enlarge them much."""
     views, cameras, depth, confidence = plane([0.0, 0.3])
     anchors, report = build(views, cameras, depth, confidence)
     anchors = with_rendering_error(anchors, views, cameras)

@@ -1,4 +1,4 @@
-"""Pictures of what stands beside the photos, against what was painted."""
+"""Extensions of the photos beyond their borders, against known patterns."""
 
 import torch
 

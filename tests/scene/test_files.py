@@ -1,4 +1,4 @@
-"""Files appear whole or not at all."""
+"""Files are written completely or not at all."""
 
 import errno
 import shutil
@@ -89,7 +89,7 @@ def test_a_full_disk_is_said_in_words(tmp_path: Path) -> None:
 
 
 def test_a_write_that_fails_without_a_reason_on_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """OpenCV only says that it could not write."""
+    """OpenCV reports a failed write without a reason."""
     monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=1000))
     with pytest.raises(QuerySplatError, match="disk is full"), atomic_folder(tmp_path / "scene"):
         raise OSError("cannot write preview.png")

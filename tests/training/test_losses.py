@@ -1,4 +1,8 @@
-"""Training losses against closed forms, float64 and their limits (stability cases 28 to 31)."""
+"""Training losses against closed forms and float64, and at their limits.
+
+The limits are coincident points, opacities of 0, constant pictures, and points behind a camera: cases 28 to 31 in
+docs/reference/stability-cases.md.
+"""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Samples: two isolated passes joined by a similarity, kept on disk as they are, and drawn by the step's number."""
+"""Samples: two passes joined by a similarity, their files, and the draw of each step's samples."""
 
 from dataclasses import replace
 from pathlib import Path

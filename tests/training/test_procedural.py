@@ -1,4 +1,4 @@
-"""Ray-cast rooms: exact depth, colours that views agree on, and a photographer who sees the furniture."""
+"""Ray-cast rooms: exact depth, colours that agree between views, and cameras that face the furniture."""
 
 import math
 from dataclasses import replace
@@ -37,7 +37,7 @@ def small(cameras: Cameras) -> Cameras:
 
 
 def points(cameras: Cameras, depth: torch.Tensor) -> np.ndarray:
-    """World points [views, height, width, 3] of the pixels' middles."""
+    """World points [views, height, width, 3] of the pixel centres."""
     v, u = np.mgrid[: cameras.height, : cameras.width] + 0.5
     K, c2w = cameras.K.double().numpy(), cameras.to(torch.float64).c2w.numpy()
     x = (u - K[:, 0, 2, None, None]) / K[:, 0, 0, None, None]
@@ -82,7 +82,7 @@ def test_depth_of_a_ball_and_of_a_pole() -> None:
 
 @pytest.mark.parametrize("shape", [BOX, BALL, CYLINDER])
 def test_every_ray_ends_on_a_surface_and_not_behind_one(shape: int) -> None:
-    """Turned, stretched, overlapping solids, checked by what is inside of them and nothing else."""
+    """Turned, stretched and overlapping solids, checked by an independent test for points inside them."""
     chance = np.random.default_rng(shape)
     solids = [
         solid(
@@ -110,7 +110,7 @@ def test_a_camera_inside_a_box_sees_its_walls() -> None:
 
 
 def test_light_falls_off_into_shadow() -> None:
-    """A plate between the lamp and the floor darkens what is under it, and only that."""
+    """A plate between the lamp and the floor darkens the floor under it, and nothing else."""
     floor = solid(BOX, (0, 5, -1.1), (20, 20, 0.1), casts_shadow=False)
     plate = solid(BOX, (0, 5, 1), (0.4, 0.4, 0.05))
     lit, shaded = (

@@ -1,4 +1,4 @@
-"""Captures: the same for the same draw, inputs and targets apart; scenes, films and made-up places."""
+"""Captures of procedural scenes, photos and videos: reproducible, with separate inputs and targets."""
 
 import zipfile
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""A training goes on exactly where it was killed, alone and on two processes, and survives what is not finite."""
+"""A killed training resumes exactly, on one process and on two, and a batch that is not finite does no harm."""
 
 import json
 import math
@@ -228,7 +228,7 @@ def test_two_processes_resume_exactly(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_smoke_training_lowers_the_loss(tmp_path: Path) -> None:
-    """A minute or two of a small model: its targets look better than at the start, on average over the scenes."""
+    """A small model for a minute or two: the loss of its targets falls, on average over the scenes."""
     config = training(
         tmp_path / "cache",
         scenes=8,

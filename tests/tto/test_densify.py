@@ -103,7 +103,7 @@ def test_splitting_hardly_changes_the_picture(opacity: float, most: float) -> No
 
 
 def test_disagreement_is_the_error_under_each_gaussian() -> None:
-    """Of one Gaussian alone: Σ α·|picture − photo|, where α is what the renderer says."""
+    """Of one Gaussian alone: Σ α·|picture − photo|, where α is that of the renderer."""
     one = Gaussians(
         means=torch.tensor([[0.0, 0.0, 2.0]]),
         quats=torch.tensor([[1.0, 0, 0, 0]]),

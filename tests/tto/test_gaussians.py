@@ -18,7 +18,7 @@ SIZE = 40
 
 
 def cloud(count: int = 60, stretch: float = 1.0) -> Gaussians:
-    """Gaussians before the cameras; their first axis is `stretch` times as long as the others."""
+    """Gaussians in front of the cameras; their first axis is `stretch` times as long as the others."""
     random = torch.Generator().manual_seed(0)
     scales = torch.full((count, 3), 0.06) * torch.tensor([1.0, 1.0 / stretch, 1.0 / stretch])
     return Gaussians(

@@ -87,7 +87,7 @@ class Average:
         }
 
     def update(self, model: nn.Module, step: int) -> None:
-        """Add the weights after `step`. The decay is lower in the first steps, so that the initial weights fade soon."""
+        """Add the weights after `step`. The decay is lower in the first steps, so that initial weights fade soon."""
         decay = min(self._decay, (1 + step) / (10 + step))
         with torch.no_grad():
             for name, tensor in trained(model):
