@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from querysplat_cli.evaluation.generate import INTERVALS, SCALES, TARGETS, generate
+from querysplat_cli.evaluation.generate import INTERVALS, SCALES, generate
+from querysplat_cli.evaluation.policy import EVALUATION_POLICY
 from querysplat_cli.evaluation.splits import (
     Case,
     FrameRef,
@@ -40,7 +41,7 @@ def scene(name: str, count: int, *, first: int = 0) -> CapturedScene:
 def test_generated_cases_are_what_they_say(views: int, scale: str, counts: list[int], cases: int, seed: int) -> None:
     scenes = [scene(f"s{i}", count, first=7 * i) for i, count in enumerate(counts)]
     interval = INTERVALS[views][SCALES.index(scale)]
-    need = (views - 1) * interval + 1 + TARGETS
+    need = (views - 1) * interval + 1 + EVALUATION_POLICY.generated_targets
     if max(counts) < need:
         with pytest.raises(ImpossibleScene, match=str(need)):
             generate(scenes, "data", views, scale, cases=cases, seed=seed)
@@ -51,10 +52,10 @@ def test_generated_cases_are_what_they_say(views: int, scale: str, counts: list[
     for case in split.cases:
         home = next(each for each in scenes if each.name == case.scene)
         inputs, interp, extrap = ([ref.frame_index for ref in case.groups[g]] for g in ("input", "interp", "extrap"))
-        assert len(set(interp)) == len(set(extrap)) == TARGETS
+        assert len(set(interp)) == len(set(extrap)) == EVALUATION_POLICY.generated_targets
         assert inputs == list(range(inputs[0], inputs[0] + (views - 1) * interval + 1, interval))
         assert all(inputs[0] < i < inputs[-1] and i not in inputs for i in interp)
-        reach = max(interval, TARGETS)
+        reach = max(interval, EVALUATION_POLICY.generated_targets)
         assert all(inputs[0] - reach <= i < inputs[0] or inputs[-1] < i <= inputs[-1] + reach for i in extrap)
         found = resolve(case, home)
         assert [frame.index for frame in found["extrap"]] == extrap
