@@ -1,12 +1,13 @@
 """Small samples with true depth, in the cache folder of a training."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import torch
 
 from querysplat_cli.encoders.base import Geometry
-from querysplat_cli.model.config import ModelConfig
+from querysplat_cli.model.checkpoints import preset
 from querysplat_cli.scene.views import Views
 from querysplat_cli.training.config import (
     DataSettings,
@@ -21,21 +22,7 @@ from querysplat_cli.training.passes import Sample, write_sample
 from querysplat_cli.training.photographer import cast, walk
 from querysplat_cli.training.rooms import make_room
 
-TINY = ModelConfig(
-    width=120,
-    heads=4,
-    mlp_ratio=1.0,
-    geometry_blocks=2,
-    appearance_blocks=1,
-    queries="anchored",
-    colour_prior="projected",
-    anchor_features=199,
-    gaussians_per_query=9,
-    patch=6,
-    mixed_layers=1,
-    special_tokens=0,
-    vgm_width=12,
-)
+TINY = replace(preset("compact"), width=120, mlp_ratio=1.0)
 
 
 def sample(seed: int, inputs: int = 2, targets: int = 2) -> Sample:

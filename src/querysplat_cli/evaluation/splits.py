@@ -18,6 +18,7 @@ from querysplat_cli.scene.files import atomic_path
 from querysplat_cli.scene.formats.dataset import CapturedScene, Frame
 
 GROUPS = ("input", "interp", "extrap")
+"""Input views, interpolation targets and extrapolation targets of a case."""
 
 
 @dataclass(frozen=True)

@@ -63,17 +63,16 @@ def cast(
 
     A pixel where surfaces meet is the mean of `samples`² rays.
     """
-    solids, lamps = _packed(scene.solids), _lamp_points(scene.lamp)
-    opaque = np.flatnonzero([solid.casts_shadow for solid in scene.solids])
+    solids = _packed(scene.solids)
+    light = np.flatnonzero([solid.casts_shadow for solid in scene.solids]), _lamp_points(scene.lamp)
     size = len(cameras), cameras.height, cameras.width
     images, depth, face = np.zeros((*size, 3)), np.zeros(size), np.zeros(size[1:], np.int64)
     c2w, K = cameras.to(torch.float64).c2w.numpy(), cameras.K.double().numpy()
     for view in range(len(cameras)):
-        focal, principal = (K[view, 0, 0], K[view, 1, 1]), (K[view, 0, 2], K[view, 1, 2])
-        raycast.measure_view(solids, c2w[view], focal, principal, depth[view], face)
-        raycast.photograph_view(
-            solids, opaque, lamps, c2w[view], focal, principal, depth[view], face, images[view], samples
-        )
+        lens = (K[view, 0, 0], K[view, 1, 1]), (K[view, 0, 2], K[view, 1, 2])
+        seen = depth[view], face
+        raycast.measure_view(solids, c2w[view], lens, *seen)
+        raycast.photograph_view(solids, light, c2w[view], lens, seen, images[view], samples)
     return torch.from_numpy(images).float().permute(0, 3, 1, 2).contiguous(), torch.from_numpy(depth).float()
 
 

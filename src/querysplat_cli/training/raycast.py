@@ -186,16 +186,14 @@ def _shade(solids, opaque, lamps, i, origin, direction, t, spread):  # type: ign
     facing = normal[0] * direction[0] + normal[1] * direction[1] + normal[2] * direction[2]
     slant = abs(facing) / math.sqrt(direction[0] ** 2 + direction[1] ** 2 + direction[2] ** 2)
     size = (solids[i, SX], solids[i, SX + 1], solids[i, SX + 2])
-    u, v, width, height = _face(solids[i, KIND], point, n, size)
     red, green, blue = paint(
         solids[i, PAINT],
         point,
-        u,
-        v,
-        width,
-        height,
-        (solids[i, RED1], solids[i, RED1 + 1], solids[i, RED1 + 2]),
-        (solids[i, RED2], solids[i, RED2 + 1], solids[i, RED2 + 2]),
+        _face(solids[i, KIND], point, n, size),
+        (
+            (solids[i, RED1], solids[i, RED1 + 1], solids[i, RED1 + 2]),
+            (solids[i, RED2], solids[i, RED2 + 1], solids[i, RED2 + 2]),
+        ),
         solids[i, GRAIN],
         np.int64(solids[i, SEED]),
         t * spread / max(0.4, slant),
@@ -240,9 +238,10 @@ def _in_row(solids, c2w, focal, principal, row):  # type: ignore[no-untyped-def]
 
 
 @nb.njit(cache=True, error_model="numpy", parallel=True)
-def measure_view(solids, c2w, focal, principal, depth, face):  # type: ignore[no-untyped-def]
+def measure_view(solids, c2w, lens, depth, face):  # type: ignore[no-untyped-def]
     """Fill `depth` [height, width] (camera z through each pixel's middle; 0: nothing hit) and `face` (a number
-    for each face of each solid; -1: nothing)."""
+    for each face of each solid; -1: nothing). `lens` is (fx, fy) and (cx, cy) in pixels."""
+    focal, principal = lens
     height, width = depth.shape
     origin = (c2w[0, 3], c2w[1, 3], c2w[2, 3])
     for row in nb.prange(height):
@@ -258,13 +257,16 @@ def measure_view(solids, c2w, focal, principal, depth, face):  # type: ignore[no
 
 
 @nb.njit(cache=True, error_model="numpy", parallel=True)
-def photograph_view(solids, opaque, lamps, c2w, focal, principal, depth, face, image, samples):  # type: ignore[no-untyped-def]
-    """Fill `image` [height, width, 3] (sRGB, 0 to 1) from what `measure_view` found.
+def photograph_view(solids, light, c2w, lens, seen, image, samples):  # type: ignore[no-untyped-def]
+    """Fill `image` [height, width, 3] (sRGB, 0 to 1).
 
-    `solids` [n, TABLE_COLUMNS]; `opaque` are the rows that cast shadows; `lamps` [n, 3] the points that give light.
-    A pixel where faces meet is the mean of `samples`² rays. Elsewhere one ray is enough, since the paints
-    fade out what is finer than a pixel.
+    `solids` [n, TABLE_COLUMNS]. `light` is the rows that cast shadows and the lamp's points [n, 3]. `lens` is
+    (fx, fy) and (cx, cy) in pixels. `seen` is the depth and the faces from `measure_view`. A pixel where faces meet
+    is the mean of `samples`² rays. Elsewhere one ray is enough, since the paints fade out detail finer than a pixel.
     """
+    opaque, lamps = light
+    focal, principal = lens
+    depth, face = seen
     height, width = depth.shape
     origin = (c2w[0, 3], c2w[1, 3], c2w[2, 3])
     for row in nb.prange(height):
