@@ -9,7 +9,7 @@ from querysplat_cli.encoders.vggt_omega.model import VggtOmega
 from tiny_weights import OMEGA
 
 
-def test_tables_say_what_was_measured_and_no_more() -> None:
+def test_tables_list_only_what_was_measured() -> None:
     rows = [
         {
             "views": 4,

@@ -161,7 +161,7 @@ def test_encoders_are_exchanged_without_touching_the_decoders(tmp_path: Path) ->
     assert not torch.allclose(made[0].means, made[1].means)
 
 
-def test_missing_weights_say_where_from(tmp_path: Path) -> None:
+def test_missing_weights_have_a_hint_where_to_get_them(tmp_path: Path) -> None:
     with pytest.raises(MissingPart, match=r"vggt_omega_1b_512\.pt") as raised:
         find_encoder("vggt_omega", EncoderOptions(tmp_path))
     assert "facebook/VGGT-Omega" in raised.value.hint

@@ -92,7 +92,7 @@ def test_other_settings_are_refused(
     assert files(out) == before
 
 
-def test_our_renders_score_the_same_as_anybody_elses(evaluated: tuple[Path, dict[str, Any]], room: Path) -> None:
+def test_our_renders_score_the_same_as_predictions(evaluated: tuple[Path, dict[str, Any]], room: Path) -> None:
     """Our own renders, scored by --predictions. One split file names a scene that is missing."""
     out, summary = evaluated
     splits = room.parent / "splits"

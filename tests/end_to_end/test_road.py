@@ -333,7 +333,7 @@ def test_photos_without_overlap(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert [path.name for path in tmp_path.iterdir()] == ["none"]
 
 
-def test_one_photo_is_a_guess_and_says_so(room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_one_photo_is_a_guess_with_a_warning(room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     photo = sorted(room.iterdir())[0]
     assert run(["reconstruct", str(photo), "-o", str(tmp_path / "a.ply"), "--json", *SMALL]) == 0
     report = json.loads(capsys.readouterr().out)

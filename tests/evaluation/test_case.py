@@ -37,7 +37,7 @@ def test_a_padded_photos_camera_is_that_of_the_photo_alone() -> None:
         assert camera.focal == (100, 100)
 
 
-def test_what_was_cut_off_is_not_made_up(tmp_path: Path) -> None:
+def test_a_view_that_was_cropped_away_is_refused(tmp_path: Path) -> None:
     write_room(tmp_path / "room", 1)
     (scene,) = find_scenes([tmp_path])
     judge = Judge({"input": scene.frames}, scene.cameras, Protocol("text"), None)

@@ -104,7 +104,7 @@ def test_a_split_in_which_everything_failed_is_not_forgotten(tmp_path: Path) -> 
     assert "| r | – / – / – | – / – / – | – / – / – | 0 of 0 | 2 of 2 |" in text
 
 
-def test_quoted_rows_have_a_source_and_say_so(tmp_path: Path) -> None:
+def test_quoted_rows_name_their_source(tmp_path: Path) -> None:
     row_folder = start(tmp_path, "free_tto=0", split("small", "small"))
     write_case(row_folder.case("s_000"), "s", result(20), pictures=False)
     summary = summarise(tmp_path)

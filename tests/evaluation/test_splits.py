@@ -38,7 +38,7 @@ def scene(name: str, count: int, *, first: int = 0) -> CapturedScene:
     cases=st.integers(1, 12),
     seed=st.integers(0, 5),
 )
-def test_generated_cases_are_what_they_say(views: int, scale: str, counts: list[int], cases: int, seed: int) -> None:
+def test_generated_cases_follow_the_rules(views: int, scale: str, counts: list[int], cases: int, seed: int) -> None:
     scenes = [scene(f"s{i}", count, first=7 * i) for i, count in enumerate(counts)]
     interval = INTERVALS[views][SCALES.index(scale)]
     need = (views - 1) * interval + 1 + EVALUATION_POLICY.generated_targets
@@ -80,7 +80,7 @@ def test_the_releases_form_comes_back(tmp_path: Path) -> None:
     assert read_splits(tmp_path) == [split]
 
 
-def test_index_files_tell_inputs_between_and_beyond_apart(tmp_path: Path) -> None:
+def test_index_files_are_divided_into_inputs_interpolation_and_extrapolation(tmp_path: Path) -> None:
     """TokenGS's and DepthSplat's targets hold the inputs; null stands for scenes that are left out."""
     file = tmp_path / "dl3dv.json"
     entries = {
@@ -109,7 +109,7 @@ def test_frames_are_found_by_name_in_renamed_folders() -> None:
         resolve(split.cases[0], scene("a", 2))
 
 
-def test_names_that_repeat_in_folders_are_told_apart() -> None:
+def test_names_that_repeat_in_folders_stay_separate() -> None:
     frames = tuple(
         Frame(i, name, "images", Path(name)) for i, name in enumerate(["left/1.png", "right/1.png", "2.png"])
     )

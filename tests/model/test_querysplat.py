@@ -65,7 +65,7 @@ def test_same_seed_same_weights_and_global_randomness_untouched() -> None:
     assert any(not torch.equal(first[name], other[name]) for name in first)
 
 
-def test_rows_that_nobody_attends_to_can_go() -> None:
+def test_rows_without_attention_can_be_removed() -> None:
     config = compact()
     model = initial_model(config, seed=0).requires_grad_(False)
     scene, everything = anchors(config, queries=7), memories(config)

@@ -121,7 +121,7 @@ def test_half_stay_unless_they_are_few_for_the_pixels() -> None:
     assert target_count(300, 400, views) == 300
 
 
-def test_optimisation_goes_on_with_those_that_stay() -> None:
+def test_optimisation_continues_with_the_remaining_gaussians() -> None:
     scene, views = wall_and_hidden(), cameras(-0.1, 0.0, 0.1)
     result = optimise_gaussians(
         scene,

@@ -140,7 +140,7 @@ def prior(anchors: Anchors) -> Gaussians:
     return Gaussians(*(part.flatten(0, 1) for part in parts), anchors.opacities.flatten(), sh)
 
 
-def test_the_plane_goes_on_beside_the_photo() -> None:
+def test_the_plane_is_extended_beside_the_photo() -> None:
     """Stripes along x are extended beyond the photo: a camera half a picture to the left sees them there."""
     views, cameras, depth, confidence = plane([0.0])
     views.images[:] = torch.linspace(0.2, 0.8, HEIGHT)[:, None]
@@ -194,7 +194,7 @@ def test_quaternions_are_scipy_s(parts: list[float]) -> None:
     assert (again.inv() * rotation).magnitude() < 1e-7
 
 
-def test_what_is_known_of_an_anchor_does_not_depend_on_the_frame() -> None:
+def test_anchor_features_do_not_depend_on_the_frame() -> None:
     views, cameras, depth, confidence = plane([0.0, 0.317])
     # Off the pixels' edges, where rounding would decide which pixel a point falls into.
     cameras.w2c[1, 1, 3] = 0.113
@@ -208,7 +208,7 @@ def test_what_is_known_of_an_anchor_does_not_depend_on_the_frame() -> None:
     torch.testing.assert_close(after.features, before.features, rtol=1e-4, atol=2e-4)
 
 
-def test_an_anchor_knows_the_borders_of_its_picture() -> None:
+def test_anchor_features_hold_the_distances_to_the_image_borders() -> None:
     anchors, report = build(*plane([0.0]))
     near = anchors.features[: report.kept, 6:10].reshape(HEIGHT // 6, WIDTH // 6, 4)
     assert near[0, 0].tolist() == [0, 1, 0, 1]

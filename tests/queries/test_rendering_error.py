@@ -36,7 +36,7 @@ def photos(images: Tensor) -> Views:
     return Views(images, torch.ones(count, height, width, dtype=torch.bool), ("a", "b"), ((height, width),) * count)
 
 
-def test_a_scene_that_looks_like_its_photos_is_told_nothing() -> None:
+def test_a_perfect_render_has_no_rendering_error() -> None:
     gaussians, cameras = scene()
     told = rendering_error(gaussians, photos(render(gaussians, cameras).colour), cameras)
     assert told.shape == (30, CHANNELS)
@@ -69,7 +69,7 @@ def test_it_is_the_descent_of_the_squared_error_by_the_reference() -> None:
     assert (expected.abs() < LARGEST).float().mean() > 0.9
 
 
-def test_masked_pixels_say_nothing() -> None:
+def test_masked_pixels_have_no_influence() -> None:
     gaussians, cameras = scene()
     views = photos(torch.rand(2, 3, 30, 40))
     nothing = Views(views.images, torch.zeros_like(views.masks), views.names, views.sizes)

@@ -16,7 +16,7 @@ from querysplat_cli.training.losses import (
     EPSILON,
     chamfer,
     depth_points,
-    drawn,
+    draw_indices,
     nearest,
     opacity_floor,
     picture_loss,
@@ -75,7 +75,7 @@ def test_chamfer_stays_finite(a: Tensor, b: Tensor) -> None:
     assert slope(loss, a).isfinite().all()
 
 
-def test_far_from_the_origin_neighbours_are_still_told_apart() -> None:
+def test_far_from_the_origin_the_nearest_neighbour_is_still_right() -> None:
     a = torch.tensor([[1e6, 0.0, 0.0]])
     b = torch.tensor([[1e6 + 0.5, 0, 0], [1e6 + 0.25, 0, 0]])
     assert nearest(a, b).tolist() == [1]
@@ -152,4 +152,4 @@ def test_depth_points_lie_at_the_depth_and_inside_the_masks() -> None:
     assert (points[:, 2] == 2).all()
     assert (points[:, 0] < 2 * (10 - 15) / 25).all()
     assert len(points.unique(dim=0)) == 50
-    assert len(drawn(7, 50, torch.Generator())) == 7
+    assert len(draw_indices(7, 50, torch.Generator())) == 7

@@ -20,7 +20,7 @@ from training_scenes import sample, training
 
 
 class Surveyor:
-    """An encoder that knows every camera, but measures each pass in another frame: what it locates first is the origin,
+    """An encoder with true cameras whose frame differs from pass to pass: the first camera is the origin,
     and its unit grows with the number of photos."""
 
     name, size, own_frame = "surveyor", 64, True

@@ -147,7 +147,7 @@ def optimised(densify_to: int | None, steps: int = 90, lr: float = 0.1, **option
     )
 
 
-def test_a_coarse_scene_gains_where_nobody_looked() -> None:
+def test_a_coarse_scene_gains_in_held_out_views() -> None:
     """Coarse Gaussians on fine photos: with splitting, a view between the photos comes out better."""
     between = cameras(4, shift=0.05)
     truth = render(wall(12), between).colour.clamp(0, 1)

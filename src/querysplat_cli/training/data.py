@@ -118,7 +118,7 @@ class Samples:
 
 
 class RecentResults(Generic[Result]):
-    """The results of a slow function for the files that were asked for last, at most `limit` of them."""
+    """The results of a slow function for the `limit` files that were used last."""
 
     def __init__(self, limit: int) -> None:
         self._limit = limit

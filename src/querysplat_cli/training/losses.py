@@ -86,9 +86,9 @@ def depth_points(
     """At most `count` world points of the input-only depth, drawn evenly from the pixels inside the masks."""
     rows, columns = (torch.arange(size, device=depth.device) + 0.5 for size in depth.shape[1:])
     points = cameras.unproject(depth, columns, rows)[views.masks]
-    return points[drawn(len(points), count, generator)]
+    return points[draw_indices(len(points), count, generator)]
 
 
-def drawn(total: int, count: int, generator: torch.Generator) -> Int[Tensor, "n"]:
-    """At most `count` of `total` numbers, each at most once."""
+def draw_indices(total: int, count: int, generator: torch.Generator) -> Int[Tensor, "n"]:
+    """At most `count` of the indices below `total`, each at most once, in random order."""
     return torch.randperm(total, generator=generator)[:count]

@@ -19,7 +19,7 @@ from querysplat_cli.training.losses import (
     Perceptual,
     chamfer,
     depth_points,
-    drawn,
+    draw_indices,
     opacity_floor,
     picture_loss,
     unseen_loss,
@@ -135,7 +135,7 @@ def _regularise(leaves: Gaussians, sample: Sample, step: StepSettings, generator
     if weights.chamfer and sample.geometry.depth is not None:
         count = settings.chamfer_points
         points = depth_points(sample.views, sample.cameras, sample.geometry.depth, count, generator)
-        losses["chamfer"] = chamfer(leaves.means[drawn(len(leaves), count, generator)], points)
+        losses["chamfer"] = chamfer(leaves.means[draw_indices(len(leaves), count, generator)], points)
     for name, loss in losses.items():
         (getattr(weights, name) * loss).backward()
     return {name: float(loss.detach()) for name, loss in losses.items()}
