@@ -108,7 +108,7 @@ def test_wrong_changes_are_refused_with_a_clear_message(change: str) -> None:
         'stages = [{lr = 1.0}]\nbase = "paper"',
     ],
 )
-def test_wrong_files_are_refused_with_a_clear_message(tmp_path: Path, text: str) -> None:
+def test_wrong_files_are_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / "wrong.toml"
     path.write_text(text)
     with pytest.raises(QuerySplatError):

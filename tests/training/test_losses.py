@@ -54,7 +54,7 @@ def test_neighbours_are_the_same_by_chunks(monkeypatch: pytest.MonkeyPatch) -> N
     generator = torch.Generator().manual_seed(1)
     a, b = (torch.randn(n, 3, generator=generator) for n in (200, 130))
     whole = nearest(a, b)
-    monkeypatch.setattr("querysplat_cli.training.losses.PAIRS", 7 * 130)
+    monkeypatch.setattr("querysplat_cli.training.losses.CHAMFER_PAIRS", 7 * 130)
     torch.testing.assert_close(nearest(a, b), whole)
 
 
