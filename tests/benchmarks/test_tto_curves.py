@@ -1,4 +1,4 @@
-"""The program that draws quality against seconds of optimisation, on a small input."""
+"""The program that draws quality against seconds of optimisation, but for the minutes that it takes."""
 
 from pathlib import Path
 

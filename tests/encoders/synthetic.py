@@ -77,7 +77,7 @@ def arc(count: int, **lens: object) -> list[PhotoCamera]:
 
 
 def photograph(scene: Sequence[Plane], lens: PhotoCamera, name: str, focal: float | None = None) -> Photo:
-    """The photo that `lens` takes, two samples along each side of a pixel; `focal` is its EXIF entry."""
+    """The photo that `lens` takes, two samples along each side of a pixel; `focal` is what its EXIF says."""
     rays = _rays(lens, samples=2)
     rotation, centre = lens.w2c[:3, :3], -lens.w2c[:3, :3].T @ lens.w2c[:3, 3]
     directions = rays @ rotation

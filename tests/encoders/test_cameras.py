@@ -1,4 +1,4 @@
-"""Estimated cameras against known ones, and sets of photos that do not show one ordinary scene."""
+"""Cameras of photographs whose cameras are known, and of photos that make no ordinary scene."""
 
 import tempfile
 from collections.abc import Sequence
@@ -68,7 +68,7 @@ def test_the_frame(posed: PosedViews) -> None:
 
 
 def test_points_lie_on_the_surfaces(six: list[Photo], posed: PosedViews) -> None:
-    """A sparse point has the same colour in two views, so it projects to the same place on a surface."""
+    """Seen from two views, a point has the same colour: its projection lands on the same surface."""
     shared = np.intersect1d(posed.visibility[2], posed.visibility[3])
     assert len(shared) > 100
     colours = []
@@ -212,7 +212,7 @@ def test_no_photo() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("step", [0.1, 0.03, 0.005])
 def test_small_baselines(step: float) -> None:
-    """Baselines of 2 %, 0.6 % and 0.1 % of the depth: sound cameras, then a warning, then no motion at all."""
+    """2 %, 0.6 % and 0.1 % of the depth between neighbours: sound, then doubtful, then no motion at all."""
     lenses = [camera((step * i, 0, 0), (step * i, 0, 6)) for i in range(4)]
     photos = photographs(room(), lenses)
     found = place(photos)

@@ -23,7 +23,7 @@ from querysplat_cli.scene.views import Photo
 
 
 def project(points: np.ndarray, lens: PhotoCamera) -> np.ndarray:
-    """Pixels [n, 2] of world points under the Brown lens model, computed independently."""
+    """Pixels [n, 2] of world points under the Brown lens model, written out."""
     local = points @ lens.w2c[:3, :3].T + lens.w2c[:3, 3]
     x, y = (local[:, :2] / local[:, 2:]).T
     k1, k2, p1, p2 = lens.distortion

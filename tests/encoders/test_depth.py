@@ -138,7 +138,7 @@ def test_masked_pixels_do_not_vote_and_have_no_confidence(slanted):
     assert np.median(error) < 0.01
 
 
-def test_one_view_is_a_guess_with_a_warning(slanted):
+def test_one_view_is_a_guess_and_says_so(slanted):
     scene, _, _ = slanted
     alone = PosedViews(scene.views[[0]], scene.cameras[[0]], torch.zeros(0, 3), (torch.zeros(0, dtype=torch.long),))
     geometry = seen_depth(alone)

@@ -85,7 +85,7 @@ def test_register_blocks_leave_patches_alone(tmp_path: Path) -> None:
 
 
 def test_half_precision_is_near(tmp_path: Path) -> None:
-    """bfloat16 has 8 bits: the error is a few per cent after a few blocks. Heads stay in float32."""
+    """bfloat16 has 8 bits: a few per cent after a few blocks; heads stay in float32."""
     write_vgm(tmp_path / "a.safetensors")
     exact, rough = (load_vgm(VggtOmega, OMEGA, tmp_path / "a.safetensors", precision=each) for each in ("fp32", "bf16"))
     assert rough.aggregator.frame_blocks[0].attn.qkv.weight.dtype == torch.bfloat16
@@ -120,7 +120,7 @@ def test_pose_codec_goes_round(numbers: list[float], height: int, width: int) ->
 
 @pytest.mark.parametrize(("make", "config", "tensors"), [(VggtOmega, OMEGA_CONFIG, 1411), (Vggt, VGGT_CONFIG, 1341)])
 def test_full_size_files_load_strictly(tmp_path: Path, make: type[Vgm], config: VgmConfig, tensors: int) -> None:
-    """All official names and shapes, in a small .pt file: every tensor repeats one number."""
+    """All official names and shapes, in a .pt file whose values take no room (every tensor repeats one number)."""
     with torch.device("meta"):
         state = make(config).state_dict()
     assert len(state) == tensors
@@ -145,7 +145,7 @@ def test_a_broken_configuration_is_refused(tmp_path: Path, stored: str) -> None:
 
 
 def test_encoders_are_exchanged_without_touching_the_decoders(tmp_path: Path) -> None:
-    """The same decoder works on the features of either VGM."""
+    """One model decodes what either VGM sees."""
     write_vgm(tmp_path / "vggt_omega_1b_512.safetensors")
     write_vgm(tmp_path / "model.safetensors", Vggt, VGGT)
     model = write_model(tmp_path / "model_file.safetensors")
@@ -161,7 +161,7 @@ def test_encoders_are_exchanged_without_touching_the_decoders(tmp_path: Path) ->
     assert not torch.allclose(made[0].means, made[1].means)
 
 
-def test_missing_weights_have_a_hint_where_to_get_them(tmp_path: Path) -> None:
+def test_missing_weights_say_where_from(tmp_path: Path) -> None:
     with pytest.raises(MissingPart, match=r"vggt_omega_1b_512\.pt") as raised:
         find_encoder("vggt_omega", EncoderOptions(tmp_path))
     assert "facebook/VGGT-Omega" in raised.value.hint

@@ -1,4 +1,4 @@
-"""From photos to a scene on the command line: its files, its messages, and no leftovers."""
+"""From photos to a scene, through the command line: what is written, what is said, and what is never left behind."""
 
 import json
 import resource
@@ -29,7 +29,7 @@ SMALL = ["--max-size", "192", "--tto", "24", "--quiet"]
 
 
 def take_photos(folder: Path, seed: int, count: int = PHOTOS, *, mirrored: bool = False) -> list[Path]:
-    """Photos of a procedural room, 448 × 336. Rooms share patterns, but a mirrored room matches no other."""
+    """Photos of a made-up room, 448 × 336. Rooms share patterns; nothing matches between one and a mirrored one."""
     folder.mkdir(parents=True, exist_ok=True)
     scene = make_room(seed)
     cameras = walk(scene, count, seed)
@@ -132,7 +132,7 @@ def test_tto_takes_the_scene_up(scene: tuple[Path, dict[str, Any]], capsys: pyte
 def test_a_scene_is_pruned_to_a_number(
     scene: tuple[Path, dict[str, Any]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Only the remaining queries are stored: resuming the scene does not bring pruned Gaussians back."""
+    """What stays is prepared: taking the scene up again brings nothing back."""
     source, before = scene
     ply = Path(shutil.copy(source, tmp_path / "scene.ply"))
     shutil.copytree(source.with_suffix(""), ply.with_suffix(""))
@@ -239,7 +239,7 @@ def test_the_same_seed_gives_the_same_file(room: Path, tmp_path: Path) -> None:
 def test_known_poses(
     room: Path, scene: tuple[Path, dict[str, Any]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """With --poses cameras.json no camera is estimated, and the photos that the file lacks are reported by name."""
+    """With cameras.json for poses nothing is mapped, and photos that it does not name are left out by name."""
     ply, _ = scene
     poses = tmp_path / "transforms.json"
     content = json.loads((ply.with_suffix("") / "cameras.json").read_text())
@@ -285,7 +285,7 @@ def test_known_poses_that_are_wrong_are_refined(
 def test_good_photos_are_used_where_some_are_bad(
     room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Grey, transparent, 16-bit, rotated and smaller photos are used; a truncated file and a text are not."""
+    """Grey, transparent, 16-bit, turned and smaller photos are photos; a torn file and a text are not."""
     folder = tmp_path / "mixed"
     folder.mkdir()
     for i, file in enumerate(sorted(room.iterdir())):
@@ -333,7 +333,7 @@ def test_photos_without_overlap(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert [path.name for path in tmp_path.iterdir()] == ["none"]
 
 
-def test_one_photo_is_a_guess_with_a_warning(room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_one_photo_is_a_guess_and_says_so(room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     photo = sorted(room.iterdir())[0]
     assert run(["reconstruct", str(photo), "-o", str(tmp_path / "a.ply"), "--json", *SMALL]) == 0
     report = json.loads(capsys.readouterr().out)
@@ -366,7 +366,7 @@ def test_a_device_that_is_not_there(room: Path, tmp_path: Path, capsys: pytest.C
 
 
 def test_photos_are_never_replaced_by_their_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The scene's folder would replace the photos' folder. --force only replaces what an earlier run wrote."""
+    """The scene's folder would have the name of theirs; --force is for what an earlier run wrote."""
     photos = tmp_path / "photos"
     take_photos(photos, 3, 2)
     for given in (photos, photos / "room3_0.png"):

@@ -1,4 +1,4 @@
-"""Head outputs to Gaussians: closed forms, saturation, and the prior at an output of zero."""
+"""Raw numbers to Gaussians: closed forms, saturation, and the prior at zero."""
 
 import math
 
@@ -61,7 +61,7 @@ def test_scale_cap_and_colour_bounds() -> None:
 @pytest.mark.parametrize("dtype", [torch.float32, torch.bfloat16])
 @pytest.mark.parametrize("kind", ["official", "anchored"])
 def test_extreme_raw_numbers_stay_finite_with_their_gradients(dtype: torch.dtype, kind: str) -> None:
-    """Head outputs far beyond the range of exp saturate (case 27 in docs/reference/stability-cases.md)."""
+    """Stability row 27."""
     config = compact()
     scene = anchors(config, queries=len(EXTREMES))
     count = len(EXTREMES) * config.gaussians_per_query

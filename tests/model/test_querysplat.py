@@ -1,4 +1,4 @@
-"""The whole model: official sizes, the compact model's initial weights, and gradients of the memories."""
+"""The model as a whole: the official sizes, the compact start, and what optimisation of the memories reaches."""
 
 from dataclasses import fields
 
@@ -40,7 +40,7 @@ def test_initial_model_gives_the_prior() -> None:
 
 
 def test_values_drive_every_property_of_every_gaussian_from_the_start() -> None:
-    """At the initial weights every property of a Gaussian has a gradient in the memories, as TTO needs."""
+    """What test-time optimisation needs: at the prior, no property is cut off from the memories."""
     config = compact()
     model = initial_model(config, seed=0).requires_grad_(False)
     scene = anchors(config)
@@ -65,7 +65,7 @@ def test_same_seed_same_weights_and_global_randomness_untouched() -> None:
     assert any(not torch.equal(first[name], other[name]) for name in first)
 
 
-def test_rows_without_attention_can_be_removed() -> None:
+def test_rows_that_nobody_attends_to_can_go() -> None:
     config = compact()
     model = initial_model(config, seed=0).requires_grad_(False)
     scene, everything = anchors(config, queries=7), memories(config)
@@ -77,7 +77,7 @@ def test_rows_without_attention_can_be_removed() -> None:
 
 
 def test_local_decoding_equals_global_decoding_when_everything_is_near() -> None:
-    """When all rows are neighbours of all queries, anchored and learned queries use the same decoder."""
+    """Every query near every row: the anchored road and the learned one are the same decoder."""
     config = compact(width=16, heads=2, gaussians_per_query=1)
     torch.manual_seed(0)
     model = QuerySplat(config).double().requires_grad_(False)
@@ -116,7 +116,7 @@ def test_plucker_rays_pass_through_their_camera_and_their_pixel() -> None:
 
 
 def test_blocks_run_again_backward_give_the_same_gradient() -> None:
-    """Learned queries recompute activations in the backward pass; the gradient is that without recomputation."""
+    """Learned queries forget what is between blocks; the gradient is that of the plain chain."""
     torch.manual_seed(0)
     model = QuerySplat(TINY).requires_grad_(False)
     for block in (*model.geometry_decoder.blocks, *model.appearance_decoder.blocks):

@@ -1,4 +1,4 @@
-"""The choice of photos when memory does not suffice for all."""
+"""Which photos are kept when not all fit."""
 
 from pathlib import Path
 
@@ -50,7 +50,7 @@ def test_as_many_as_fit(tmp_path: Path) -> None:
         within_memory(PHOTOS, needs, 2**20, None)
 
 
-def test_an_encoder_without_a_memory_estimate_is_not_limited() -> None:
+def test_an_encoder_that_cannot_tell_is_not_limited() -> None:
     needs = MemoryNeeds(find_encoder("classical"), QuerySplat(MODEL), 448)
     kept, left_out, expected = within_memory(PHOTOS, needs, 1, None)
     assert (len(kept), left_out, expected) == (40, [], None)

@@ -1,4 +1,4 @@
-"""A scene folder that is written and read gives the same scene."""
+"""The scene folder gives back what was put into it."""
 
 import json
 import sys
@@ -89,7 +89,7 @@ def test_round_trip(stored: tuple[StoredScene, Gaussians], tmp_path: Path) -> No
 
 
 def test_cameras_name_the_files_that_are_there(stored: tuple[StoredScene, Gaussians], tmp_path: Path) -> None:
-    """c.webp is stored as a PNG: `file_path` names the PNG, and its camera is still found by the photo's name."""
+    """c.webp is kept as a PNG: other tools find it by `file_path`, and cameras by the photo's own name stay found."""
     write_scene(tmp_path / "s.ply", *stored, {"tto": []})
     listing = tmp_path / "s" / "cameras.json"
     content = json.loads(listing.read_text())

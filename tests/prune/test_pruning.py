@@ -1,4 +1,4 @@
-"""Pruning removes Gaussians, SH bands and views that do not change the pictures."""
+"""What is left out: Gaussians, SH bands and views that change nothing."""
 
 import math
 from dataclasses import fields, replace
@@ -54,7 +54,7 @@ def photos(gaussians: Gaussians, views: Cameras) -> RenderingLoss:
 
 
 def test_importance_is_what_colours_the_picture_times_what_goes_with_it() -> None:
-    """Against blending weights, and renders without each Gaussian, in enough views for signs to average out."""
+    """Against blending weights and pictures without each Gaussian, in so many views that signs average out."""
     scene, views = wall_and_hidden(0)[::9], cameras(*torch.linspace(-0.2, 0.2, 200).tolist())
     scene = replace(scene, opacities=torch.linspace(0.2, 0.9, len(scene)))
     margin = math.ceil(SIZE / 10)
@@ -121,7 +121,7 @@ def test_half_stay_unless_they_are_few_for_the_pixels() -> None:
     assert target_count(300, 400, views) == 300
 
 
-def test_optimisation_continues_with_the_remaining_gaussians() -> None:
+def test_optimisation_goes_on_with_those_that_stay() -> None:
     scene, views = wall_and_hidden(), cameras(-0.1, 0.0, 0.1)
     result = optimise_gaussians(
         scene,

@@ -30,7 +30,7 @@ BLOCKS = (HEIGHT // 6) * (WIDTH // 6)
 
 
 def plane(shifts: list[float], seed: int = 0) -> tuple[Views, Cameras, torch.Tensor, torch.Tensor]:
-    """Cameras side by side in front of the plane z = 2, with random pictures and full confidence everywhere."""
+    """Cameras side by side that look straight at the plane z = 2; random pictures, depth sure everywhere."""
     count = len(shifts)
     w2c = torch.eye(4).repeat(count, 1, 1)
     w2c[:, 0, 3] = -torch.tensor(shifts)
@@ -70,7 +70,7 @@ def test_a_second_photo_from_the_same_place_adds_nothing() -> None:
 
 
 def test_a_view_to_the_side_adds_what_only_it_sees() -> None:
-    """The second view is shifted by two blocks, so only its last two columns of blocks are new."""
+    """A shift of two blocks: the last two columns of the second view are new."""
     _, report = build(*plane([0.0, 12 * DEPTH / FOCAL]))
     assert report.kept == BLOCKS + 2 * HEIGHT // 6
 
@@ -140,8 +140,8 @@ def prior(anchors: Anchors) -> Gaussians:
     return Gaussians(*(part.flatten(0, 1) for part in parts), anchors.opacities.flatten(), sh)
 
 
-def test_the_plane_is_extended_beside_the_photo() -> None:
-    """Stripes along x are extended beyond the photo: a camera half a picture to the left sees them there."""
+def test_the_plane_goes_on_beside_the_photo() -> None:
+    """Even stripes along x go on for ever: a camera half a picture to the left sees them where no photo does."""
     views, cameras, depth, confidence = plane([0.0])
     views.images[:] = torch.linspace(0.2, 0.8, HEIGHT)[:, None]
     anchors, report = build(views, cameras, depth, confidence)
@@ -159,7 +159,7 @@ def test_the_plane_is_extended_beside_the_photo() -> None:
 
 
 def test_no_query_stands_beside_a_photo_where_another_photo_looks() -> None:
-    """Two views side by side: extensions between the views are left out, and the outer ones stay."""
+    """Two views side by side: the borders between them are left out, the four around both stay."""
     scene = plane([0.0, WIDTH / 2 * DEPTH / FOCAL])
     anchors, report = build(*scene)
     beyond = anchors.means[report.kept :]
@@ -173,7 +173,7 @@ def test_no_query_stands_beside_a_photo_where_another_photo_looks() -> None:
 
 
 def test_blocks_beside_a_photo_keep_about_the_size_of_their_prior() -> None:
-    """The bundled decoder was trained without extended blocks. Features that mark them would enlarge them much."""
+    """The bundled decoder has never seen any: told plainly what they are, it makes them several times larger."""
     views, cameras, depth, confidence = plane([0.0, 0.3])
     anchors, report = build(views, cameras, depth, confidence)
     anchors = with_rendering_error(anchors, views, cameras)
@@ -194,7 +194,7 @@ def test_quaternions_are_scipy_s(parts: list[float]) -> None:
     assert (again.inv() * rotation).magnitude() < 1e-7
 
 
-def test_anchor_features_do_not_depend_on_the_frame() -> None:
+def test_what_is_known_of_an_anchor_does_not_depend_on_the_frame() -> None:
     views, cameras, depth, confidence = plane([0.0, 0.317])
     # Off the pixels' edges, where rounding would decide which pixel a point falls into.
     cameras.w2c[1, 1, 3] = 0.113
@@ -208,7 +208,7 @@ def test_anchor_features_do_not_depend_on_the_frame() -> None:
     torch.testing.assert_close(after.features, before.features, rtol=1e-4, atol=2e-4)
 
 
-def test_anchor_features_hold_the_distances_to_the_image_borders() -> None:
+def test_an_anchor_knows_the_borders_of_its_picture() -> None:
     anchors, report = build(*plane([0.0]))
     near = anchors.features[: report.kept, 6:10].reshape(HEIGHT // 6, WIDTH // 6, 4)
     assert near[0, 0].tolist() == [0, 1, 0, 1]

@@ -1,4 +1,4 @@
-"""Extensions of the photos beyond their borders, against known patterns."""
+"""Pictures of what stands beside the photos, against what was painted."""
 
 import torch
 

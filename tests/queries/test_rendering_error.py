@@ -1,4 +1,4 @@
-"""Rendering errors of the Gaussians equal the reference renderer's gradients, and are zero for a perfect render."""
+"""Rendering errors at the Gaussians: the gradients of the reference renderer, and nothing where nothing is wrong."""
 
 import torch
 from torch import Tensor
@@ -36,7 +36,7 @@ def photos(images: Tensor) -> Views:
     return Views(images, torch.ones(count, height, width, dtype=torch.bool), ("a", "b"), ((height, width),) * count)
 
 
-def test_a_perfect_render_has_no_rendering_error() -> None:
+def test_a_scene_that_looks_like_its_photos_is_told_nothing() -> None:
     gaussians, cameras = scene()
     told = rendering_error(gaussians, photos(render(gaussians, cameras).colour), cameras)
     assert told.shape == (30, CHANNELS)
@@ -69,7 +69,7 @@ def test_it_is_the_descent_of_the_squared_error_by_the_reference() -> None:
     assert (expected.abs() < LARGEST).float().mean() > 0.9
 
 
-def test_masked_pixels_have_no_influence() -> None:
+def test_masked_pixels_say_nothing() -> None:
     gaussians, cameras = scene()
     views = photos(torch.rand(2, 3, 30, 40))
     nothing = Views(views.images, torch.zeros_like(views.masks), views.names, views.sizes)

@@ -1,4 +1,4 @@
-"""Files are written completely or not at all."""
+"""Files appear whole or not at all."""
 
 import errno
 import shutil
@@ -82,27 +82,27 @@ def test_a_folder_has_one_writer_at_a_time(tmp_path: Path) -> None:
         assert not list(tmp_path.iterdir())
 
 
-def test_a_full_disk_has_a_clear_message(tmp_path: Path) -> None:
+def test_a_full_disk_is_said_in_words(tmp_path: Path) -> None:
     with pytest.raises(QuerySplatError, match="disk is full"), atomic_path(tmp_path / "scene.ply") as draft:
         write_half(draft, OSError(errno.ENOSPC, "No space left on device"))
     assert listing(tmp_path) == []
 
 
 def test_a_write_that_fails_without_a_reason_on_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """OpenCV reports a failed write without a reason."""
+    """OpenCV only says that it could not write."""
     monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=1000))
     with pytest.raises(QuerySplatError, match="disk is full"), atomic_folder(tmp_path / "scene"):
         raise OSError("cannot write preview.png")
 
 
-def test_a_full_disk_reported_by_another_library(tmp_path: Path) -> None:
+def test_a_full_disk_in_the_words_of_another_library(tmp_path: Path) -> None:
     with pytest.raises(QuerySplatError, match="disk is full"), atomic_folder(tmp_path / "scene"):
         raise RuntimeError("Error while serializing: I/O error: No space left on device (os error 28)")
     with pytest.raises(RuntimeError, match="a bug"), atomic_folder(tmp_path / "scene"):
         raise RuntimeError("a bug")
 
 
-def test_a_missing_permission_has_a_clear_message(tmp_path: Path) -> None:
+def test_missing_permission_is_said_in_words(tmp_path: Path) -> None:
     with pytest.raises(QuerySplatError, match="permission"), atomic_path(tmp_path / "scene.ply"):
         raise PermissionError(errno.EACCES, "Permission denied")
 

@@ -1,4 +1,4 @@
-"""Similarities against their definition, and an error where they are not determined."""
+"""Similarities against their own definition, and refusals where they are not determined."""
 
 import numpy as np
 import pytest
@@ -118,7 +118,7 @@ def test_one_wrong_camera_does_not_move_the_others(seed: int, count: int, kind: 
     torch.testing.assert_close(found.rotation, truth.rotation, rtol=0, atol=0.02)
 
 
-def test_a_little_noise_makes_no_camera_an_outlier() -> None:
+def test_nobody_is_left_out_for_a_little_noise() -> None:
     before = cameras(1, 6)
     w2c = before.w2c.clone()
     w2c[:, :3, 3] += 0.01 * torch.from_numpy(np.random.default_rng(0).normal(size=(6, 3)))

@@ -28,7 +28,7 @@ def outcome(
     """Picture and gradients of a random linear functional of colour, alpha and, if asked for, depth.
 
     A lone Gaussian has the depth z whatever its α, so that its depth's gradient is a difference of equal
-    numbers: no float32 arithmetic gets it right, so scenes of one Gaussian skip it.
+    numbers: no float32 arithmetic gets it right, and scenes of one Gaussian leave it out.
     """
     dtype = torch.float64 if backend == "reference" else torch.float32
     leaves = gaussians.detach().map(lambda field: field.to(dtype).clone().requires_grad_())

@@ -1,4 +1,4 @@
-"""The kernel against a second renderer, written pixel by pixel from the published equations alone.
+"""The kernel against a renderer written a second time, pixel by pixel, from the published equations alone.
 
 It shares no code with the package: matrices by scipy, spherical harmonics by scipy's sph_harm, the Jacobian as
 a finite difference of the projection, α and blending in plain Python floats.
@@ -35,7 +35,7 @@ def project(point: np.ndarray, w2c: np.ndarray, K: np.ndarray) -> np.ndarray:
 def splats(
     gaussians: Gaussians, w2c: np.ndarray, K: np.ndarray
 ) -> list[tuple[float, np.ndarray, np.ndarray, float, list[float]]]:
-    """Depth, centre, 2D covariance, opacity and colour of the Gaussians in front of the camera, nearest first."""
+    """Depth, centre, 2D covariance, opacity and colour of what stands before the camera, nearest first."""
     found = []
     centre = -w2c[:3, :3].T @ w2c[:3, 3]
     for i in range(len(gaussians)):

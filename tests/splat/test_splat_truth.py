@@ -158,7 +158,7 @@ def test_an_unknown_backend_is_refused() -> None:
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="tells what happens without CUDA")
-def test_gsplat_reports_what_is_missing() -> None:
+def test_gsplat_says_what_is_missing() -> None:
     with pytest.raises(MissingPart):
         render(cloud(0, 5, camera(8, 8)).to(torch.float32), camera(8, 8), backend="gsplat")
 

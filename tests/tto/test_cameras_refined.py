@@ -1,4 +1,4 @@
-"""Cameras that are optimised together with the scene."""
+"""Cameras that are corrected beside the scene."""
 
 from dataclasses import replace
 
@@ -41,7 +41,7 @@ def scene() -> tuple[Gaussians, Views, Cameras]:
 
 
 def turned(cameras: Cameras, pixels: float) -> Cameras:
-    """Each camera turned at random about each axis, so that the picture moves by about `pixels`."""
+    """Each camera turned at random by about so many pixels about each axis."""
     turns = torch.randn(len(cameras), 3, generator=torch.Generator().manual_seed(1)) * pixels / cameras.K[0, 0, 0]
     skew = torch.linalg.cross(turns[:, None].expand(-1, 3, 3), torch.eye(3).expand(len(cameras), 3, 3), dim=2)
     w2c = cameras.w2c.clone()
@@ -50,7 +50,7 @@ def turned(cameras: Cameras, pixels: float) -> Cameras:
 
 
 def pixels_off(cameras: Cameras, true: Cameras, gaussians: Gaussians) -> float:
-    """Mean distance of the centres in the pictures, after aligning the cameras with `true`."""
+    """Mean distance of the centres in the pictures, with the world brought to that of `true`."""
     same = cameras.transformed(align_cameras(cameras.w2c, true.w2c))
 
     def seen(some: Cameras) -> torch.Tensor:

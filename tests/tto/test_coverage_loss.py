@@ -32,7 +32,7 @@ def wall(dtype: torch.dtype = torch.float32) -> Gaussians:
 
 
 def two(dtype: torch.dtype = torch.float32) -> Cameras:
-    """Two cameras whose views of the wall do not overlap."""
+    """Cameras whose pictures of the wall do not meet."""
     w2c = torch.eye(4, dtype=dtype).repeat(2, 1, 1)
     w2c[:, 0, 3] = torch.tensor([0.7, -0.7])
     K = torch.tensor([[45.0, 0, SIZE / 2], [0, 45.0, SIZE / 2], [0, 0, 1]], dtype=dtype).repeat(2, 1, 1)

@@ -103,7 +103,7 @@ def test_splitting_hardly_changes_the_picture(opacity: float, most: float) -> No
 
 
 def test_disagreement_is_the_error_under_each_gaussian() -> None:
-    """Of one Gaussian alone: Σ α·|picture − photo|, where α is that of the renderer."""
+    """Of one Gaussian alone: Σ α·|picture − photo|, where α is what the renderer says."""
     one = Gaussians(
         means=torch.tensor([[0.0, 0.0, 2.0]]),
         quats=torch.tensor([[1.0, 0, 0, 0]]),
@@ -147,7 +147,7 @@ def optimised(densify_to: int | None, steps: int = 90, lr: float = 0.1, **option
     )
 
 
-def test_a_coarse_scene_gains_in_held_out_views() -> None:
+def test_a_coarse_scene_gains_where_nobody_looked() -> None:
     """Coarse Gaussians on fine photos: with splitting, a view between the photos comes out better."""
     between = cameras(4, shift=0.05)
     truth = render(wall(12), between).colour.clamp(0, 1)
