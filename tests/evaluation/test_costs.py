@@ -28,7 +28,7 @@ def test_a_peak_is_that_of_the_work_alone() -> None:
 
 
 class Fake:
-    """An encoder that counts the calls."""
+    """An encoder that counts what it is asked."""
 
     name, size, own_frame = "fake", 448, False
 
