@@ -1,4 +1,4 @@
-"""Imports point down the flow only, and the command line starts without the heavy packages."""
+"""Imports point down the layers only, and the command line starts without importing heavy packages."""
 
 import ast
 import subprocess
@@ -14,7 +14,7 @@ LAYERS = (
     *("runtime", "scene", "splat", "encoders", "model", "queries", "prune", "tto"),
     *("reporting", "pipeline", "training", "evaluation", "commands", "cli"),
 )
-"""Every box, lowest first: each imports itself and what stands before it."""
+"""Every box, lowest first: each imports itself and the boxes in front of it in this list."""
 ROOT_FILES = {"__init__", "__main__"}
 
 

@@ -22,7 +22,8 @@ from querysplat_cli.prune.policy import PRUNE_POLICY
 from querysplat_cli.runtime.errors import ExitCode
 from querysplat_cli.scene.formats.ply import read_ply
 from querysplat_cli.scene.formats.transforms import read_cameras
-from querysplat_cli.training.procedural import cast, make_scene, walk
+from querysplat_cli.training.photographer import cast, walk
+from querysplat_cli.training.rooms import make_room
 from querysplat_cli.tto.policy import TTO_POLICY
 
 PHOTOS = 7
@@ -32,7 +33,7 @@ SMALL = ["--max-size", "192", "--tto", "24", "--quiet"]
 def take_photos(folder: Path, seed: int, count: int = PHOTOS, *, mirrored: bool = False) -> list[Path]:
     """Photos of a procedural room, 448 × 336. Rooms share patterns, but a mirrored room matches none that is not."""
     folder.mkdir(parents=True, exist_ok=True)
-    scene = make_scene(seed)
+    scene = make_room(seed)
     cameras = walk(scene, count, seed)
     files = [folder / f"room{seed}_{i}.png" for i in range(count)]
     for i, file in enumerate(files):

@@ -1,4 +1,4 @@
-"""Rows from what the user wants varied: any field of the settings, checked by its type."""
+"""Rows of a sweep over any field of the settings, checked by the field's type."""
 
 from pathlib import Path
 

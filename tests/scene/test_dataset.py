@@ -1,4 +1,4 @@
-"""Scenes in the forms in which datasets come, with what is wrong with them in practice."""
+"""Scenes in the layouts of public datasets, and the faults that these have in practice."""
 
 import json
 import shutil
@@ -73,7 +73,7 @@ def test_a_zip_is_read_like_its_folder(tmp_path: Path) -> None:
 @pytest.mark.parametrize("home", [".", "gaussian_splat"])
 @pytest.mark.parametrize("text", [False, True])
 def test_a_colmap_project(tmp_path: Path, home: str, text: bool) -> None:
-    """As COLMAP's users keep it, and in DL3DV's Benchmark; a folder or a zip."""
+    """The layout of COLMAP projects and of DL3DV's Benchmark, as a folder or a zip."""
     write_scene(tmp_path / "dl3dv")
     (known,) = find_scenes([tmp_path / "dl3dv"])
     model = tmp_path / "in" / "scene1" / home / "sparse" / "0"

@@ -1,4 +1,4 @@
-"""Camera paths: where they go, where they look, and that they are smooth."""
+"""Camera paths: their course, their direction of view, and their smoothness."""
 
 import math
 

@@ -52,7 +52,7 @@ def test_the_reference_has_the_gradients_of_finite_differences(degree: int) -> N
 
 @pytest.mark.parametrize(("degree", "zoom", "pixels"), [(0, 1.0, 2.5), (1, 1.0, 2.5), (3, 1.0, 2.5), (1, 4.0, 8.0)])
 def test_the_kernel_has_the_gradients_of_the_reference(degree: int, zoom: float, pixels: float) -> None:
-    """With zoom, most centres are outside the picture, and the Jacobian of some is held at its border."""
+    """With zoom, most centres are outside the picture, and the Jacobian of some is clamped."""
     cameras = off_centre(40, 52, zoom)
     scene = as_kernel_sees(cloud(degree, 250, camera(40, 52), degree=degree, pixels=pixels))
     found = {}

@@ -1,4 +1,4 @@
-"""Samples: two isolated passes joined by a similarity, kept on disk as they are, and drawn by the step's number."""
+"""Samples: two passes joined by a similarity, their files, and the draw of each step's samples."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -15,13 +15,13 @@ from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.sim3 import Sim3
 from querysplat_cli.scene.views import Photo, Views
 from querysplat_cli.training.config import DataSettings, SourceSettings
-from querysplat_cli.training.data import Kept, Samples, cache_folder, prepare_samples
+from querysplat_cli.training.data import RecentResults, Samples, cache_folder, prepare_samples
 from querysplat_cli.training.passes import make_sample, read_sample, write_sample
 from training_scenes import sample, training
 
 
 class Surveyor:
-    """An encoder that knows every camera, but measures each pass in another frame: what it locates first is the origin,
+    """An encoder with true cameras whose frame differs from pass to pass: the first camera is the origin,
     and its unit grows with the number of photos."""
 
     name, size, own_frame = "surveyor", 64, True
@@ -163,7 +163,7 @@ def test_what_a_step_sees_depends_on_seed_step_and_process_alone(tmp_path: Path)
 
 
 def test_the_latest_results_are_kept() -> None:
-    kept: Kept[int] = Kept(2)
+    kept: RecentResults[int] = RecentResults(2)
     made: list[str] = []
 
     def get(name: str) -> int:

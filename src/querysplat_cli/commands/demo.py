@@ -10,7 +10,8 @@ from querysplat_cli.reporting.report import Report
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.files import atomic_folder, refuse_existing
 from querysplat_cli.scene.pictures import eight_bit, write_picture
-from querysplat_cli.training.procedural import cast, make_scene, walk
+from querysplat_cli.training.photographer import cast, walk
+from querysplat_cli.training.rooms import make_room
 
 
 def run_demo(folder: Path, *, photos: int, seed: int, force: bool, stages: Stages) -> Report:
@@ -20,7 +21,7 @@ def run_demo(folder: Path, *, photos: int, seed: int, force: bool, stages: Stage
     """
     refuse_existing([folder], force=force)
     with stages("photograph") as progress, atomic_folder(folder / "photos") as draft:
-        scene = make_scene(seed)
+        scene = make_room(seed)
         cameras = walk(scene, photos, seed)
         for i in range(photos):
             image = cast(scene, cameras[[i]])[0][0]

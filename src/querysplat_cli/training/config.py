@@ -49,7 +49,7 @@ class DataSettings:
 
 @dataclass(frozen=True)
 class LossSettings:
-    """Weights of the losses (paper, section 3.3, and the appendix on parameters).
+    """Weights of the losses (paper, section 3.4, and the appendix on parameters).
 
     LPIPS comes in after `lpips_start` steps and reaches its weight `lpips_ramp` steps later; the Chamfer loss and the
     opacity floor fall to zero, linearly, over the first `anneal` steps. `chamfer_points` bounds the points of either

@@ -1,4 +1,4 @@
-"""One training sample: what the frozen VGM says of the inputs alone, and targets in the same frame; and its file."""
+"""One training sample and its file: the frozen VGM's output for the inputs alone, and targets in the same frame."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -42,9 +42,11 @@ def make_sample(
     seed: int,
     progress: Progress = lambda text, fraction: None,
 ) -> Sample:
-    """Two isolated passes, over everything and over the photos named `inputs`, joined by the inputs' cameras.
+    """A sample from two separate passes, over all photos and over the photos named `inputs`.
 
-    Raises ImpossibleScene when an input or every target is lost on the way.
+    The similarity between the inputs' cameras of both passes brings the targets' cameras to the inputs' frame.
+
+    Raises ImpossibleScene when an input or every target is left without a camera.
     """
     # The inputs come last: some encoders keep the pass that they made last for their depth and features.
     request = CameraRequest(max_size, seed, known)
@@ -73,7 +75,7 @@ def write_sample(path: Path, sample: Sample) -> None:
         "targets.K": sample.target_cameras.K,
     }
     if geometry.depth is not None and geometry.confidence is not None:
-        # Half precision ends at 65,504, and its relative error of 0.05 % is far below that of any estimate.
+        # float16 ends at 65,504. Its relative error of 0.05 % is far below that of any estimated depth.
         tensors |= {"depth": geometry.depth.clamp(1e-4, 6e4).half(), "confidence": geometry.confidence.half()}
     for i, layer in enumerate(geometry.features):
         tensors[f"features.{i}"] = layer.bfloat16() if layer.shape[-1] > 64 else layer
