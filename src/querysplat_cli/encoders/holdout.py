@@ -2,17 +2,15 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import torch
 
 from querysplat_cli.encoders.base import PosedViews
+from querysplat_cli.runtime.choices import CameraSource
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras, project
 from querysplat_cli.scene.sim3 import DegenerateAlignment, align_cameras, rotation_angles
 from querysplat_cli.scene.views import LeftOut, Photo, Views
-
-CameraSource = Literal["isolated", "joint"]
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from querysplat_cli.evaluation.protocol import Protocol
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.pipeline.reconstruct import build_scene, load_parts
 from querysplat_cli.pipeline.settings import ReconstructSettings
+from querysplat_cli.runtime.choices import CaseCameras
 from querysplat_cli.runtime.device import find_device
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.precision import check_precision, matrix_products
@@ -30,8 +31,6 @@ from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.photos import WHOLE, load_photos
 from querysplat_cli.scene.sim3 import DegenerateAlignment, Sim3, align_cameras
 from querysplat_cli.scene.views import Photo
-
-CameraSource = Literal["free", "posed"]
 
 
 @dataclass(frozen=True)
@@ -44,7 +43,7 @@ class Row:
 
     name: str
     method: Literal["querysplat", "depth"]
-    cameras: CameraSource
+    cameras: CaseCameras
     overrides: tuple[tuple[str, Any], ...] = ()
 
 

@@ -6,8 +6,9 @@ from pathlib import Path
 from types import NoneType
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
-from querysplat_cli.evaluation.case import CameraSource, Row
+from querysplat_cli.evaluation.case import Row
 from querysplat_cli.pipeline.settings import ReconstructSettings
+from querysplat_cli.runtime.choices import CaseCameras
 from querysplat_cli.runtime.errors import QuerySplatError
 
 FIXED = {"inputs", "ply", "holdout_every", "holdout_cameras", "poses", "force", "seed", "device", "max_views", "fit"}
@@ -41,7 +42,7 @@ def read_axis(text: str) -> Axis:
         ) from None
 
 
-def rows(axes: Sequence[Axis], cameras: Sequence[CameraSource]) -> list[Row]:
+def rows(axes: Sequence[Axis], cameras: Sequence[CaseCameras]) -> list[Row]:
     """One row for each combination of values and each source of cameras, and one of splatted depth for each source."""
     names = [name for name, _ in axes]
     if len(set(names)) < len(names):

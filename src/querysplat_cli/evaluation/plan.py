@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from querysplat_cli.evaluation.case import CameraSource, Row, parts, same_parts
+from querysplat_cli.evaluation.case import Row, parts, same_parts
 from querysplat_cli.evaluation.generate import generate
 from querysplat_cli.evaluation.grid import FIXED, Axis, rows
 from querysplat_cli.evaluation.lpips import LpipsFiles
@@ -13,6 +13,7 @@ from querysplat_cli.evaluation.protocol import Protocol
 from querysplat_cli.evaluation.results import Place, checkpoint_sha256, prepare, run_config, write_failure
 from querysplat_cli.evaluation.splits import Case, Split, read_splits, resolve
 from querysplat_cli.pipeline.settings import ReconstructSettings
+from querysplat_cli.runtime.choices import CaseCameras
 from querysplat_cli.runtime.errors import ImpossibleScene, QuerySplatError
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.formats.dataset import CapturedScene, Frame
@@ -32,7 +33,7 @@ class EvalRequest:
     scales: tuple[str, ...]
     cases: int | None
     protocol: Protocol
-    cameras: tuple[CameraSource, ...]
+    cameras: tuple[CaseCameras, ...]
     axes: tuple[Axis, ...]
     settings: ReconstructSettings
     predictions: Path | None

@@ -7,7 +7,6 @@ Photos are never enlarged before they are shown.
 """
 
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import cv2
 import numpy as np
@@ -15,6 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from querysplat_cli.runtime.choices import ProtocolName
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera, rescaled, same_shape
 from querysplat_cli.scene.fit import resized
@@ -23,7 +23,6 @@ from querysplat_cli.scene.pictures import eight_bit
 from querysplat_cli.scene.views import Photo
 from querysplat_cli.splat.render import render
 
-ProtocolName = Literal["release", "text"]
 RELEASE_SIDE, RELEASE_SCORED, TEXT_SIDE = 512, 256, 256
 
 

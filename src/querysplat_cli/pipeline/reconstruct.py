@@ -18,7 +18,7 @@ from querysplat_cli.pipeline.memory import MemoryNeeds, evenly_spaced, free_byte
 from querysplat_cli.pipeline.scene_folder import StoredScene, ply_path, read_scene, scene_folder, write_scene
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.prune.bands import without_idle_bands
-from querysplat_cli.prune.gaussians import Amount, Pruned, prune, target_count
+from querysplat_cli.prune.gaussians import Pruned, prune, target_count
 from querysplat_cli.prune.resolution import Blurred, blurred
 from querysplat_cli.prune.views import near_duplicates
 from querysplat_cli.queries.prepare import PreparedQueries, prepare
@@ -33,6 +33,7 @@ from querysplat_cli.reporting.report import (
     views_entry,
 )
 from querysplat_cli.reporting.view_scores import Quality, score
+from querysplat_cli.runtime.choices import Amount, Space
 from querysplat_cli.runtime.device import find_device, peak_gib, to_device
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.precision import check_precision, matrix_products
@@ -48,7 +49,7 @@ from querysplat_cli.splat.compile_ahead import compile_ahead
 from querysplat_cli.tto.adapt import Adapted, Start, adapt
 from querysplat_cli.tto.cameras import refinable, with_refined_focal
 from querysplat_cli.tto.optimise import TtoStep
-from querysplat_cli.tto.plan import QUERIES, RELEASE_STEPS, Space, TtoRun, plan_release, plan_tto
+from querysplat_cli.tto.plan import QUERIES, RELEASE_STEPS, TtoRun, plan_release, plan_tto
 from querysplat_cli.tto.rendering_loss import RenderingLoss
 
 MISFIT = 0.5

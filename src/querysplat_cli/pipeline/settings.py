@@ -3,11 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from querysplat_cli.encoders.holdout import CameraSource
-from querysplat_cli.prune.gaussians import Amount
-from querysplat_cli.queries.prepare import Target
-from querysplat_cli.scene.fit import Fit
-from querysplat_cli.tto.plan import Space
+from querysplat_cli.runtime.choices import Amount, CameraSource, Fit, Space, Target
 
 
 @dataclass(frozen=True)

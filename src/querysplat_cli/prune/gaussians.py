@@ -10,12 +10,11 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from querysplat_cli.queries.build import BORDER
+from querysplat_cli.runtime.choices import Amount
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
 from querysplat_cli.splat.render import RenderSettings, render
 
-Amount = Literal["auto", "off"] | int
-"""How many Gaussians stay: as many as are needed, all, or at most so many."""
 SHARE = 0.5
 """What an automatic choice keeps. Optimisation makes up for the rest; what held-out views lose is in
 docs/benchmarks.md."""

@@ -2,17 +2,14 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Literal, get_args
+from typing import get_args
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from querysplat_cli.runtime.choices import Precision
 from querysplat_cli.runtime.errors import QuerySplatError
-
-Precision = Literal["fp32", "tf32", "bf16"]
-"""fp32: as the release. tf32: the same, with 10-bit mantissas inside matrix products on GPUs that have them.
-bf16: matrix products and attention in bfloat16; norms, softmax, residuals, rotations and heads in float32."""
 
 
 class Linear(nn.Linear):

@@ -3,10 +3,8 @@
 from dataclasses import dataclass, replace
 from typing import Literal
 
+from querysplat_cli.runtime.choices import Space
 from querysplat_cli.tto.optimise import PRUNE_AFTER, TtoSettings
-
-Space = Literal["features", "gaussians", "both"]
-"""The memories that the Gaussians are decoded from, the Gaussians themselves, or first the one and then the other."""
 
 LEARNING_RATE = 0.02
 RESUMED_LEARNING_RATE, RESUMED_WARM_UP = 0.005, 10
