@@ -1,12 +1,12 @@
-"""The story of `convert`: Gaussians from one kind of file to another, and cameras from one kind to another."""
+"""What `convert` does: Gaussians from one kind of file to another, and cameras from one kind to another."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import torch
 
+from querysplat_cli.commands.requests import Conversion
 from querysplat_cli.pipeline.scene_folder import write_images
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import PhotoCamera
@@ -35,26 +35,12 @@ UP = {
 }
 
 
-@dataclass(frozen=True)
-class Conversion:
-    """What `querysplat convert` can be asked for; see docs/cli.md.
-
-    `up` is the axis that points up in the source, and becomes −y; `scale` multiplies lengths after that; `crop` is
-    x0, y0, z0, x1, y1, z1 in the result. With `photos`, cameras and photos become a scene folder.
-    """
-
-    source: Path
-    target: Path
-    text: bool = False
-    photos: Path | None = None
-    up: str | None = None
-    scale: float = 1.0
-    crop: tuple[float, ...] | None = None
-    force: bool = False
-
-
 def convert(request: Conversion) -> dict[str, Any]:
-    """Write `request.target`, and return what was written. Raises QuerySplatError, and writes nothing, on bad input."""
+    """Write `request.target`, and return what was written, as the dict that --json prints.
+
+    `up` becomes −y first; `scale` then multiplies lengths; `crop` is in the units and axes of the result. With
+    `photos`, cameras and photos become a scene folder. Raises QuerySplatError, and writes nothing, on bad input.
+    """
     refuse_existing([request.target], force=request.force)
     given = [path.resolve() for path in (request.source, request.photos) if path]
     if request.target.is_dir() and any(path.is_relative_to(request.target.resolve()) for path in given):

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from querysplat_cli.commands.requests import InspectRequest
 from querysplat_cli.model.attention_maps import attention_of
 from querysplat_cli.pipeline.reconstruct import load_again
 from querysplat_cli.pipeline.scene_folder import StoredScene, read_scene
@@ -47,26 +48,27 @@ class Inspected:
         return json.dumps(vars(self), indent=2)
 
 
-def inspect_scene(
-    path: Path, output: Path, *, query: int | None, weights: Path | None, force: bool, stages: Stages
-) -> Inspected:
-    """Draw the attention of `query` (None: the most opaque one), histograms and points of a stored scene.
+def inspect_scene(request: InspectRequest, stages: Stages) -> Inspected:
+    """Draw the attention of a query (the most opaque one by default), histograms and points of a stored scene.
 
     Raises QuerySplatError when the scene has no such query, or was stored without what the drawings need.
     """
-    refuse_existing([output], force=force)
+    output = request.target
+    refuse_existing([output], force=request.force)
     with stages("read"):
-        scene, report = read_scene(path)
-        model = load_again(scene.model, report["settings"], weights, torch.device("cpu"))
+        scene, report = read_scene(request.scene)
+        model = load_again(scene.model, report["settings"], request.weights, torch.device("cpu"))
         if scene.map is None:
-            raise QuerySplatError(f"{path} was made by an earlier version", "Run `querysplat reconstruct` again.")
+            raise QuerySplatError(
+                f"{request.scene} was made by an earlier version", "Run `querysplat reconstruct` again."
+            )
     with stages("attention"):
         with torch.no_grad():
             gaussians = model.decode(scene.memories, scene.anchors)
         kept = torch.ones(len(gaussians), dtype=torch.bool) if scene.kept is None else scene.kept
         count = len(gaussians) // model.config.gaussians_per_query
         by_query = (gaussians.opacities * kept).view(count, -1)
-        chosen = int(by_query.sum(1).argmax()) if query is None else query
+        chosen = int(by_query.sum(1).argmax()) if request.query is None else request.query
         if not 0 <= chosen < count:
             raise QuerySplatError(f"--query {chosen}: there are queries 0 to {count - 1}", "Choose one of them.")
         geometry, appearance = attention_of(model, scene.memories, scene.anchors, chosen)

@@ -29,3 +29,11 @@ ProtocolName = Literal["release", "text"]
 
 CaseCameras = Literal["free", "posed"]
 """Where an evaluation takes the cameras from: estimated from the photos, or the data set's own."""
+
+InputCount = Literal[2, 4, 12]
+"""How many inputs a generated split of an evaluation has."""
+
+Scale = Literal["small", "medium", "large"]
+"""How far apart the inputs of a generated split are."""
+
+Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
