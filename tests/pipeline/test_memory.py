@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from querysplat_cli.encoders.base import EncoderOptions
 from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.model.querysplat import QuerySplat
-from querysplat_cli.pipeline.memory import SHARE, MemoryNeeds, evenly_spaced, free_bytes, within_memory
+from querysplat_cli.pipeline.memory import SHARE, MemoryNeeds, evenly_spaced, within_memory
+from querysplat_cli.runtime.device import free_bytes
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.views import Photo
 from tiny_weights import MODEL, OMEGA, write_weights

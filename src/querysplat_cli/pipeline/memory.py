@@ -1,12 +1,8 @@
 """Whether the photos fit: memory estimated before any work is done."""
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TypeVar
-
-import torch
 
 from querysplat_cli.encoders.base import Encoder
 from querysplat_cli.model.querysplat import QuerySplat
@@ -18,17 +14,6 @@ SHARE = 0.9
 RUNTIME = int(0.6 * 2**30)
 """Bytes that the program and its libraries take."""
 Item = TypeVar("Item")
-
-
-def free_bytes(device: torch.device) -> int:
-    """What can be had on `device` now; no limit where the system does not say."""
-    if device.type == "cuda":
-        return torch.cuda.mem_get_info(device)[0]
-    meminfo = Path("/proc/meminfo")
-    for line in meminfo.read_text().splitlines() if meminfo.is_file() else []:
-        if line.startswith("MemAvailable:"):
-            return int(line.split()[1]) * 1024
-    return sys.maxsize
 
 
 @dataclass(frozen=True)

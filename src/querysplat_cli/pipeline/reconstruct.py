@@ -14,7 +14,7 @@ from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.model.checkpoints import load
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.pipeline.budget import Budget, optimising_seconds, working_size
-from querysplat_cli.pipeline.memory import MemoryNeeds, evenly_spaced, free_bytes, within_memory
+from querysplat_cli.pipeline.memory import MemoryNeeds, evenly_spaced, within_memory
 from querysplat_cli.pipeline.scene_folder import StoredScene, ply_path, read_scene, scene_folder, write_scene
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.prune.bands import without_idle_bands
@@ -34,7 +34,7 @@ from querysplat_cli.reporting.report import (
 )
 from querysplat_cli.reporting.view_scores import Quality, score
 from querysplat_cli.runtime.choices import Amount, Space
-from querysplat_cli.runtime.device import find_device, peak_gib, to_device
+from querysplat_cli.runtime.device import find_device, free_bytes, peak_gib, to_device
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.precision import check_precision, matrix_products
 from querysplat_cli.runtime.progress import Progress, Stages

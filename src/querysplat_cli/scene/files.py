@@ -8,10 +8,12 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from filelock import FileLock, Timeout
+
 from querysplat_cli.runtime.errors import QuerySplatError
 
 NEARLY_FULL = 64 << 20
-"""Free bytes below which a failed write without a reason is put down to a full disk."""
+"""With fewer free bytes, a failed write that gives no reason is taken to be one of a full disk."""
 
 NO_SPACE = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 FORBIDDEN = {errno.EACCES, errno.EPERM, errno.EROFS}
@@ -47,25 +49,16 @@ def check_writable(folder: Path) -> None:
 
 @contextmanager
 def sole_writer(folder: Path) -> Iterator[None]:
-    """Raise QuerySplatError when another process is inside this for the same folder; a killed one is not.
+    """Hold `folder` for this process; raises QuerySplatError when another process holds it.
 
-    Where the system has no such locks (Windows), nothing is checked.
+    The system frees the lock of a process that was killed. Needs a folder that can be written.
     """
     try:
-        import fcntl
-    except ImportError:
-        yield
-        return
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            why = f"{folder}: another process is writing there"
-            raise QuerySplatError(why, "Wait until it ends, or use another folder.") from None
-        yield
-    finally:
-        os.close(handle)
+        with FileLock(folder / ".lock", timeout=0):
+            yield
+    except Timeout:
+        why = f"{folder}: another process is writing there"
+        raise QuerySplatError(why, "Wait until it ends, or use another folder.") from None
 
 
 @contextmanager
