@@ -93,7 +93,7 @@ def test_a_frozen_branch_of_scale_zero_is_skipped_and_changes_nothing(monkeypatc
     torch.manual_seed(0)
     decoder = Decoder(2, 16, 2, 4.0)
     for block in decoder.blocks:
-        block.among_scale.gamma.data.zero_()
+        block.self_attention_scale.gamma.data.zero_()
         block.mlp_scale.gamma.data.zero_()
     tokens, keys, values = torch.randn(5, 16), torch.randn(9, 2, 8), torch.randn(9, 2, 8)
     learning = decoder(tokens, keys, values)

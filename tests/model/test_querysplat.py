@@ -120,7 +120,7 @@ def test_blocks_run_again_backward_give_the_same_gradient() -> None:
     torch.manual_seed(0)
     model = QuerySplat(TINY).requires_grad_(False)
     for block in (*model.geometry_decoder.blocks, *model.appearance_decoder.blocks):
-        for scale in (block.cross_scale, block.among_scale, block.mlp_scale):
+        for scale in (block.cross_scale, block.self_attention_scale, block.mlp_scale):
             scale.gamma.fill_(0.3)
     shape = (20, TINY.heads, TINY.width // TINY.heads)
     stored = Memories(*(torch.randn(shape) for _ in range(4))).map(lambda tensor: tensor.requires_grad_())
