@@ -79,8 +79,7 @@ def test_a_folder_has_one_writer_at_a_time(tmp_path: Path) -> None:
         with sole_writer(tmp_path.parent):
             pass
     with sole_writer(tmp_path):
-        pass
-    assert not list(tmp_path.iterdir())
+        assert not list(tmp_path.iterdir())
 
 
 def test_a_full_disk_is_said_in_words(tmp_path: Path) -> None:

@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Mapping
-from functools import cache
 from typing import Any, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
@@ -22,15 +21,10 @@ def from_tables(kind: type[T], values: Mapping[str, Any], *, what: str, docs: st
     """
     try:
         # As JSON, because pydantic's strict mode takes a list for a tuple only from there.
-        made: T = _adapter(kind).validate_json(json.dumps(values, default=_not_json))
+        made: T = TypeAdapter(kind).validate_json(json.dumps(values, default=_not_json))
     except ValidationError as error:
         raise _in_words(error.errors()[0], what, docs) from error
     return made
-
-
-@cache
-def _adapter(kind: Any) -> Any:
-    return TypeAdapter(kind)
 
 
 def _not_json(value: object) -> dict[str, str]:
