@@ -1,4 +1,4 @@
-"""How numbers are kept: matrices in half precision where that is asked for, everything delicate in float32."""
+"""Number formats: matrix products in half precision on request; norms, softmax and rotations in float32."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,21 +13,21 @@ from querysplat_cli.runtime.errors import QuerySplatError
 
 
 class Linear(nn.Linear):
-    """Computes in the type of its weights, whatever it is given."""
+    """A linear layer that computes in the type of its weights, whatever the type of its input."""
 
     def forward(self, x: Tensor) -> Tensor:
         return F.linear(x.to(self.weight.dtype), self.weight, self.bias)
 
 
 class Conv2d(nn.Conv2d):
-    """Computes in the type of its weights, whatever it is given."""
+    """A convolution that computes in the type of its weights, whatever the type of its input."""
 
     def forward(self, x: Tensor) -> Tensor:
         return super().forward(x.to(self.weight.dtype))
 
 
 class LayerNorm(nn.LayerNorm):
-    """Computes in the type of its weights, which is never half precision."""
+    """A norm that computes in the type of its weights, which is never half precision."""
 
     def forward(self, x: Tensor) -> Tensor:
         return super().forward(x.to(self.weight.dtype))
@@ -45,7 +45,7 @@ def weight_dtypes(model: nn.Module, precision: Precision) -> dict[str, torch.dty
 
 @contextmanager
 def matrix_products(precision: Precision) -> Iterator[None]:
-    """Let GPUs round the operands of float32 products to TF32 while inside, if `precision` says so."""
+    """While inside, let GPUs round the operands of float32 products to TF32 if `precision` is tf32."""
     before = torch.get_float32_matmul_precision()
     torch.set_float32_matmul_precision("high" if precision == "tf32" else before)
     try:
@@ -55,7 +55,7 @@ def matrix_products(precision: Precision) -> Iterator[None]:
 
 
 def check_precision(name: str) -> Precision:
-    """`name` if it is a precision; raises QuerySplatError otherwise."""
+    """`name` as a precision; raises QuerySplatError if it is none."""
     for known in get_args(Precision):
         if name == known:
             return known

@@ -16,7 +16,7 @@ from querysplat_cli.runtime.tables import STRICT, from_tables
 
 @dataclass(frozen=True)
 class SourceSettings:
-    """Scenes of one kind. `inputs` and `interval` (frames from one input to the next) are the fewest and the most.
+    """Scenes of one kind. `inputs` and `interval` (frames from one input to the next) are the least and the greatest.
 
     `samples` are drawn of each scene. "free" cameras are found by the encoder, "posed" ones are the dataset's.
     `scenes` and `size` (shortest and longest longer side, in pixels) are for "procedural" scenes, `places` and
