@@ -19,8 +19,8 @@ AT_ONCE = 32
 def read_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
     """Tensors by name, and the metadata (empty for a .pt file). A tensor is read from the file when it is first used.
 
-    A .pt file is loaded with `weights_only`, so that it cannot run code. Raises QuerySplatError when the file is damaged
-    or holds anything but tensors.
+    A .pt file is loaded with `weights_only`, so that it cannot run code. Raises QuerySplatError when the file is
+    damaged or holds anything but tensors.
     """
     try:
         if path.suffix in {".pt", ".pth"}:
