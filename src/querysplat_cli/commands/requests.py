@@ -51,6 +51,7 @@ class RenderRequest:
         Option(
             "A folder for PNG frames, or a film that ends in .mp4.",
             ("--output", "-o"),
+            metavar="DIR|FILE.mp4",
             default="SCENE-renders, beside the .ply",
         ),
     ] = None
@@ -62,8 +63,8 @@ class RenderRequest:
             metavar="auto|inputs|orbit|FILE",
         ),
     ] = "auto"
-    frames: Annotated[int, Ge(1), Option("The frames of an orbit.")] = 90
-    fps: Annotated[int, Ge(1), Option("The frames per second of a film.")] = 30
+    frames: Annotated[int, Ge(1), Option("The number of frames of an orbit.", metavar="N")] = 90
+    fps: Annotated[int, Ge(1), Option("The frames per second of a film.", metavar="N")] = 30
     size: Annotated[
         tuple[int, int] | None,
         Option("The size of the frames, in pixels.", metavar="WxH", default="the cameras' own", parse=read_size),
@@ -103,7 +104,7 @@ class Conversion:
         Option("The folder of the cameras' photos. TARGET becomes a scene folder of both.", metavar="DIR"),
     ] = None
     up: Annotated[Axis | None, Option("The axis that points up in the source. It becomes -y.")] = None
-    scale: Annotated[float, Gt(0), Option("Multiply all lengths by this number.")] = 1.0
+    scale: Annotated[float, Gt(0), Option("Multiply all lengths by this number.", metavar="FACTOR")] = 1.0
     crop: Annotated[
         tuple[float, ...] | None,
         Option(
@@ -150,7 +151,7 @@ class DemoRequest:
     output: Annotated[Path, Option("A folder for the photos and the scene.", ("--output", "-o"), metavar="DIR")] = Path(
         "querysplat-demo"
     )
-    photos: Annotated[int, Ge(3), Option("How many photos to take.")] = 12
+    photos: Annotated[int, Ge(3), Option("How many photos to take.", metavar="N")] = 12
     seed: Seed = 42
     force: Force = False
 

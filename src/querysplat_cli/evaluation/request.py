@@ -109,7 +109,9 @@ class EvalRequest:
         Option("Run only the I-th of N parts of the cases.", metavar="I/N", default="all cases", parse=read_shard),
     ] = None
     merge: Annotated[bool, Option("Join the results of shards, and run nothing.")] = False
-    workers: Annotated[int, Ge(1), Option("Cases that run at the same time, each in a process of its own.")] = 1
+    workers: Annotated[
+        int, Ge(1), Option("Cases that run at the same time, each in a process of its own.", metavar="N")
+    ] = 1
     force: Force = False
 
     @property

@@ -72,7 +72,8 @@ class ReconstructSettings:
         int | None,
         Ge(96),
         Option(
-            "The longer side of the working pictures, in pixels. auto is the encoder's own size.",
+            "The longer side of the working pictures, in pixels. auto is the encoder's own size; "
+            "in `eval`, that of the photos that are shown.",
             metavar="PX|auto",
             auto=True,
         ),
@@ -137,7 +138,11 @@ class ResumeSettings:
     lr: Annotated[
         float | None,
         Ge(1e-8),
-        Option("The learning rate.", default="0.02, or 0.005 for a space that was optimised in an earlier run"),
+        Option(
+            "The learning rate.",
+            metavar="RATE",
+            default="0.02, or 0.005 for a space that was optimised in an earlier run",
+        ),
     ] = None
     space: Annotated[
         Space | None,

@@ -46,7 +46,9 @@ class Only:
         object.__setattr__(self, "fixed", fixed)
 
 
-Seed = Annotated[int, Option("The seed of every random choice. The same seed on the same machine gives the same file.")]
+Seed = Annotated[
+    int, Option("The seed of every random choice. The same seed on the same machine gives the same file.", metavar="N")
+]
 Force = Annotated[bool, Option("Replace files that exist already.")]
 Device = Annotated[
     str, Option("Where to compute. auto is cuda where a GPU and gsplat are there.", metavar="auto|cpu|cuda")
