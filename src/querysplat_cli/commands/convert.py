@@ -28,7 +28,7 @@ from querysplat_cli.splat.transform import transform_gaussians
 READERS: dict[str, Callable[[Path], Gaussians]] = {".ply": read_ply, ".spz": read_spz, ".sog": read_sog}
 WRITERS: dict[str, Callable[[Path, Gaussians], int]] = {".ply": write_ply, ".spz": write_spz}
 FLIPPED = Sim3(1.0, torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64)), torch.zeros(3).double())
-"""Between the y-down axes of .ply files and the y-up axes that SPZ specifies; its own inverse."""
+"""From the y-down axes of .ply files to the y-up axes that SPZ specifies. It is its own inverse."""
 UP = {
     axis: torch.tensor([float(axis[-1] == letter) for letter in "xyz"]).double() * (-1 if axis[0] == "-" else 1)
     for axis in ("x", "y", "z", "-x", "-y", "-z")
@@ -104,7 +104,7 @@ def _convert_cameras(request: Conversion) -> dict[str, Any]:
 
 
 def _make_scene_folder(target: Path, cameras: Mapping[str, PhotoCamera], place: Path) -> dict[str, Any]:
-    """The cameras, in their own frame, and the photos, undistorted at their own size, as `store` writes them."""
+    """Write a scene folder: the cameras in their own frame, and the photos, undistorted at their own size."""
     files = find_photos([place])
     kept: dict[str, PhotoCamera] = {}
     left_out: list[LeftOut] = []
@@ -132,7 +132,7 @@ def _make_scene_folder(target: Path, cameras: Mapping[str, PhotoCamera], place: 
 
 
 def _upright(axis: str | None) -> torch.Tensor:
-    """The smallest rotation that takes `axis` to −y; half a turn about x for the opposite."""
+    """The smallest rotation that takes `axis` to −y. From y it is half a turn about x."""
     if axis is None:
         return torch.eye(3, dtype=torch.float64)
     up, target = UP[axis], UP["-y"]

@@ -25,12 +25,12 @@ from querysplat_cli.splat.render import Rendering, render
 FOREIGN_SIZE = (720, 960)
 """Height and width of the frames of a scene without cameras, unless the user gives a size."""
 DEPTH_UNITS = 1000
-"""Steps of a 16-bit depth PNG in one scene unit; 0 where nothing was hit, 65,535 at and beyond its range."""
+"""Steps of a 16-bit depth PNG in one scene unit. 0 is a pixel without Gaussians, 65,535 the greatest depth."""
 
 
 @dataclass(frozen=True)
 class Rendered:
-    """What was written, and how long it took."""
+    """What was written, and the seconds of each stage."""
 
     output: str
     frames: int
@@ -113,7 +113,7 @@ def _write_frame(path: Path, picture: Rendering, request: RenderRequest) -> None
 
 
 def _write_film(path: Path, pictures: Iterator[Rendering], fps: int) -> None:
-    """H.264, which every browser and player shows."""
+    """Write an H.264 film, which every browser and player shows."""
     with av.open(str(path), "w") as film:
         stream = None
         for picture in pictures:
