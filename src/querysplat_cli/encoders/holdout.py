@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import torch
 
 from querysplat_cli.encoders.base import PosedViews
-from querysplat_cli.runtime.choices import CameraSource
+from querysplat_cli.runtime.choices import HoldoutProtocol
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras, project
 from querysplat_cli.scene.sim3 import DegenerateAlignment, align_cameras, rotation_angles
@@ -17,7 +17,7 @@ from querysplat_cli.scene.views import LeftOut, Photo, Views
 class CameraPass:
     """The inputs of a scene, and the held-out views in the same frame (None when there are none)."""
 
-    source: CameraSource
+    source: HoldoutProtocol
     inputs: PosedViews
     heldout: tuple[Views, Cameras] | None
 
@@ -62,7 +62,7 @@ def split_photos(photos: Sequence[Photo], every: int | None) -> tuple[list[Photo
 def camera_passes(
     photos: Sequence[Photo],
     every: int | None,
-    source: CameraSource,
+    source: HoldoutProtocol,
     estimate_cameras: Callable[[Sequence[Photo]], PosedViews],
     *,
     poses_known: bool,

@@ -20,7 +20,7 @@ from querysplat_cli.evaluation.protocol import Protocol
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.pipeline.reconstruct import build_scene, load_parts
 from querysplat_cli.pipeline.settings import ReconstructSettings
-from querysplat_cli.runtime.choices import CaseCameras
+from querysplat_cli.runtime.choices import CameraSource
 from querysplat_cli.runtime.device import find_device
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.precision import check_precision, matrix_products
@@ -43,7 +43,7 @@ class Row:
 
     name: str
     method: Literal["querysplat", "depth"]
-    cameras: CaseCameras
+    cameras: CameraSource
     overrides: tuple[tuple[str, Any], ...] = ()
 
 

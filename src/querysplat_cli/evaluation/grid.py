@@ -7,11 +7,11 @@ from typing import Any
 
 from querysplat_cli.evaluation.axes import Axis
 from querysplat_cli.evaluation.case import Row
-from querysplat_cli.runtime.choices import CaseCameras
+from querysplat_cli.runtime.choices import CameraSource
 from querysplat_cli.runtime.errors import QuerySplatError
 
 
-def rows(axes: Sequence[Axis], cameras: Sequence[CaseCameras]) -> list[Row]:
+def rows(axes: Sequence[Axis], cameras: Sequence[CameraSource]) -> list[Row]:
     """One row for each combination of values and each source of cameras, and one of splatted depth for each source."""
     names = [name for name, _ in axes]
     if len(set(names)) < len(names):

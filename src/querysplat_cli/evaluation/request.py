@@ -8,7 +8,7 @@ from annotated_types import Ge
 
 from querysplat_cli.evaluation.axes import Axis, read_axis
 from querysplat_cli.pipeline.settings import ReconstructSettings
-from querysplat_cli.runtime.choices import CaseCameras, InputCount, ProtocolName, Scale
+from querysplat_cli.runtime.choices import CameraSource, InputCount, ProtocolName, Scale
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.options import Force, LpipsWeights, Only, Option
 
@@ -65,7 +65,7 @@ class EvalRequest:
         Option("The most cases of each split.", metavar="N", default="all; 300 of a generated split"),
     ] = None
     cameras: Annotated[
-        tuple[CaseCameras, ...],
+        tuple[CameraSource, ...],
         Option("Estimate the cameras (free), take the data set's (posed), or both.", metavar="KIND,..."),
     ] = ("free", "posed")
     tto: Annotated[

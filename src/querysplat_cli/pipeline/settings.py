@@ -6,7 +6,7 @@ from typing import Annotated
 
 from annotated_types import Ge
 
-from querysplat_cli.runtime.choices import CameraSource, Fit, Space, Target
+from querysplat_cli.runtime.choices import Fit, HoldoutProtocol, Space, Target
 from querysplat_cli.runtime.options import (
     Device,
     Force,
@@ -44,7 +44,7 @@ class ReconstructSettings:
         Option("Keep photos 0, N, 2N, … out of the scene, and score it on them.", metavar="N", default="no photo"),
     ] = None
     holdout_cameras: Annotated[
-        CameraSource,
+        HoldoutProtocol,
         Option(
             "With --holdout-every: estimate the cameras of the scene from the inputs alone (isolated, the paper's "
             "protocol), or from all photos at once (joint)."

@@ -13,7 +13,7 @@ import torch
 
 from querysplat_cli.encoders.holdout import PoseDifference
 from querysplat_cli.reporting.view_scores import Quality
-from querysplat_cli.runtime.choices import CameraSource
+from querysplat_cli.runtime.choices import HoldoutProtocol
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.sim3 import rotation_angles
 from querysplat_cli.scene.views import LeftOut
@@ -77,7 +77,7 @@ def quality_entry(quality: Quality) -> dict[str, Any]:
 
 
 def heldout_entry(
-    chosen: CameraSource, scores: dict[CameraSource, Quality | None], difference: PoseDifference | None
+    chosen: HoldoutProtocol, scores: dict[HoldoutProtocol, Quality | None], difference: PoseDifference | None
 ) -> dict[str, Any] | None:
     """The score of the kept scene, both protocols' scores, and how far their cameras lie apart."""
     kept = scores.get(chosen)

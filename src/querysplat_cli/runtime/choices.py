@@ -2,7 +2,7 @@
 
 from typing import Literal
 
-CameraSource = Literal["isolated", "joint"]
+HoldoutProtocol = Literal["isolated", "joint"]
 """Which photos the cameras of a scene with held-out photos are estimated from: the inputs alone (the paper's protocol),
 or all photos."""
 
@@ -27,7 +27,7 @@ bf16: matrix products and attention in bfloat16; norms, softmax, residuals, rota
 ProtocolName = Literal["release", "text"]
 """How an evaluation prepares photos and renders: as the authors' script does, or as the paper's text says."""
 
-CaseCameras = Literal["free", "posed"]
+CameraSource = Literal["free", "posed"]
 """Where an evaluation takes the cameras from: estimated from the photos, or the data set's own."""
 
 InputCount = Literal[2, 4, 12]
