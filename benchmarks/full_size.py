@@ -9,7 +9,8 @@ from torch import nn
 from querysplat_cli.encoders.vggt_omega.model import VGGT_OMEGA_CONFIG, VggtOmega
 from querysplat_cli.model.config import preset
 from querysplat_cli.model.querysplat import QuerySplat
-from querysplat_cli.runtime.precision import Precision, weight_dtypes
+from querysplat_cli.runtime.choices import Precision
+from querysplat_cli.runtime.precision import weight_dtypes
 from querysplat_cli.scene.cameras import Cameras
 
 SPREAD = {"gamma": 0.1, "deconv": 0.01, "head.weight": 0.01, "queries": 0.5, "token": 0.5}

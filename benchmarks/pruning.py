@@ -23,10 +23,11 @@ from querysplat_cli.model.checkpoints import load
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.pipeline.memory import evenly_spaced
 from querysplat_cli.pipeline.reconstruct import TESTED_VIEWS
-from querysplat_cli.prune.gaussians import Amount, prune, target_count
+from querysplat_cli.prune.gaussians import prune, target_count
 from querysplat_cli.queries.prepare import prepare
 from querysplat_cli.reporting.report import machine
 from querysplat_cli.reporting.view_scores import score
+from querysplat_cli.runtime.choices import Amount
 from querysplat_cli.training.passes import Sample
 from querysplat_cli.tto.features import optimise_memories
 from querysplat_cli.tto.optimise import Pruning

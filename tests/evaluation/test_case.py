@@ -11,9 +11,10 @@ from querysplat_cli.encoders.base import PosedViews
 from querysplat_cli.evaluation.cameras import cameras_by_name
 from querysplat_cli.evaluation.judge import Judge
 from querysplat_cli.evaluation.protocol import Protocol
+from querysplat_cli.runtime.choices import Fit
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
-from querysplat_cli.scene.fit import Fit, network_views
+from querysplat_cli.scene.fit import network_views
 from querysplat_cli.scene.formats.dataset import find_scenes
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.views import Photo

@@ -4,7 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from querysplat_cli.evaluation.grid import axes, read_axis, rows
+from querysplat_cli.evaluation.axes import axes, read_axis
+from querysplat_cli.evaluation.grid import rows
 from querysplat_cli.runtime.errors import QuerySplatError
 
 

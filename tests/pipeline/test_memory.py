@@ -9,8 +9,9 @@ import torch
 from querysplat_cli.encoders.base import EncoderOptions
 from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.model.querysplat import QuerySplat
-from querysplat_cli.pipeline.memory import MemoryNeeds, free_bytes, within_memory
+from querysplat_cli.pipeline.memory import MemoryNeeds, within_memory
 from querysplat_cli.pipeline.policy import PIPELINE_POLICY
+from querysplat_cli.runtime.device import free_bytes
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.views import Photo
 from tiny_weights import MODEL, OMEGA, write_weights

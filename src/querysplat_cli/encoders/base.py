@@ -12,10 +12,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from querysplat_cli.runtime.precision import Precision
+from querysplat_cli.runtime.choices import Fit, Precision
 from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera
-from querysplat_cli.scene.fit import Fit
 from querysplat_cli.scene.views import LeftOut, Photo, Views
 
 

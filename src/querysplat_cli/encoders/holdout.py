@@ -9,18 +9,16 @@ Held-out photos are scored but make no part of the scene. There are two protocol
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import torch
 
 from querysplat_cli.encoders.base import PosedViews
+from querysplat_cli.runtime.choices import HoldoutProtocol
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras, project_points
 from querysplat_cli.scene.rotations import rotation_angles
 from querysplat_cli.scene.sim3 import DegenerateAlignment, align_cameras
 from querysplat_cli.scene.views import LeftOut, Photo, Views
-
-HoldoutProtocol = Literal["isolated", "joint"]
 
 
 @dataclass(frozen=True)

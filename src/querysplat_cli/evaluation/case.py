@@ -14,14 +14,13 @@ from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.pipeline.build import encode_and_build
 from querysplat_cli.pipeline.reconstruct import load_parts
 from querysplat_cli.pipeline.settings import ReconstructSettings
+from querysplat_cli.runtime.choices import CameraSource
 from querysplat_cli.runtime.device import find_device
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.precision import check_precision, matrix_products
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.gaussians import Gaussians
-
-CameraSource = Literal["free", "posed"]
 
 
 @dataclass(frozen=True)

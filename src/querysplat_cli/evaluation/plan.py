@@ -5,47 +5,18 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from querysplat_cli.evaluation.case import CameraSource, Row, parts, same_parts
+from querysplat_cli.evaluation.axes import FIXED
+from querysplat_cli.evaluation.case import Row, parts, same_parts
 from querysplat_cli.evaluation.generate import generate
-from querysplat_cli.evaluation.grid import FIXED, Axis, rows
+from querysplat_cli.evaluation.grid import rows
 from querysplat_cli.evaluation.lpips import LpipsFiles
 from querysplat_cli.evaluation.policy import EVALUATION_POLICY
-from querysplat_cli.evaluation.protocol import Protocol
+from querysplat_cli.evaluation.request import EvalRequest
 from querysplat_cli.evaluation.results import RowFolder, checkpoint_sha256, open_row_folder, run_config, write_failure
 from querysplat_cli.evaluation.splits import Case, Split, read_splits, resolve
-from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.runtime.errors import ImpossibleScene, QuerySplatError
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.formats.dataset import CapturedScene, Frame
-
-
-@dataclass(frozen=True)
-class EvalRequest:
-    """The options of `querysplat eval`; see docs/cli.md.
-
-    `cases` None means all cases of a given split, or the policy's `generated_cases` of a generated one.
-    """
-
-    scenes: tuple[Path, ...]
-    out: Path
-    splits: tuple[Path, ...]
-    views: tuple[int, ...]
-    scales: tuple[str, ...]
-    cases: int | None
-    protocol: Protocol
-    cameras: tuple[CameraSource, ...]
-    axes: tuple[Axis, ...]
-    settings: ReconstructSettings
-    predictions: Path | None
-    name: str | None
-    lpips: Path | None
-    lpips_net: str
-    pictures: str
-    save_pictures: bool
-    shard: tuple[int, int]
-    workers: int
-    splits_only: bool
-    force: bool
 
 
 @dataclass(frozen=True)
@@ -130,9 +101,9 @@ def plan_jobs(
     about_lpips = {"net": lpips.net} if isinstance(lpips, LpipsFiles) else {"missing": lpips}
     for split in splits:
         for row, settings in table:
-            config = run_config(settings, split, request.protocol.name, about_lpips)
+            config = run_config(settings, split, request.protocol, about_lpips)
             open_row_folder(RowFolder(request.out, row.name, split.name), config, force=request.force)
-    number, of = request.shard
+    number, of = request.shard or (1, 1)
     jobs = []
     every = [(split, case) for split in splits for case in split.cases]
     for split, case in every[number - 1 :: of]:

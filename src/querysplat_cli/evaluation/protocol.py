@@ -7,7 +7,6 @@ Photos are never enlarged before they are shown.
 """
 
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import cv2
 import numpy as np
@@ -16,6 +15,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from querysplat_cli.evaluation.policy import EVALUATION_POLICY
+from querysplat_cli.runtime.choices import ProtocolName
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera, rescaled, same_shape
 from querysplat_cli.scene.fit import resized
@@ -23,8 +23,6 @@ from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.pictures import eight_bit
 from querysplat_cli.scene.views import Photo
 from querysplat_cli.splat.render import render
-
-ProtocolName = Literal["release", "text"]
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,10 @@ from typing import Any
 from querysplat_cli.evaluation.case import CaseRunner
 from querysplat_cli.evaluation.judge import Judge
 from querysplat_cli.evaluation.lpips import LpipsFiles, find_lpips, load_lpips
-from querysplat_cli.evaluation.plan import EvalRequest, Job, plan_jobs, plan_rows, plan_splits
+from querysplat_cli.evaluation.plan import Job, plan_jobs, plan_rows, plan_splits
 from querysplat_cli.evaluation.predictions import score_prediction
 from querysplat_cli.evaluation.protocol import Protocol
+from querysplat_cli.evaluation.request import EvalRequest
 from querysplat_cli.evaluation.results import RowFolder, write_case, write_failure
 from querysplat_cli.evaluation.splits import Split, spacing, write_index, write_split
 from querysplat_cli.evaluation.summary import summarise
@@ -66,7 +67,7 @@ def evaluate(request: EvalRequest, stages: Stages, say: Callable[[str], None]) -
     _write_splits(request.out, splits)
     setup = Setup(
         request.out,
-        request.protocol,
+        Protocol(request.protocol),
         request.settings,
         lpips if isinstance(lpips, LpipsFiles) else None,
         request.save_pictures,

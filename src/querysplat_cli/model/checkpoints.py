@@ -13,8 +13,9 @@ from torch import Tensor
 from querysplat_cli.model.config import ModelConfig, preset, preset_names
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.runtime.checkpoint_files import check_tensors, fill, read_tensors
+from querysplat_cli.runtime.choices import Precision
 from querysplat_cli.runtime.errors import QuerySplatError
-from querysplat_cli.runtime.precision import Precision, weight_dtypes
+from querysplat_cli.runtime.precision import weight_dtypes
 from querysplat_cli.runtime.weight_registry import WEIGHTS, find_weights
 from querysplat_cli.scene.files import atomic_path
 

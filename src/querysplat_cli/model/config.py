@@ -6,6 +6,7 @@ from importlib import resources
 from typing import Any, Literal
 
 from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.tables import STRICT, from_tables
 
 
 @dataclass(frozen=True)
@@ -18,6 +19,8 @@ class ModelConfig:
     decoder reads both memories. That, and `appearance_blocks` 0, are the paper's ablations. `special_tokens` are the
     camera and register tokens in front of a view's patches; `vgm_width` is the width of the VGM's tokens.
     """
+
+    __pydantic_config__ = STRICT
 
     width: int = 2048
     heads: int = 16
@@ -81,11 +84,8 @@ class ModelConfig:
 
     @staticmethod
     def from_dict(values: dict[str, Any]) -> "ModelConfig":
-        """Raises QuerySplatError when a name is not a field."""
-        unknown = sorted(values.keys() - {field.name for field in fields(ModelConfig)})
-        if unknown:
-            raise QuerySplatError(f"unknown model setting: {', '.join(unknown)}", "See docs/method.md for the names.")
-        return ModelConfig(**values)
+        """Raises QuerySplatError when a name is not a field, or a value is of another type."""
+        return from_tables(ModelConfig, values, what="model", docs="docs/method.md")
 
 
 def preset(name: str) -> ModelConfig:

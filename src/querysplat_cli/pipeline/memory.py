@@ -1,11 +1,7 @@
 """How many photos fit into memory, estimated before any work is done."""
 
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
-
-import torch
 
 from querysplat_cli.encoders.base import Encoder
 from querysplat_cli.model.querysplat import QuerySplat
@@ -13,17 +9,6 @@ from querysplat_cli.pipeline.policy import PIPELINE_POLICY
 from querysplat_cli.prune.views import evenly_spaced
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.views import LeftOut, Photo
-
-
-def free_bytes(device: torch.device) -> int:
-    """Free memory on `device`; `sys.maxsize` where the system does not report it."""
-    if device.type == "cuda":
-        return torch.cuda.mem_get_info(device)[0]
-    meminfo = Path("/proc/meminfo")
-    for line in meminfo.read_text().splitlines() if meminfo.is_file() else []:
-        if line.startswith("MemAvailable:"):
-            return int(line.split()[1]) * 1024
-    return sys.maxsize
 
 
 @dataclass(frozen=True)

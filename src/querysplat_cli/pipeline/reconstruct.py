@@ -6,13 +6,13 @@ from dataclasses import asdict, dataclass
 import torch
 
 from querysplat_cli.encoders.base import CameraRequest, Encoder, EncoderOptions, PosedViews
-from querysplat_cli.encoders.holdout import HoldoutCameras, HoldoutProtocol, PosedSplit, estimate_holdout_cameras
+from querysplat_cli.encoders.holdout import HoldoutCameras, PosedSplit, estimate_holdout_cameras
 from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.model.checkpoints import load
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.pipeline.budget import Budget, working_size
 from querysplat_cli.pipeline.build import BuiltScene, encode_and_build
-from querysplat_cli.pipeline.memory import MemoryNeeds, free_bytes, within_memory
+from querysplat_cli.pipeline.memory import MemoryNeeds, within_memory
 from querysplat_cli.pipeline.scene_folder import StoredScene, scene_folder, write_scene
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.prune.resolution import Blurred, blurred
@@ -27,7 +27,8 @@ from querysplat_cli.reporting.report import (
     views_entry,
 )
 from querysplat_cli.reporting.view_scores import Quality, score
-from querysplat_cli.runtime.device import find_device, peak_gib
+from querysplat_cli.runtime.choices import HoldoutProtocol
+from querysplat_cli.runtime.device import find_device, free_bytes, peak_gib
 from querysplat_cli.runtime.precision import check_precision, matrix_products
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import PhotoCamera

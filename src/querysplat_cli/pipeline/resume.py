@@ -10,10 +10,12 @@ from querysplat_cli.model.checkpoints import load
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.pipeline.optimise import optimise_start
 from querysplat_cli.pipeline.scene_folder import StoredScene, ply_path, read_scene, write_scene
+from querysplat_cli.pipeline.settings import ResumeSettings
 from querysplat_cli.prune.gaussians import target_count
 from querysplat_cli.reporting import omissions
 from querysplat_cli.reporting.report import Report, machine, quality_entry, seconds_entry, tto_entries
 from querysplat_cli.reporting.view_scores import score
+from querysplat_cli.runtime.choices import Space
 from querysplat_cli.runtime.device import find_device, peak_gib
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.precision import check_precision
@@ -22,29 +24,21 @@ from querysplat_cli.scene.formats.ply import read_ply
 from querysplat_cli.tto.adapt import Adapted
 from querysplat_cli.tto.cameras import with_refined_focal
 from querysplat_cli.tto.features import Start
-from querysplat_cli.tto.options import OptimiseOptions, Space
+from querysplat_cli.tto.options import OptimiseOptions
 from querysplat_cli.tto.plan import TtoRun, plan_release, plan_tto, with_learning_rate
 from querysplat_cli.tto.policy import TTO_POLICY
 
 
-def optimise_scene(
-    path: Path,
-    options: OptimiseOptions,
-    stages: Stages | None = None,
-    *,
-    device: str = "auto",
-    weights: Path | None = None,
-) -> Report:
-    """Optimise the scene in `path` (its folder or its .ply) further, and write it back.
+def optimise_scene(settings: ResumeSettings, stages: Stages | None = None) -> Report:
+    """Optimise the scene in `settings.scene` (its folder or its .ply) further, and write it back.
 
-    `weights` is the folder of the model's files, if they are not where they were. Raises QuerySplatError when the
-    scene is damaged, when the options ask for feature space although the Gaussians were optimised themselves, and when
-    `densify_to` asks for splitting in feature space or for fewer Gaussians than there are.
+    Raises QuerySplatError when the scene is damaged, when feature space is asked for although the Gaussians were
+    optimised themselves, and when `densify` asks for splitting in feature space or for fewer Gaussians than there are.
     """
-    stages = stages or Stages()
+    stages, path, options = stages or Stages(), settings.scene, _options(settings)
     with stages("read"):
         scene, before = read_scene(path)
-        model = load_again(scene.model, before["settings"], weights, find_device(device))
+        model = load_again(scene.model, before["settings"], settings.weights, find_device(settings.device))
         spaces = [run["space"] for run in before["tto"] if run["steps"]]
         space = options.space or (spaces[-1] if spaces else "features")
         apart = "gaussians" in spaces
@@ -73,6 +67,18 @@ def optimise_scene(
         )
         write_scene(ply_path(path), stored, adapted.gaussians, report.as_dict())
     return report
+
+
+def _options(settings: ResumeSettings) -> OptimiseOptions:
+    return OptimiseOptions(
+        steps=settings.steps,
+        lr=settings.lr,
+        space=settings.space,
+        prune=settings.prune,
+        densify_to=settings.densify,
+        refine_cameras=settings.refine_cameras,
+        seed=settings.seed,
+    )
 
 
 def load_again(name: str, settings: dict[str, Any], weights: Path | None, device: torch.device) -> QuerySplat:

@@ -11,12 +11,10 @@ from torch import Tensor
 
 from querysplat_cli.prune.policy import PRUNE_POLICY
 from querysplat_cli.queries.policy import QUERY_POLICY
+from querysplat_cli.runtime.choices import Amount
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
 from querysplat_cli.splat.render import RenderSettings, render
-
-Amount = Literal["auto", "off"] | int
-"""How many Gaussians stay: an automatic number, all, or at most so many."""
 
 
 @dataclass(frozen=True)

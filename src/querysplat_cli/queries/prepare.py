@@ -1,7 +1,6 @@
 """From the encoder's features to what the decoders read."""
 
 from dataclasses import dataclass
-from typing import Literal
 
 import torch
 from jaxtyping import Float, Int
@@ -14,14 +13,13 @@ from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.queries.build import build_anchors
 from querysplat_cli.queries.coverage import AnchorReport
 from querysplat_cli.queries.rendering_error import with_rendering_error
+from querysplat_cli.runtime.choices import Target
 from querysplat_cli.runtime.device import to_device
 from querysplat_cli.runtime.errors import QuerySplatError
 
 CPU = torch.device("cpu")
 FARTHEST = 6e4
 """Depth is stored in half precision, whose largest number is a little larger."""
-Target = Literal["kv", "features"]
-"""What test-time optimisation changes: keys and values (the release), or the tokens that they are made of."""
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,9 @@ from typing import Any
 
 import torch
 
-from querysplat_cli.encoders.holdout import HoldoutProtocol, PoseDifference
+from querysplat_cli.encoders.holdout import PoseDifference
 from querysplat_cli.reporting.view_scores import Quality
+from querysplat_cli.runtime.choices import HoldoutProtocol
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.rotations import rotation_angles
 from querysplat_cli.scene.views import LeftOut

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import torch
@@ -10,10 +9,9 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 from torch.nn import functional as F
 
+from querysplat_cli.runtime.choices import Fit
 from querysplat_cli.scene.views import Photo, Views
 
-Fit = Literal["crop", "pad"]
-"""crop: the largest square in the middle. pad: the whole photo, on a canvas that fits the widest and the highest."""
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)
 

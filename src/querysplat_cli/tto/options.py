@@ -2,15 +2,11 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
 
-from querysplat_cli.prune.gaussians import Amount, Pruned
+from querysplat_cli.prune.gaussians import Pruned
+from querysplat_cli.runtime.choices import Amount, Space
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.tto.rendering_loss import RenderingLoss
-
-Space = Literal["features", "gaussians", "both"]
-"""What is optimised: the memories that Gaussians are decoded from, the Gaussians themselves, or first the one and then
-the other."""
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from querysplat_cli.tto.options import Space, TtoSettings
+from querysplat_cli.runtime.choices import Space
+from querysplat_cli.tto.options import TtoSettings
 from querysplat_cli.tto.policy import TTO_POLICY
 
 

@@ -13,8 +13,9 @@ from querysplat_cli.encoders.transformer.aggregator import Aggregator
 from querysplat_cli.encoders.transformer.config import VgmConfig
 from querysplat_cli.encoders.transformer.pose import decode_pose
 from querysplat_cli.runtime.checkpoint_files import check_tensors, fill, read_tensors
+from querysplat_cli.runtime.choices import Precision
 from querysplat_cli.runtime.errors import QuerySplatError
-from querysplat_cli.runtime.precision import Precision, weight_dtypes
+from querysplat_cli.runtime.precision import weight_dtypes
 from querysplat_cli.scene.cameras import Cameras
 
 DEPTH_CHUNK = 8
