@@ -136,7 +136,7 @@ def sized(gaussians: Gaussians, scale: float) -> tuple[Gaussians, RenderSettings
 
 
 def cases() -> Iterator[Case]:
-    """The rows of the table, numbered as the cases that broke other rasterisers were collected."""
+    """The rows of the table, numbered as in docs/reference/stability-cases.md."""
     small = camera(24, 32)
     for length in (1e-20, 1e20):
         turned = single(quats=[0.5 * length, -0.5 * length, 0.1 * length, 0.7 * length], scales=[0.5, 0.1, 0.02])
@@ -236,7 +236,7 @@ def relative(case: Case, found: list[Tensor], exact: list[Tensor]) -> float:
 
 
 def rounded(case: Case) -> Case:
-    """What both sides are given: float32 numbers."""
+    """The case with its numbers rounded to float32, as both renderers get them."""
     return replace(case, gaussians=case.gaussians.to(torch.float32).to(torch.float64))
 
 
@@ -270,7 +270,7 @@ def measure(case: Case) -> Measured:
 
 
 def threads() -> Measured:
-    """Row 19: the same bits from one thread and from all; gradients for the same number of threads."""
+    """Pictures from one thread and from all have the same bits, as have gradients of the same number of threads."""
     case = rounded(Case("19", "", cloud(3000, 3000, camera(240, 320)), camera(240, 320)))
     every = outcome(case, "cpu", torch.float32)
     again = outcome(case, "cpu", torch.float32)
@@ -286,7 +286,7 @@ def threads() -> Measured:
 
 
 def poison() -> Measured:
-    """Row 46: every poison value in every field of one Gaussian of twelve; finite ones must leave all finite."""
+    """Every poison value in every field of one Gaussian of twelve. Finite ones must leave all results finite."""
     small, held, tried = camera(12, 12), 0, 0
     for name in FIELDS:
         for value in POISON:
@@ -361,7 +361,7 @@ def document(
     command: str,
     picture: str,
 ) -> str:
-    """docs/stability.md."""
+    """The text of docs/stability.md."""
     table = [
         f"| {row.row} | {row.what} | {row.expect} | {number(row.image)} | {number(row.gradient)} | "
         f"{'' if not row.flipped else f'{row.flipped:.1%}'} | "

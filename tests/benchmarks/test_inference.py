@@ -1,4 +1,4 @@
-"""The efficiency and precision programs, but for the hours that they take."""
+"""The efficiency and precision programs, on inputs small enough for a test."""
 
 import torch
 
@@ -9,7 +9,7 @@ from querysplat_cli.encoders.vggt_omega.model import VggtOmega
 from tiny_weights import OMEGA
 
 
-def test_tables_say_what_was_measured_and_no_more() -> None:
+def test_tables_list_only_what_was_measured() -> None:
     rows = [
         {
             "views": 4,

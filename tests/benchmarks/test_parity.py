@@ -1,4 +1,4 @@
-"""The released arithmetic, as fixtures hold it, and that the program which compares with it can fail."""
+"""Parity with the release, by stored fixtures. A tampered fixture must make the program fail."""
 
 import json
 from pathlib import Path

@@ -12,7 +12,7 @@ def test_every_case_holds() -> None:
 
 
 def test_a_wrong_picture_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The program can fail: an error of 1e-4 in every colour of the kernel is one."""
+    """An error of 1e-4 in every colour of the kernel makes the program fail."""
     honest = stability.render
 
     def darker(*arguments: object, backend: str, **options: object) -> object:

@@ -1,4 +1,4 @@
-"""The program that draws quality against seconds of optimisation, but for the minutes that it takes."""
+"""The program that draws quality against seconds of optimisation, on a small input."""
 
 from pathlib import Path
 

@@ -43,7 +43,7 @@ def test_every_photo_is_placed(real_photos: Path, name: str, part: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("count", "degrees", "extent"), [(12, 0.8, 0.01), (4, 7, 0.06)])
-def test_fox_is_where_its_transforms_say(real_photos: Path, count: int, degrees: float, extent: float) -> None:
+def test_fox_has_the_cameras_of_its_transforms(real_photos: Path, count: int, degrees: float, extent: float) -> None:
     """Bounds on the largest errors. Four photos a quarter turn apart are placed roughly."""
     found = place(evenly(photos(real_photos, "fox"), count))
     assert len(found.views) == count

@@ -11,7 +11,7 @@ from tiny_weights import MODEL, write_model
 
 
 def test_learned_queries(tmp_path) -> None:  # type: ignore[no-untyped-def]
-    """The weights are those that the decoder multiplies values with: with a value of 1 at one row, its output."""
+    """With a value of 1 in one row and 0 elsewhere, the decoder's attention output is that row's weight."""
     model = write_model(tmp_path / "a.safetensors", MODEL)
     generator = torch.Generator().manual_seed(0)
     shape = (30, MODEL.heads, MODEL.width // MODEL.heads)

@@ -180,7 +180,7 @@ def sparse_file(path: Path, config: ModelConfig) -> None:
 
 @pytest.mark.parametrize(("degree", "values"), [(1, 1_117_923_780), (0, 1_116_743_556)])
 def test_a_full_size_file_is_mapped_not_read(tmp_path: Path, degree: int, values: int) -> None:
-    """4.2 GiB of weights are there without taking memory, and every one of the 521 names is needed."""
+    """A file of 4.2 GiB is loaded without taking its memory, and each of its 521 tensors is required."""
     sparse_file(tmp_path / "full.safetensors", ModelConfig(sh_degree=degree))
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     model = load_file(tmp_path / "full.safetensors")
@@ -207,7 +207,7 @@ def mapped_bytes() -> int:
 
 @pytest.mark.skipif(not Path("/proc/self/status").is_file(), reason="there is no /proc")
 def test_the_file_is_unmapped_where_its_numbers_were_converted(tmp_path: Path) -> None:
-    """One norm that stays a view of the mapped file would keep all of it in memory, beside the converted copy."""
+    """A single tensor that is still a view of the mapped file would keep the whole file in memory."""
     path = tmp_path / "some.safetensors"
     write_model(path, ModelConfig(**{**MODEL.__dict__, "width": 512, "vgm_width": 512}))
     size = path.stat().st_size

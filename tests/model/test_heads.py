@@ -1,4 +1,4 @@
-"""Raw numbers to Gaussians: closed forms, saturation, and the prior at zero."""
+"""Head outputs to Gaussians: closed forms, saturation, and the prior at an output of zero."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""The model as a whole: the official sizes, the compact start, and what optimisation of the memories reaches."""
+"""The whole model: official sizes, the compact model's initial weights, and gradients of the memories."""
 
 from dataclasses import fields
 
@@ -41,7 +41,7 @@ def test_initial_model_gives_the_prior() -> None:
 
 
 def test_values_drive_every_property_of_every_gaussian_from_the_start() -> None:
-    """What test-time optimisation needs: at the prior, no property is cut off from the memories."""
+    """At the initial weights every property of a Gaussian has a gradient in the memories, as TTO needs."""
     config = compact()
     model = initial_model(config, seed=0).requires_grad_(False)
     scene = anchors(config)

@@ -1,4 +1,4 @@
-"""Which photos are kept when not all fit."""
+"""The choice of photos when memory does not suffice for all."""
 
 from pathlib import Path
 

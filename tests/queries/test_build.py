@@ -74,7 +74,7 @@ def test_a_second_photo_from_the_same_place_adds_nothing() -> None:
 
 
 def test_a_view_to_the_side_adds_what_only_it_sees() -> None:
-    """A shift of two blocks: the last two columns of the second view are new."""
+    """The second view is shifted by two blocks, so only its last two columns of blocks are new."""
     _, report = build(*plane([0.0, 12 * DEPTH / FOCAL]))
     assert report.kept == BLOCKS + 2 * HEIGHT // 6
 
@@ -163,7 +163,7 @@ def test_the_plane_continues_outside_the_photo() -> None:
 
 
 def test_no_query_extends_a_photo_where_another_photo_shows_the_place() -> None:
-    """Two views side by side: the borders between them are left out, the four around both stay."""
+    """Two views side by side: extensions between the views are left out, and the outer ones stay."""
     scene = plane([0.0, WIDTH / 2 * DEPTH / FOCAL])
     anchors, report = build(*scene)
     beyond = anchors.means[report.kept :]

@@ -1,4 +1,4 @@
-"""Rendering errors at the Gaussians: the gradients of the reference renderer, and nothing where nothing is wrong."""
+"""Rendering errors of the Gaussians equal the reference renderer's gradients, and are zero for a perfect render."""
 
 import torch
 from torch import Tensor

@@ -1,4 +1,4 @@
-"""Files appear whole or not at all."""
+"""Files are written completely or not at all."""
 
 import errno
 import shutil
@@ -95,7 +95,7 @@ def test_a_write_that_fails_without_a_reason_on_a_full_disk(tmp_path: Path, monk
         raise OSError("cannot write preview.png")
 
 
-def test_a_full_disk_in_the_words_of_another_library(tmp_path: Path) -> None:
+def test_a_full_disk_reported_by_another_library(tmp_path: Path) -> None:
     with pytest.raises(QuerySplatError, match="disk is full"), atomic_folder(tmp_path / "scene"):
         raise RuntimeError("Error while serializing: I/O error: No space left on device (os error 28)")
     with pytest.raises(RuntimeError, match="a bug"), atomic_folder(tmp_path / "scene"):

@@ -1,4 +1,4 @@
-"""Similarities against their own definition, and refusals where they are not determined."""
+"""Similarities against their definition, and an error where they are not determined."""
 
 import numpy as np
 import pytest

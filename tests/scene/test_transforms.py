@@ -159,7 +159,7 @@ def test_missing_known_cameras(tmp_path: Path) -> None:
 
 
 def test_dl3dv(real_photos: Path) -> None:
-    """Cameras of a real capture look at what is common to them."""
+    """The cameras of a real capture all have one point in front of them."""
     found = read_known_cameras(real_photos / "dl3dv" / "fox")
     assert len(found) == 50
     w2c = np.stack([camera.w2c for camera in found.values()])

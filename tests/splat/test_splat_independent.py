@@ -1,4 +1,4 @@
-"""The kernel against a renderer written a second time, pixel by pixel, from the published equations alone.
+"""The kernel against a second renderer, written pixel by pixel from the published equations alone.
 
 It shares no code with the package: matrices by scipy, spherical harmonics by scipy's sph_harm, the Jacobian as
 a finite difference of the projection, α and blending in plain Python floats.

@@ -15,7 +15,7 @@ from scenes import FIELDS, camera, cloud, single, stacked
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_a_quaternion_of_length_zero_is_culled_without_a_trace(backend: str) -> None:
+def test_a_quaternion_of_length_zero_is_culled(backend: str) -> None:
     """Rows 1 and 40: such a Gaussian changes neither the picture nor the gradients of others."""
     assert_culled(single(quats=[0.0, 0, 0, 0]), camera(16, 16), backend)
     sound = cloud(0, 30, camera(16, 16))
