@@ -88,7 +88,7 @@ class CaseRunner:
         scene, cost = measured(lambda: encode_and_build(posed, encoder, model, settings, stages))
         costs = {stage: Cost(spent, cost.peak_gib) for stage, spent in stages.seconds.items()}
         # The stage was nearly free when an earlier row had asked the same.
-        geometry = encoder.estimate_geometry(posed, seed=settings.seed, progress=_silent)
+        geometry = encoder.estimate_geometry(scene.posed, seed=settings.seed, progress=_silent)
         if scene.adapted.interrupted:
             raise KeyboardInterrupt
         return scene.adapted.gaussians, costs | {"depth": encoder.cost_of(geometry)}, geometry.warnings
