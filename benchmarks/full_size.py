@@ -1,4 +1,7 @@
-"""Full-size networks with random weights, made where they run: what speed and memory do not depend on is left out."""
+"""Full-size networks with random weights, made on the device where they run.
+
+Speed and memory do not depend on the values of weights.
+"""
 
 from collections.abc import Callable
 from typing import TypeVar
@@ -34,7 +37,7 @@ def vggt_omega(precision: Precision, device: torch.device) -> VggtOmega:
 
 
 def randomised(make: Callable[[], Network], precision: Precision, device: torch.device, seed: int = 0) -> Network:
-    """A frozen network whose tensors are random from the first on, tensor by tensor."""
+    """A frozen network with random tensors, made one tensor at a time."""
     model = without_numbers(make, precision)
     generator = torch.Generator(device).manual_seed(seed)
     for name, tensor in model.state_dict().items():
@@ -49,7 +52,7 @@ def randomised(make: Callable[[], Network], precision: Precision, device: torch.
 
 
 def without_numbers(make: Callable[[], Network], precision: Precision) -> Network:
-    """Shapes and types alone, as loading from a file would give them."""
+    """Shapes and types alone, those that loading from a file gives."""
     with torch.device("meta"):
         model = make()
         for name, dtype in weight_dtypes(model, precision).items():

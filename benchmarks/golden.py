@@ -1,4 +1,4 @@
-"""Fixtures of the released arithmetic: weights under official names, inputs, outputs."""
+"""Fixtures of the released arithmetic: inputs, outputs, and weights under their official names."""
 
 import json
 from dataclasses import dataclass
@@ -31,11 +31,11 @@ CONFIG_NAMES = {
     "patch": "patch",
     "patch_token_start": "special_tokens",
 }
-"""The fixtures' names of settings, and ours."""
+"""Names of settings in the fixtures, and in our configuration."""
 UNNEEDED = {"width": 8, "heads": 1, "geometry_blocks": 1, "appearance_blocks": 1, "query_count": 1, "patch": 1}
-"""Small sizes for the parts of the model that a unit does not use."""
+"""Sizes of the parts of the model that a unit does not use."""
 UNLISTED_INPUTS = ("images", "last_layer")
-"""Where a description lists neither inputs nor outputs, these are inputs; so are layers, unless images are."""
+"""The inputs of a fixture whose description lists none. Where it has none of these tensors, its layers are inputs."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Fixture:
 
     @cached_property
     def state(self) -> Tensors:
-        """Weights by their official names, less the part's prefix."""
+        """Weights by their official names, without the prefix of the part."""
         begins = "state."
         return {name.removeprefix(begins): each for name, each in self.tensors.items() if name.startswith(begins)}
 
@@ -91,8 +91,8 @@ class Fixture:
         return ModelConfig(**{**sizes, "mixed_layers": layers, "vgm_width": sizes["width"]})
 
     def model(self) -> QuerySplat:
-        """Our model with the fixture's weights under their official names; the rest of it is left as it starts."""
-        # Where a fixture serves any block, it is loaded as the first.
+        """Our model with the weights of the fixture. Parts for which it has none keep their initial weights."""
+        # The weights of a fixture for any block are loaded into the first one.
         prefix = self.description.get("official_prefix", "").split(" ")[0].replace("{i}", "0")
         state = {our_name(prefix + name): tensor for name, tensor in self.state.items()}
         torch.manual_seed(0)
@@ -103,7 +103,7 @@ class Fixture:
         return model.requires_grad_(False)
 
     def scenes(self) -> list[Tensors]:
-        """The inputs, one batch item at a time: our classes take one scene."""
+        """The inputs of each batch item: our classes take one scene."""
         inputs = {name: self.tensors[name] for name in self.input_names}
         batch = len(next(iter(inputs.values()))) if inputs else 1
         return [{name: tensor[i] for name, tensor in inputs.items()} for i in range(batch)]

@@ -4,10 +4,10 @@
 
 Rows that the JSON file holds already are replaced where they are measured again, and kept otherwise.
 
-Weights and photos are random, of full size (512 × 512 pixels, 17 + 1,024 tokens a view). The encoder's time is
-that of one pass with its camera head; the decoder's that of both memories and both branches, from features
-to Gaussians. Peak GiB: of the device's memory on a GPU, of the process on a CPU, where every row is a process
-of its own. The first run of each is not counted. `--part` measures one network without the other in memory.
+Weights and photos are random, of full size (512 × 512 pixels, 17 + 1,024 tokens a view). The time of the encoder is
+that of one pass with its camera head. The time of the decoder is that of both memories and both branches, from
+features to Gaussians. Peak GiB are those of the device on a GPU, and those of the process on a CPU, where every row is
+a process of its own. The first run of each is not counted. `--part` measures one network without the other in memory.
 """
 
 import argparse
@@ -23,18 +23,18 @@ from typing import Any
 import torch
 
 import full_size
+from common.output import machine, markdown, write_json
 from querysplat_cli.encoders.vggt_omega.model import VGGT_OMEGA_CONFIG, VggtOmega
 from querysplat_cli.model.config import preset
 from querysplat_cli.model.querysplat import QuerySplat
-from querysplat_cli.pipeline.memory import RUNTIME
-from querysplat_cli.reporting.report import machine
+from querysplat_cli.pipeline.policy import PIPELINE_POLICY
 from querysplat_cli.runtime.device import peak_gib
 from querysplat_cli.runtime.precision import check_precision, matrix_products
 
 VIEWS = [1, 4, 12, 48, 100, 300]
 QUERIES = [1024, 8192]
 PAPER_QUERIES = 8192
-"""Those of the paper's totals."""
+"""The paper's totals are for so many queries."""
 SIZE, SPECIALS, PATCH, WIDTH = 512, 17, 16, 2048
 PAPER = {
     1: (0.080, 0.071, 0.621, 0.703, 9.28),
@@ -58,12 +58,12 @@ def measure(
     with torch.no_grad(), matrix_products(exact):
         encoder = full_size.vggt_omega(exact, device) if part != "decoder" else None
         decoder = full_size.querysplat(exact, device) if part != "encoder" else None
-        _forget_peak(device)
+        _reset_peak_memory(device)
         if encoder is not None:
             mixture = (0.25,) * 4
             row["encoder"] = _seconds(lambda: encoder.predict(images, mixture=mixture, depth=False), device, runs)
             features = encoder.predict(images, mixture=mixture, depth=False).features
-            # As the road does: decoding needs nothing of it.
+            # As `reconstruct` does: decoding needs nothing of the encoder.
             encoder.to("meta")
         if decoder is not None:
             tokens = SPECIALS + (SIZE // PATCH) ** 2
@@ -93,7 +93,7 @@ def _seconds(work: Callable[[], object], device: torch.device, runs: int) -> flo
     return statistics.median(times[-runs:])
 
 
-def _forget_peak(device: torch.device) -> None:
+def _reset_peak_memory(device: torch.device) -> None:
     if device.type == "cuda":
         torch.cuda.reset_peak_memory_stats(device)
 
@@ -101,6 +101,20 @@ def _forget_peak(device: torch.device) -> None:
 def _in_a_process(arguments: list[str]) -> dict[str, Any]:
     done = subprocess.run([sys.executable, __file__, *arguments, "--row"], capture_output=True, text=True, check=True)
     row: dict[str, Any] = json.loads(done.stdout)
+    return row
+
+
+def measured(options: argparse.Namespace, views: int, precision: str) -> dict[str, Any]:
+    """One row from a process of its own, or the reason why it failed."""
+    same = ["--queries", *map(str, options.queries), "--runs", str(options.runs), "--part", options.part]
+    one = ["--views", str(views), "--precision", precision, "--device", options.device]
+    try:
+        row = _in_a_process([*same, *one])
+    except subprocess.CalledProcessError as error:
+        lines = error.stderr.strip().splitlines()
+        why = lines[-1] if lines else "killed"
+        row = {"views": views, "precision": precision, "part": options.part, "error": why}
+    print(json.dumps(row), file=sys.stderr)
     return row
 
 
@@ -112,20 +126,20 @@ def table(rows: list[dict[str, Any]]) -> str:
     """Markdown: ours, and the paper's beside it."""
     columns = ["encoder", *(f"decoder_{count}" for count in QUERIES), "total", "peak_gib"]
     heads = ["encoder, s", *(f"decoder, {count:,} queries, s" for count in QUERIES), "total, s", "peak GiB"]
-    lines = [f"| views | precision | in memory | {' | '.join(heads)} |", "| --- " * (len(heads) + 3) + "|"]
+    lines = []
     for row in rows:
         paper = dict(zip(columns, PAPER.get(row["views"], ()), strict=False))
         cells = [
             f"{row[name]:.3g}" + (f" (paper {paper[name]:.3g})" if name in paper else "") if name in row else ""
             for name in columns
         ]
-        lines.append(f"| {row['views']} | {row['precision']} | {row.get('error', row['part'])} | {' | '.join(cells)} |")
-    return "\n".join(lines)
+        lines.append((row["views"], row["precision"], row.get("error", row["part"]), *cells))
+    return markdown(("views", "precision", "in memory", *heads), lines)
 
 
 def foretold() -> str:
-    """Markdown: the GiB that `reconstruct` says beforehand, by views and precision, for 8,192 queries."""
-    lines = [f"| views | {' | '.join(map(str, VIEWS))} |", "| --- " * (len(VIEWS) + 1) + "|"]
+    """Markdown: the GiB that `reconstruct` expects, by views and precision, for 8,192 queries."""
+    lines = []
     for name in ("fp32", "bf16"):
         precision = check_precision(name)
         encoder = full_size.without_numbers(lambda: VggtOmega(VGGT_OMEGA_CONFIG), precision)
@@ -134,9 +148,10 @@ def foretold() -> str:
         needed = []
         for views in VIEWS:
             encoding = weights + VGGT_OMEGA_CONFIG.working_bytes(views, SIZE, name == "bf16", mixed=True, depth=False)
-            needed.append((RUNTIME + max(encoding, decoder.bytes_needed(views, SIZE, SPECIALS))) / 2**30)
-        lines.append(f"| {name} | {' | '.join(f'{each:.1f}' for each in needed)} |")
-    return "\n".join(lines)
+            decoding = decoder.bytes_needed(views, SIZE, SPECIALS)
+            needed.append((PIPELINE_POLICY.program_bytes + max(encoding, decoding)) / 2**30)
+        lines.append((name, *(f"{each:.1f}" for each in needed)))
+    return markdown(("views", *map(str, VIEWS)), lines)
 
 
 def main() -> None:
@@ -149,7 +164,7 @@ def main() -> None:
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     parser.add_argument("--json", type=Path)
     parser.add_argument("--row", action="store_true", help="print one row as JSON and stop")
-    parser.add_argument("--foretell", action="store_true", help="print what memory will be expected, and stop")
+    parser.add_argument("--foretell", action="store_true", help="print the memory that `reconstruct` expects, and stop")
     options = parser.parse_args()
     if options.foretell:
         print(foretold())
@@ -159,32 +174,14 @@ def main() -> None:
         row = measure(options.views[0], options.queries, options.precision[0], device, options.part, options.runs)
         print(json.dumps(row))
         return
-    rows = []
-    for precision in options.precision:
-        for views in options.views:
-            same = ["--queries", *map(str, options.queries), "--runs", str(options.runs), "--part", options.part]
-            one = ["--views", str(views), "--precision", precision, "--device", options.device]
-            try:
-                rows.append(_in_a_process([*same, *one]))
-            except subprocess.CalledProcessError as error:
-                said = error.stderr.strip().splitlines()
-                rows.append(
-                    {
-                        "views": views,
-                        "precision": precision,
-                        "part": options.part,
-                        "error": said[-1] if said else "killed",
-                    }
-                )
-            print(json.dumps(rows[-1]), file=sys.stderr)
+    rows = [measured(options, views, precision) for precision in options.precision for views in options.views]
     name = torch.cuda.get_device_name(device) if device.type == "cuda" else machine()
     print(table(rows))
     if options.json:
         before = json.loads(options.json.read_text())["rows"] if options.json.is_file() else []
         new = {_key(row) for row in rows}
         kept = [row for row in before if _key(row) not in new]
-        found = {"machine": name, "torch": torch.__version__, "rows": kept + rows}
-        options.json.write_text(json.dumps(found, indent=1) + "\n")
+        write_json(options.json, machine=name, torch=torch.__version__, rows=kept + rows)
 
 
 if __name__ == "__main__":

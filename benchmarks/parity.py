@@ -1,11 +1,11 @@
 """How far our arithmetic is from the released one, unit by unit, on fixtures made by the latter.
 
-    python benchmarks/parity.py ../shared/golden [--json]
+    python benchmarks/parity.py [FOLDER] [--json]
 
-A fixture is NAME.json, which names its unit, sizes, inputs and outputs, and NAME.safetensors, which holds
-them and the weights (`state.*`, official names). Errors are max|a − b| / max|b|, tensor by tensor, and a
-unit is reported with the tensor that comes nearest to its tolerance, or goes furthest beyond it. Exit code
-1 when a unit fails; units that this program cannot run are listed as not covered.
+FOLDER holds the fixtures; by default it is $QUERYSPLAT_GOLDEN. A fixture is NAME.json, which names its unit, sizes,
+inputs and outputs, and NAME.safetensors, which holds them and the weights (`state.*`, official names). The error of a
+tensor is max|a − b| / max|b|. A unit is reported with the tensor whose error is the largest share of its tolerance.
+The exit code is 1 when a unit fails. Units that this program cannot run are listed as not covered.
 """
 
 import argparse
@@ -20,6 +20,7 @@ from torch import Tensor
 
 import parity_encoders
 import parity_model
+from common.locations import FIXTURES, location
 from golden import Fixture, Tensors, read_fixtures
 
 TOLERANCES = {
@@ -62,7 +63,7 @@ def relative_error(ours: Tensor, theirs: Tensor) -> float:
 
 
 def compare(fixture: Fixture) -> dict[str, Any]:
-    """The result of one unit, as printed; an error that cannot be computed is null, with the reason beside it."""
+    """The entry of one unit in the JSON object. Where no error can be computed it is null, and `why` is the reason."""
     tolerance = TOLERANCES.get(fixture.unit, TOLERANCE)
     try:
         ours = run(fixture)
@@ -88,7 +89,7 @@ def compare(fixture: Fixture) -> dict[str, Any]:
 
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("folder", type=Path)
+    parser.add_argument("folder", type=Path, nargs="?", default=location(FIXTURES), help="default: $QUERYSPLAT_GOLDEN")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of a table")
     options = parser.parse_args(arguments)
     fixtures = read_fixtures(options.folder)

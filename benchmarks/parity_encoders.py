@@ -1,4 +1,4 @@
-"""The units of the two VGMs, and the whole road, run on fixtures."""
+"""The units of the two VGMs, and of the way from photos to Gaussians, run on fixtures."""
 
 from collections.abc import Callable
 from typing import Any, TypeVar
@@ -17,7 +17,7 @@ from querysplat_cli.encoders.vggt_omega.aggregator import OmegaAggregator
 from querysplat_cli.scene.fit import normalised
 
 CHUNK = 2
-"""Views at a time: fewer than there are, so that the seams are tested."""
+"""Views in one chunk: fewer than a fixture has, so that joining chunks is tested."""
 
 CONFIG_NAMES = {
     "dim": "width",
@@ -146,7 +146,7 @@ def vggt_depth_head(fixture: Fixture) -> Tensors:
 
 
 def pipeline(fixture: Fixture) -> Tensors:
-    """Photos to Gaussians, with one pass of the VGM for cameras, depth and features."""
+    """Photos to Gaussians. One pass of the VGM finds cameras, depth and features."""
     settings, dense = fixture.settings, fixture.settings["dense"]
     parts = {part: fixture.neighbour(name) for part, name in fixture.description["state_from"].items()}
     config = vgm_config(settings["vggt_omega"])

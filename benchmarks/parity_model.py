@@ -195,11 +195,11 @@ BY_SCENE: dict[str, Callable[[Fixture, QuerySplat, Tensors], Tensors]] = {
     "appearance_memory": appearance_memory,
     "querysplat": querysplat,
 }
-"""Units of the model, which run one scene at a time."""
+"""Units of the model: they run one scene at a time."""
 WHOLE: dict[str, Callable[[Fixture], Tensors]] = {
     "ply_export": ply_export,
     "preprocess": preprocess,
     "ssim": ssim,
     "visibility_loss": visibility,
 }
-"""Units without weights, which take the fixture as it is."""
+"""Units without weights: they take the whole fixture."""

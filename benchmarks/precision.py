@@ -2,15 +2,14 @@
 
     python benchmarks/precision.py --json benchmarks/results/precision.json [--views 2] [--queries 1024]
 
-Full-size networks with random weights turn random photos into Gaussians, from pixels on, once in each precision,
-in a process of its own; the result is compared with that of float32. Trained weights may forgive more or less:
-with them, `querysplat reconstruct --precision bf16` beside fp32 is the test. Encoder and decoders are not in
-memory at once here, so peak GiB is that of the larger of the two.
+Full-size networks with random weights turn random photos into Gaussians, once in each precision, in a process of its
+own. The result is compared with that of float32. Trained weights may lose more or less. With them, the test is
+`querysplat reconstruct --precision bf16` beside fp32. Encoder and decoders are not in memory at once here, so peak GiB
+is that of the larger of the two.
 """
 
 import argparse
 import gc
-import json
 import subprocess
 import sys
 import tempfile
@@ -23,7 +22,7 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor
 
 import full_size
-from querysplat_cli.reporting.report import machine
+from common.output import machine, markdown, write_json
 from querysplat_cli.runtime.device import peak_gib
 from querysplat_cli.runtime.precision import check_precision, matrix_products
 from querysplat_cli.splat.render import render
@@ -68,7 +67,7 @@ def outputs(precision: str, views: int, queries: int, device: torch.device) -> d
 def compared(name: str, ours: dict[str, Tensor], exact: dict[str, Tensor]) -> dict[str, Any]:
     """Errors against float32; centres in units of the scene's spread, the picture in PSNR (dB)."""
     spread = (exact["centres"] - exact["centres"].median(0).values).norm(dim=1).median()
-    moved = (ours["centres"] - exact["centres"]).norm(dim=1) / spread
+    displaced = (ours["centres"] - exact["centres"]).norm(dim=1) / spread
     squared = (ours["picture"].clamp(0, 1) - exact["picture"].clamp(0, 1)).square().mean()
     encoder, decoder, peak = ours["cost"].tolist()
     return {
@@ -78,7 +77,7 @@ def compared(name: str, ours: dict[str, Tensor], exact: dict[str, Tensor]) -> di
         "peak_gib": peak,
         "features": float((ours["features"] - exact["features"]).norm() / exact["features"].norm()),
         "w2c": float((ours["w2c"] - exact["w2c"]).abs().max()),
-        "centres_median": float(moved.median()),
+        "centres_median": float(displaced.median()),
         "scales_median": float((ours["scales"] / exact["scales"] - 1).abs().median()),
         "opacities_mean": float((ours["opacities"] - exact["opacities"]).abs().mean()),
         "sh_mean": float((ours["sh"] - exact["sh"]).abs().mean()),
@@ -99,11 +98,8 @@ def table(rows: list[dict[str, Any]]) -> str:
         "sh_mean": "SH, mean",
         "picture_psnr": "picture, PSNR dB",
     }
-    lines = [f"| precision | {' | '.join(heads.values())} |", "| --- " * (len(heads) + 1) + "|"]
-    for row in rows:
-        cells = ["–" if row[name] is None else f"{row[name]:.3g}" for name in heads]
-        lines.append(f"| {row['precision']} | {' | '.join(cells)} |")
-    return "\n".join(lines)
+    cells = ((row["precision"], *("–" if row[name] is None else f"{row[name]:.3g}" for name in heads)) for row in rows)
+    return markdown(("precision", *heads.values()), cells)
 
 
 def _wait(device: torch.device) -> None:
@@ -123,7 +119,7 @@ def main() -> None:
         found = outputs(options.one[0], options.views, options.queries, torch.device(options.device))
         save_file(found, options.one[1])
         return
-    # Only GPUs know TF32.
+    # Only GPUs have TF32.
     ladder = ["fp32", "tf32", "bf16"] if options.device != "cpu" else ["fp32", "bf16"]
     same = ["--views", str(options.views), "--queries", str(options.queries), "--device", options.device]
     results = {}
@@ -134,11 +130,8 @@ def main() -> None:
             results[name] = load_file(path)
     rows = [compared(name, each, results["fp32"]) for name, each in results.items()]
     print(table(rows))
-    if options.json:
-        where = torch.cuda.get_device_name() if options.device != "cpu" else machine()
-        options.json.write_text(
-            json.dumps({"machine": where, "torch": torch.__version__, "rows": rows}, indent=1) + "\n"
-        )
+    where = torch.cuda.get_device_name() if options.device != "cpu" else machine()
+    write_json(options.json, machine=where, torch=torch.__version__, rows=rows)
 
 
 if __name__ == "__main__":

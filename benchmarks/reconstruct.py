@@ -1,35 +1,32 @@
 """Held-out quality and run time of `querysplat reconstruct` on the real sets, beside splatted depth.
 
-    python benchmarks/reconstruct.py ../shared/data [--sets fortress kermit] [--json results.json] [--keep DIR]
+    python benchmarks/reconstruct.py [DATA] [--sets fortress kermit] [--json results.json] [--keep DIR]
 
-Every 4th photo is held out. Each row is one run of the command in a process of its own, so that seconds
-and memory are what a user sees; the splatted depth is measured on the same cameras by the same renderer.
+DATA is the folder of the photo sets, by default $QUERYSPLAT_DATA. Every 4th photo is held out. Each row is one run of
+the command in a process of its own, so that seconds and memory are what a user sees. The splatted depth is scored on
+the same cameras and with the same renderer.
 """
 
-import argparse
 import json
 import subprocess
-import tempfile
+import sys
 import time
 from pathlib import Path
 from typing import Any
 
-from querysplat_cli.reporting.report import machine
-
-SETS = ("fortress", "dtu106", "sceaux", "kermit", "riverview", "fox")
-FOX_VIEWS = 12
-
-
-def photos_of(data: Path, name: str) -> list[Path]:
-    if name != "fox":
-        return [data / name / "images"]
-    frames = sorted((data / "dl3dv" / "fox" / "images_4").iterdir())
-    return [frames[round(i * (len(frames) - 1) / (FOX_VIEWS - 1))] for i in range(FOX_VIEWS)]
+from common.arguments import PhotoParser, folder_or_scratch
+from common.output import Table, write_json
+from common.photo_sets import PHOTO_SETS, PhotoSet
+from common.samples import HOLDOUT_EVERY, joint_sample
+from querysplat_cli.evaluation.baseline import back_project
+from querysplat_cli.reporting.view_scores import score
 
 
-def reconstruct(photos: list[Path], folder: Path, cameras: str, options: list[str]) -> dict[str, Any]:
-    command = ["querysplat", "reconstruct", *map(str, photos), "-o", str(folder / f"{cameras}.ply")]
-    command += ["--holdout-every", "4", "--holdout-cameras", cameras, "--json", "--quiet", "--force", *options]
+def reconstruct(photos: list[Path], folder: Path, options: list[str]) -> dict[str, Any]:
+    """The JSON object of the command and its seconds as `wall`; or `error` and the exit code."""
+    command = ["querysplat", "reconstruct", *map(str, photos), "-o", str(folder / "joint.ply")]
+    command += ["--holdout-every", str(HOLDOUT_EVERY), "--holdout-cameras", "joint"]
+    command += ["--json", "--quiet", "--force", *options]
     start = time.perf_counter()
     done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode:
@@ -39,75 +36,61 @@ def reconstruct(photos: list[Path], folder: Path, cameras: str, options: list[st
 
 def splatted_depth(photos: list[Path]) -> float:
     """Held-out PSNR of the encoder's depth, splatted as it is, with joint cameras."""
-    from querysplat_cli.encoders.base import CameraRequest
-    from querysplat_cli.encoders.holdout import estimate_holdout_cameras
-    from querysplat_cli.encoders.registry import find_encoder
-    from querysplat_cli.evaluation.baseline import back_project
-    from querysplat_cli.reporting.view_scores import score
-    from querysplat_cli.scene.photos import find_photos, load_photos
+    sample = joint_sample(photos)
+    assert sample.geometry.depth is not None
+    depth = back_project(sample.views, sample.cameras, sample.geometry.depth)
+    return score(depth, sample.targets, sample.target_cameras).psnr
 
-    def silent(text: str, fraction: float) -> None:
-        pass
 
-    encoder = find_encoder("classical")
-    loaded, _ = load_photos(find_photos(photos), progress=silent)
-    passes = estimate_holdout_cameras(
-        loaded,
-        4,
-        "joint",
-        lambda some: encoder.estimate_cameras(some, CameraRequest(448, 42), silent),
-        poses_known=True,
-    )
-    posed, heldout = passes.chosen.inputs, passes.chosen.heldout
-    geometry = encoder.estimate_geometry(posed, seed=42, progress=silent)
-    return score(back_project(posed.views, posed.cameras, geometry.depth), *heldout).psnr if heldout else float("nan")
+def measure(photo_set: PhotoSet, data: Path, folder: Path, options: list[str]) -> dict[str, Any]:
+    """The row of one set; `error` and `code` where the command fails."""
+    folder.mkdir(parents=True, exist_ok=True)
+    photos = photo_set.photos(data)
+    labels = {"set": photo_set.name, "use": photo_set.use}
+    run = reconstruct(photos, folder, options)
+    if "error" in run:
+        return {**labels, **run}
+    heldout = run["quality"]["heldout"]
+    return {
+        **labels,
+        "splatted_depth_psnr": splatted_depth(photos),
+        "joint": heldout["joint"],
+        "isolated": heldout["isolated"],
+        "pose_difference": heldout["pose_difference"],
+        "seconds": run["wall"],
+        "stages": run["seconds"],
+        "peak_memory_gib": run["peak_memory_gib"],
+        "gaussians": run["gaussians"],
+    }
+
+
+def show(table: Table, row: dict[str, Any]) -> None:
+    if "error" in row:
+        print(f"{row['set']} failed ({row['code']}): {row['error']}", file=sys.stderr)
+        return
+    isolated = row["isolated"] and row["isolated"]["psnr"]
+    costs = row["seconds"], row["peak_memory_gib"], row["gaussians"]
+    table.add(row["set"], row["use"], row["splatted_depth_psnr"], row["joint"]["psnr"], isolated, *costs)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("data", type=Path)
-    parser.add_argument("--sets", nargs="*", default=SETS)
-    parser.add_argument("--json", type=Path, help="also write the results here")
+    parser = PhotoParser(__doc__, passes=False)
     parser.add_argument("--keep", type=Path, help="keep the scenes in this folder")
     parser.add_argument("--options", default="", help="further options for `querysplat reconstruct`")
-    arguments = parser.parse_args()
+    options = parser.parse()
     rows = []
-    print(f"{'set':<10} {'depth':>7} {'joint':>7} {'isolated':>9} {'s':>7} {'GiB':>5} {'Gaussians':>10}", flush=True)
-    with tempfile.TemporaryDirectory() as scratch:
-        for name in arguments.sets:
-            folder = (arguments.keep or Path(scratch)) / name
-            folder.mkdir(parents=True, exist_ok=True)
-            photos = photos_of(arguments.data, name)
-            run = reconstruct(photos, folder, "joint", arguments.options.split())
-            if "error" in run:
-                print(f"{name:<10} failed ({run['code']}): {run['error']}", flush=True)
-                rows.append({"set": name, **run})
-                continue
-            heldout = run["quality"]["heldout"]
-            row = {
-                "set": name,
-                "splatted_depth_psnr": splatted_depth(photos),
-                "joint": heldout["joint"],
-                "isolated": heldout["isolated"],
-                "pose_difference": heldout["pose_difference"],
-                "seconds": run["wall"],
-                "stages": run["seconds"],
-                "peak_memory_gib": run["peak_memory_gib"],
-                "gaussians": run["gaussians"],
-            }
-            rows.append(row)
-            isolated = row["isolated"]["psnr"] if row["isolated"] else float("nan")
-            print(
-                f"{name:<10} {row['splatted_depth_psnr']:7.2f} {row['joint']['psnr']:7.2f} {isolated:9.2f} "
-                f"{row['seconds']:7.1f} {row['peak_memory_gib']:5.2f} {row['gaussians']:10,}",
-                flush=True,
-            )
+    scores = dict.fromkeys(("depth, dB", "joint, dB", "isolated, dB"), ".2f")
+    table = Table({"set": "", "use": "", **scores, "s": ".1f", "GiB": ".2f", "Gaussians": ","})
+    with folder_or_scratch(options.keep) as folder:
+        for photo_set in (PHOTO_SETS[name] for name in options.sets):
+            rows.append(measure(photo_set, options.data, folder / photo_set.name, options.options.split()))
+            show(table, rows[-1])
     done = [row for row in rows if "error" not in row]
-    if done:
-        gain = sum(row["joint"]["psnr"] - row["splatted_depth_psnr"] for row in done) / len(done)
-        print(f"mean gain over splatted depth, joint cameras: {gain:+.2f} dB over {len(done)} sets")
-    if arguments.json:
-        arguments.json.write_text(json.dumps({"machine": machine(), "rows": rows}, indent=2) + "\n")
+    for use in dict.fromkeys(row["use"] for row in done):
+        gains = [row["joint"]["psnr"] - row["splatted_depth_psnr"] for row in done if row["use"] == use]
+        mean = sum(gains) / len(gains)
+        print(f"mean gain over splatted depth, joint cameras: {mean:+.2f} dB over {len(gains)} sets ({use})")
+    write_json(options.json, rows=rows)
 
 
 if __name__ == "__main__":

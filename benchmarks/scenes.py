@@ -1,4 +1,4 @@
-"""Random and single Gaussians, and cameras that see them: what the splatter is tried on."""
+"""Random and single Gaussians, and cameras that see them: scenes on which the splatter is tested."""
 
 import math
 from dataclasses import fields
@@ -60,7 +60,7 @@ def cloud(
 
 
 def single(**changes: object) -> Gaussians:
-    """One sound Gaussian in front of the camera, with the named fields replaced by one row each."""
+    """One moderate Gaussian in front of the camera; `changes` replace the rows of the fields that they name."""
     rows: dict[str, object] = {
         "means": [0.0, 0.0, 3.0],
         "quats": [1.0, 0.0, 0.0, 0.0],

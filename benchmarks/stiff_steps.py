@@ -2,7 +2,7 @@
 
     python benchmarks/stiff_steps.py
 
-NOTE says what is done; docs/stability.md has the table.
+NOTE describes the experiment. docs/stability.md holds the table.
 """
 
 from collections.abc import Callable
@@ -12,22 +12,25 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from common.output import markdown
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.render import render
-from querysplat_cli.tto.gaussians import RATES, optimise_gaussians
-from querysplat_cli.tto.optimise import TtoResult, TtoSettings, optimise
-from querysplat_cli.tto.plan import LEARNING_RATE
+from querysplat_cli.tto.gaussians import optimise_gaussians
+from querysplat_cli.tto.optimise import TtoResult, optimise
+from querysplat_cli.tto.options import TtoSettings
+from querysplat_cli.tto.policy import TTO_POLICY
 from querysplat_cli.tto.rendering_loss import RenderingLoss
+from querysplat_cli.tto.variables import Parametrisation
 from scenes import camera, cloud
 
 STEPS = 100
-NOTE = """Sixty Gaussians whose longest axis is κ times the shortest are displaced by about a tenth of the longest along
-every axis of the world, turned by about 20° and stretched by about a fifth; a hundred steps bring them back to what six
-small pictures show. In the mixed scenes a third each have κ = 1, 10² and 10⁴. *own* is the parametrisation of
-`tto/gaussians.py`; *plain* has centres in the world, linear scales and linear opacities. Both take the shipped rates,
-*plain* in units of the longest axis, which all Gaussians share here, so that the two are alike at κ = 1. PSNR of the
-pictures in dB."""
+NOTE = """Sixty Gaussians whose longest axis is κ times the shortest are displaced by about a tenth of the longest axis
+along every axis of the world, turned by about 20° and stretched by about a fifth. A hundred steps bring them back
+to what six small pictures show. In the mixed scenes a third each have κ = 1, 10² and 10⁴. *own* is the parametrisation
+of `tto/gaussians.py`. *plain* has centres in world units, linear scales and linear opacities. Both take the same rates.
+Those of *plain* are in units of the longest axis, which all Gaussians share here, so that the two are alike at κ = 1.
+PSNR of the pictures in dB."""
 COUNT, SIZE, VIEWS, PIXELS = 60, 64, 6, 4.0
 KAPPAS = (1.0, 1e2, 1e4)
 SHAPES = {"needles": (1, 2), "discs": (2,)}
@@ -36,7 +39,7 @@ SHAPES = {"needles": (1, 2), "discs": (2,)}
 
 @dataclass(frozen=True)
 class Row:
-    """PSNR in dB of the pictures before, and after the steps in either parametrisation."""
+    """PSNR in dB of the pictures before the steps, and after them in either parametrisation."""
 
     scene: str
     kappa: float
@@ -47,7 +50,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Plain:
-    """Gaussians as they are, with nothing that keeps a step from leaving their range but a clamp."""
+    """Gaussians in their own units; only a clamp keeps a step inside their range."""
 
     means: Tensor
     quats: Tensor
@@ -93,20 +96,17 @@ def disturbed(gaussians: Gaussians, length: float) -> Gaussians:
 
 
 def plain(start: Gaussians, loss: RenderingLoss, settings: TtoSettings, length: float) -> TtoResult[Plain]:
-    return optimise(
-        Plain(**{each.name: getattr(start, each.name) for each in fields(start)}),
-        Plain.gaussians,
-        loss,
-        settings,
-        rates={
-            "means": RATES["moves"] * length,
-            "quats": RATES["turns"],
-            "scales": RATES["log_scales"] * length,
-            "opacities": RATES["logits"] / 4,
-            "sh": RATES["colours"],
-        },
-        generator=torch.Generator().manual_seed(0),
-    )
+    shipped = TTO_POLICY.gaussian_rates
+    rates = {
+        "means": shipped["moves"] * length,
+        "quats": shipped["turns"],
+        "scales": shipped["log_scales"] * length,
+        "opacities": shipped["logits"] / 4,
+        "sh": shipped["colours"],
+    }
+    variables = Plain(**{each.name: getattr(start, each.name) for each in fields(start)})
+    generator = torch.Generator().manual_seed(0)
+    return optimise(Parametrisation(variables, Plain.gaussians, rates), loss, settings, generator=generator)
 
 
 def measure(name: str, kappas: Tensor, short: tuple[int, ...]) -> Row:
@@ -116,11 +116,11 @@ def measure(name: str, kappas: Tensor, short: tuple[int, ...]) -> Row:
     masks = torch.ones(VIEWS, SIZE, SIZE, dtype=torch.bool)
     views = Views(pictures, masks, tuple(map(str, range(VIEWS))), ((SIZE, SIZE),) * VIEWS)
     loss, start = RenderingLoss(views, cameras), disturbed(wanted, length)
-    settings = TtoSettings(STEPS, LEARNING_RATE)
+    settings = TtoSettings(STEPS, TTO_POLICY.learning_rate)
     own = optimise_gaussians(start, loss, settings, generator=torch.Generator().manual_seed(0))
     other = plain(start, loss, settings, length)
-    everything = list(range(VIEWS))
-    psnrs = (loss.psnr(each, everything) for each in (start, own.gaussians, other.gaussians))
+    all_views = list(range(VIEWS))
+    psnrs = (loss.psnr(each, all_views) for each in (start, own.gaussians, other.gaussians))
     return Row(name, float(kappas.max()), *psnrs)
 
 
@@ -136,10 +136,10 @@ def measured() -> list[Row]:
 
 def table(rows: list[Row]) -> str:
     """PSNR of the pictures in dB, as Markdown."""
-    lines = ["| scene | κ | before | own | plain |", "| --- | --- | --- | --- | --- |"]
-    for row in rows:
-        lines.append(f"| {row.scene} | {row.kappa:g} | {row.before:.1f} | {row.own:.1f} | {row.plain:.1f} |")
-    return "\n".join(lines)
+    cells = (
+        (row.scene, f"{row.kappa:g}", *(f"{psnr:.1f}" for psnr in (row.before, row.own, row.plain))) for row in rows
+    )
+    return markdown(("scene", "κ", "before", "own", "plain"), cells)
 
 
 if __name__ == "__main__":

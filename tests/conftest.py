@@ -6,6 +6,8 @@ import hypothesis
 import pytest
 from jaxtyping import install_import_hook
 
+from common.locations import FIXTURES, PHOTOS, location, missing
+
 SOURCE = Path(__file__).resolve().parents[1] / "src"
 # numba compiles plain functions only: its modules keep out of the hook's reach, and packages with them.
 install_import_hook(
@@ -20,12 +22,21 @@ install_import_hook(
 hypothesis.settings.register_profile("querysplat", deadline=None, derandomize=True)
 hypothesis.settings.load_profile("querysplat")
 
-DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data"
+
+def _found(variable: str) -> Path:
+    reason = missing(variable)
+    if reason:
+        pytest.skip(reason)
+    return location(variable)
 
 
 @pytest.fixture(scope="session")
 def real_photos() -> Path:
     """The folder of real photo sets, which is not part of the repository."""
-    if not DATA.is_dir():
-        pytest.skip(f"no real photos at {DATA}")
-    return DATA
+    return _found(PHOTOS)
+
+
+@pytest.fixture(scope="session")
+def golden() -> Path:
+    """The folder of fixtures of the released arithmetic, which is not part of the repository."""
+    return _found(FIXTURES)

@@ -16,3 +16,7 @@ def test_every_row_and_every_quote_has_a_line() -> None:
     assert lines[3].startswith("| 4 | *quoted: Paper* |  | 24.58 |  |")
     assert len(lines) == 4
     assert {line.count("|") for line in lines} == {11}
+
+
+def test_the_use_of_each_set_is_said() -> None:
+    assert eval_table.uses(["fox", "elsewhere"]) == "Photo sets: fox (tuned on), elsewhere (only reported)."

@@ -1,4 +1,4 @@
-"""The efficiency and precision programs, on inputs small enough for a test."""
+"""The parts of the efficiency and precision programs that take no hours: tables, random weights, errors."""
 
 import torch
 
@@ -9,7 +9,7 @@ from querysplat_cli.encoders.vggt_omega.model import VggtOmega
 from tiny_weights import OMEGA
 
 
-def test_tables_list_only_what_was_measured() -> None:
+def test_tables_say_what_was_measured_and_no_more() -> None:
     rows = [
         {
             "views": 4,
@@ -41,7 +41,7 @@ def test_random_weights_have_the_types_of_their_precision() -> None:
     assert all(layer.isfinite().all() for layer in found.features)
 
 
-def test_errors_are_those_of_the_numbers() -> None:
+def test_errors_of_known_differences() -> None:
     exact = {
         "features": torch.ones(2, 3),
         "w2c": torch.eye(4)[None],

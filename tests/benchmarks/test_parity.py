@@ -1,4 +1,4 @@
-"""Parity with the release, by stored fixtures. A tampered fixture must make the program fail."""
+"""Our arithmetic against fixtures of the released one; and the program that compares them fails where it must."""
 
 import json
 from pathlib import Path
@@ -9,8 +9,6 @@ from safetensors.torch import load_file, save_file
 
 import parity
 
-ROOT = Path(__file__).resolve().parents[2]
-GOLDEN = ROOT.parent / "shared" / "golden"
 UNITS = [
     "activations",
     "appearance_decoder",
@@ -37,20 +35,18 @@ UNITS = [
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    """A copy of one small golden unit, to be tampered with."""
-    if not GOLDEN.is_dir():
-        pytest.skip(f"no golden fixtures at {GOLDEN}")
+def folder(golden: Path, tmp_path: Path) -> Path:
+    """A copy of the fixture of one small unit, for a test to change."""
     for name in ("geometry_head.json", "geometry_head.safetensors"):
-        (tmp_path / name).write_bytes((GOLDEN / name).read_bytes())
+        (tmp_path / name).write_bytes((golden / name).read_bytes())
     return tmp_path
 
 
 @pytest.mark.parametrize("unit", UNITS)
-def test_golden_unit(unit: str) -> None:
-    path = GOLDEN / f"{unit}.json"
+def test_golden_unit(unit: str, golden: Path) -> None:
+    path = golden / f"{unit}.json"
     if not path.is_file():
-        pytest.skip(f"no golden fixture {path}")
+        pytest.skip(f"no fixture {path}")
     row = parity.compare(parity.Fixture.read(path))
     assert row["ok"], row
 

@@ -1,4 +1,6 @@
-"""Every row of docs/stability.md holds where the tests run, too."""
+"""Every case of docs/stability.md holds on the machine of the tests, too."""
+
+from dataclasses import replace
 
 import pytest
 
@@ -12,12 +14,12 @@ def test_every_case_holds() -> None:
 
 
 def test_a_wrong_picture_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
-    """An error of 1e-4 in every colour of the kernel makes the program fail."""
-    honest = stability.render
+    """An error of 1e-4 in every colour of the kernel fails a case."""
+    exact = stability.render
 
     def darker(*arguments: object, backend: str, **options: object) -> object:
-        found = honest(*arguments, backend=backend, **options)
-        return stability.replace(found, colour=found.colour + (1e-4 if backend == "cpu" else 0))
+        found = exact(*arguments, backend=backend, **options)
+        return replace(found, colour=found.colour + (1e-4 if backend == "cpu" else 0))
 
     monkeypatch.setattr(stability, "render", darker)
     case = next(case for case in stability.cases() if case.what.startswith("equal depths"))

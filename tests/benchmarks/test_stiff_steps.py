@@ -1,4 +1,4 @@
-"""Needles and discs are optimised as well as balls."""
+"""Optimisation restores needles and discs, too."""
 
 import pytest
 import torch

@@ -1,4 +1,4 @@
-"""The program that draws quality against seconds of optimisation, on a small input."""
+"""The parts of the program of quality against seconds that take no minutes: its clock and its figure."""
 
 from pathlib import Path
 
@@ -38,6 +38,8 @@ def test_the_clock_stands_still_while_a_scene_is_scored(monkeypatch: pytest.Monk
 def test_sets_with_and_without_quoted_curves_are_drawn(tmp_path: Path) -> None:
     points = [{"step": step, "seconds": 2.0 * step, "psnr": 20.0 + step, "gaussians": 9} for step in range(3)]
     found = dict.fromkeys(("features", "gaussians", "both"), points)
-    rows = [{"set": name, "inputs": 5, "heldout": 2, "curves": found} for name in ("fortress", "fox")]
+    rows = [
+        {"set": name, "use": "tuned on", "inputs": 5, "heldout": 2, "curves": found} for name in ("fortress", "fox")
+    ]
     tto_curves.draw(rows, tmp_path / "curves.svg")
     assert "<svg" in (tmp_path / "curves.svg").read_text()

@@ -41,7 +41,7 @@ def test_equal_pictures() -> None:
     assert (scores.psnr, scores.ssim) == (EVALUATION_POLICY.psnr_limit, pytest.approx(1, abs=1e-9))
 
 
-def test_ssim_is_the_stored_figure(real_photos: Path) -> None:
-    tensors = load_file(real_photos.parent / "golden" / "ssim.safetensors")
+def test_ssim_is_the_stored_figure(golden: Path) -> None:
+    tensors = load_file(golden / "ssim.safetensors")
     for a, b, expected in zip(tensors["a"], tensors["b"], np.asarray(tensors["metric_skimage"]), strict=True):
         assert compare(a.float(), b.float(), None).ssim == pytest.approx(float(expected), abs=1e-6)

@@ -14,8 +14,6 @@ from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.formats.ply import columns, export_rows, read_ply, write_ply
 from querysplat_cli.scene.gaussians import Gaussians
 
-GOLDEN = Path(__file__).resolve().parents[2].parent / "shared" / "golden" / "ply_export.safetensors"
-
 
 def gaussians(count: int, degree: int, seed: int = 0) -> Gaussians:
     generator = torch.Generator().manual_seed(seed)
@@ -65,10 +63,8 @@ def test_the_header_and_the_columns_are_the_standard_ones(tmp_path: Path) -> Non
     assert not vertices["nx"].any()
 
 
-def test_rows_are_those_of_the_released_exporter() -> None:
-    if not GOLDEN.is_file():
-        pytest.skip(f"no fixture at {GOLDEN}")
-    fixture = load_file(GOLDEN)
+def test_rows_are_those_of_the_released_exporter(golden: Path) -> None:
+    fixture = load_file(golden / "ply_export.safetensors")
     means, opacities, scales, quats, sh = fixture["gaussians"][0].split([3, 1, 3, 4, 12], 1)
     rows = export_rows(Gaussians(means, quats, scales, opacities[:, 0], sh.unflatten(1, (4, 3))), 0.05)
     assert rows.shape == fixture["rows"].shape
