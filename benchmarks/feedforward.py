@@ -17,8 +17,8 @@ from typing import Any
 
 import torch
 
-from querysplat_cli.encoders.base import PosedViews
-from querysplat_cli.encoders.holdout import camera_passes
+from querysplat_cli.encoders.base import CameraRequest, PosedViews
+from querysplat_cli.encoders.holdout import estimate_holdout_cameras
 from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.evaluation.baseline import back_project
 from querysplat_cli.model.checkpoints import load
@@ -51,11 +51,11 @@ def passed(data: Path, name: str, size: int) -> Sample:
     """What the encoder finds of the inputs, and the held-out views."""
     encoder = find_encoder("classical")
     photos, _ = load_photos(find_photos(photos_of(data, name)))
-    chosen = camera_passes(
+    chosen = estimate_holdout_cameras(
         photos,
         4,
         "joint",
-        lambda some: encoder.estimate_cameras(some, max_size=size, seed=SEED, known=None, progress=silent),
+        lambda some: encoder.estimate_cameras(some, CameraRequest(size, SEED), silent),
         poses_known=True,
     ).chosen
     assert chosen.heldout

@@ -24,8 +24,8 @@ from torch.nn import functional as F
 
 from feedforward import SEED, silent
 from pruning import pruned_to
-from querysplat_cli.encoders.base import PosedViews
-from querysplat_cli.encoders.holdout import take
+from querysplat_cli.encoders.base import CameraRequest, PosedViews
+from querysplat_cli.encoders.holdout import select_views
 from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.model.checkpoints import load
 from querysplat_cli.model.querysplat import QuerySplat
@@ -38,7 +38,7 @@ from querysplat_cli.scene.formats.known import read_known_cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.paths import interpolate
 from querysplat_cli.scene.photos import find_photos, load_photos
-from querysplat_cli.scene.sim3 import skew
+from querysplat_cli.scene.rotations import skew
 from querysplat_cli.splat.render import render
 from querysplat_cli.training.passes import Sample, make_sample, read_sample, write_sample
 from querysplat_cli.tto.features import optimise_memories
@@ -94,10 +94,10 @@ def passed(data: Path, case: str, size: int, *, free: bool) -> Sample:
     if free or name == "fox":
         known = None if free else read_known_cameras(data / "dl3dv" / "fox")
         return make_sample(photos, names, encoder, known=known, max_size=size, seed=SEED)
-    everything = encoder.estimate_cameras(photos, max_size=size, seed=SEED, known=None, progress=silent)
+    everything = encoder.estimate_cameras(photos, CameraRequest(size, SEED), silent)
     rows = [row for row, each in enumerate(everything.views.names) if each in names]
     others = [row for row in range(len(everything.views)) if row not in rows]
-    own = take(everything, rows)
+    own = select_views(everything, rows)
     geometry = encoder.estimate_geometry(own, seed=SEED, progress=silent)
     return Sample(own.views, own.cameras, geometry, everything.views[others], everything.cameras[others])
 

@@ -6,10 +6,11 @@ from typing import TypeVar
 import torch
 from torch import nn
 
-from querysplat_cli.encoders.vggt_omega.model import CONFIG, VggtOmega
+from querysplat_cli.encoders.vggt_omega.model import VGGT_OMEGA_CONFIG, VggtOmega
 from querysplat_cli.model.config import preset
 from querysplat_cli.model.querysplat import QuerySplat
-from querysplat_cli.runtime.precision import Precision, weight_dtypes
+from querysplat_cli.runtime.choices import Precision
+from querysplat_cli.runtime.precision import weight_dtypes
 from querysplat_cli.scene.cameras import Cameras
 
 SPREAD = {"gamma": 0.1, "deconv": 0.01, "head.weight": 0.01, "queries": 0.5, "token": 0.5}
@@ -22,7 +23,7 @@ def querysplat(precision: Precision, device: torch.device, name: str = "official
 
 
 def vggt_omega(precision: Precision, device: torch.device) -> VggtOmega:
-    model = randomised(lambda: VggtOmega(CONFIG), precision, device)
+    model = randomised(lambda: VggtOmega(VGGT_OMEGA_CONFIG), precision, device)
     quarter = len(model.aggregator.rope_embed.periods)
     for embedding in (model.aggregator.rope_embed, model.aggregator.patch_embed.rope_embed):
         embedding.periods = 100.0 ** (torch.arange(quarter, device=device) / quarter)

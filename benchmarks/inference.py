@@ -23,7 +23,7 @@ from typing import Any
 import torch
 
 import full_size
-from querysplat_cli.encoders.vggt_omega.model import CONFIG, VggtOmega
+from querysplat_cli.encoders.vggt_omega.model import VGGT_OMEGA_CONFIG, VggtOmega
 from querysplat_cli.model.config import preset
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.pipeline.memory import RUNTIME
@@ -128,12 +128,12 @@ def foretold() -> str:
     lines = [f"| views | {' | '.join(map(str, VIEWS))} |", "| --- " * (len(VIEWS) + 1) + "|"]
     for name in ("fp32", "bf16"):
         precision = check_precision(name)
-        encoder = full_size.without_numbers(lambda: VggtOmega(CONFIG), precision)
+        encoder = full_size.without_numbers(lambda: VggtOmega(VGGT_OMEGA_CONFIG), precision)
         decoder = full_size.without_numbers(lambda: QuerySplat(preset("official-8192")), precision)
         weights = sum(tensor.nbytes for tensor in encoder.state_dict().values()) + decoder.weight_bytes
         needed = []
         for views in VIEWS:
-            encoding = weights + CONFIG.working_bytes(views, SIZE, name == "bf16", mixed=True, depth=False)
+            encoding = weights + VGGT_OMEGA_CONFIG.working_bytes(views, SIZE, name == "bf16", mixed=True, depth=False)
             needed.append((RUNTIME + max(encoding, decoder.bytes_needed(views, SIZE, SPECIALS))) / 2**30)
         lines.append(f"| {name} | {' | '.join(f'{each:.1f}' for each in needed)} |")
     return "\n".join(lines)

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from golden import Fixture, Tensors
 from querysplat_cli.model.heads import GEOMETRY_CHANNELS, activate_appearance, activate_geometry, assemble
-from querysplat_cli.model.memories import Memories, plucker_rays
+from querysplat_cli.model.memories import Memories, Memory, plucker_rays
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.fit import centred_crop, normalised
@@ -18,14 +18,14 @@ from querysplat_cli.training.visibility import projected, visibility_loss
 
 
 def decoder_block(fixture: Fixture, model: QuerySplat, scene: Tensors) -> Tensors:
-    steps = model.geometry_decoder.blocks[0].steps(scene["tokens"], *_memory(scene))
+    steps = model.geometry_decoder.blocks[0].steps(scene["tokens"], Memory(*_memory(scene)))
     return dict(zip(("after_cross", "after_self", "out"), steps, strict=True))
 
 
 def geometry_decoder(fixture: Fixture, model: QuerySplat, scene: Tensors) -> Tensors:
     keys, values = _memory(scene)
     start = torch.cat([model.eye_token, model.geometry_queries])
-    after = list(model.geometry_decoder.steps(start, keys, values))
+    after = list(model.geometry_decoder.steps(start, Memory(keys, values)))
     tokens = model.geometry_tokens(Memories(keys, values, keys, values))
     return {f"after_block_{i}": block for i, block in enumerate(after)} | {"geometry_tokens": tokens}
 
@@ -33,7 +33,7 @@ def geometry_decoder(fixture: Fixture, model: QuerySplat, scene: Tensors) -> Ten
 def appearance_decoder(fixture: Fixture, model: QuerySplat, scene: Tensors) -> Tensors:
     keys, values = _memory(scene)
     start = scene["geometry_tokens"] + model.appearance_queries
-    after = list(model.appearance_decoder.steps(start, keys, values))
+    after = list(model.appearance_decoder.steps(start, Memory(keys, values)))
     tokens = model.appearance_tokens(scene["geometry_tokens"], Memories(keys, values, keys, values))
     raw = model.appearance_head(tokens).reshape(-1, model.config.appearance_channels)
     sh, opacity = activate_appearance(raw, model.config)

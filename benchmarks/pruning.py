@@ -23,10 +23,11 @@ from querysplat_cli.model.checkpoints import load
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.pipeline.memory import evenly_spaced
 from querysplat_cli.pipeline.reconstruct import TESTED_VIEWS
-from querysplat_cli.prune.gaussians import Amount, prune, target_count
+from querysplat_cli.prune.gaussians import prune, target_count
 from querysplat_cli.queries.prepare import prepare
 from querysplat_cli.reporting.report import machine
 from querysplat_cli.reporting.view_scores import score
+from querysplat_cli.runtime.choices import Amount
 from querysplat_cli.training.passes import Sample
 from querysplat_cli.tto.features import optimise_memories
 from querysplat_cli.tto.optimise import Pruning
@@ -66,7 +67,7 @@ def rows(name: str, sample: Sample, model: QuerySplat) -> list[Row]:
     posed = PosedViews(sample.views, sample.cameras, torch.zeros(0, 3), ())
     found = []
     for what, (about, share) in CASES.items():
-        prepared = prepare(model, posed, sample.geometry, queries=None, about=about, target="kv")
+        prepared = prepare(model, posed, sample.geometry, queries=None, soft_query_limit=about, target="kv")
         assert prepared.anchors is not None
         count = prepared.anchors.opacities.numel()
         amount: Amount = count // 3 if share == "third" else share

@@ -39,7 +39,8 @@ def reconstruct(photos: list[Path], folder: Path, cameras: str, options: list[st
 
 def splatted_depth(photos: list[Path]) -> float:
     """Held-out PSNR of the encoder's depth, splatted as it is, with joint cameras."""
-    from querysplat_cli.encoders.holdout import camera_passes
+    from querysplat_cli.encoders.base import CameraRequest
+    from querysplat_cli.encoders.holdout import estimate_holdout_cameras
     from querysplat_cli.encoders.registry import find_encoder
     from querysplat_cli.evaluation.baseline import back_project
     from querysplat_cli.reporting.view_scores import score
@@ -50,11 +51,11 @@ def splatted_depth(photos: list[Path]) -> float:
 
     encoder = find_encoder("classical")
     loaded, _ = load_photos(find_photos(photos), progress=silent)
-    passes = camera_passes(
+    passes = estimate_holdout_cameras(
         loaded,
         4,
         "joint",
-        lambda some: encoder.estimate_cameras(some, max_size=448, seed=42, known=None, progress=silent),
+        lambda some: encoder.estimate_cameras(some, CameraRequest(448, 42), silent),
         poses_known=True,
     )
     posed, heldout = passes.chosen.inputs, passes.chosen.heldout

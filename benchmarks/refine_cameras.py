@@ -17,8 +17,8 @@ from typing import Any
 import torch
 
 from feedforward import SEED, silent
-from querysplat_cli.encoders.base import PosedViews
-from querysplat_cli.encoders.holdout import camera_passes
+from querysplat_cli.encoders.base import CameraRequest, PosedViews
+from querysplat_cli.encoders.holdout import estimate_holdout_cameras
 from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.model.checkpoints import load
 from querysplat_cli.queries.prepare import prepare
@@ -26,7 +26,8 @@ from querysplat_cli.reporting.report import machine
 from querysplat_cli.reporting.view_scores import score
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.photos import find_photos, load_photos
-from querysplat_cli.scene.sim3 import align_cameras, skew
+from querysplat_cli.scene.rotations import skew
+from querysplat_cli.scene.sim3 import align_cameras
 from querysplat_cli.tto.cameras import with_refined_focal
 from querysplat_cli.tto.features import optimise_memories
 from querysplat_cli.tto.optimise import TtoSettings
@@ -48,9 +49,9 @@ def rows(data: Path, name: str, amounts: list[float], steps: int) -> list[dict[s
     photos, _ = load_photos(find_photos(photos_of(data, name)))
 
     def estimate_cameras(some: Any) -> PosedViews:
-        return encoder.estimate_cameras(some, max_size=encoder.size, seed=SEED, known=None, progress=silent)
+        return encoder.estimate_cameras(some, CameraRequest(encoder.size, SEED), silent)
 
-    passes = camera_passes(photos, 4, "joint", estimate_cameras, poses_known=True).chosen
+    passes = estimate_holdout_cameras(photos, 4, "joint", estimate_cameras, poses_known=True).chosen
     assert passes.heldout
     views, theirs = passes.heldout
     model, found = load("compact"), []

@@ -171,7 +171,7 @@ def work(gaussians: Gaussians, cameras: Cameras) -> tuple[int, int]:
     blended = render(leaves, cameras, backend="cpu").colour.grad_fn
     while blended is not None and not hasattr(blended, "views"):
         blended = blended.next_functions[0][0]
-    from querysplat_cli.splat.compiled_blending import HIGH, WIDE
+    from querysplat_cli.splat.compiled_tiles import HIGH, WIDE
 
     lanes = evaluations = 0
     tiles_x = -(-cameras.width // WIDE)

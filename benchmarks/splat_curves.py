@@ -111,7 +111,7 @@ def with_tile(wide: int, high: int) -> Iterator[Path]:
     with tempfile.TemporaryDirectory() as folder:
         tree = Path(folder)
         shutil.copytree(splat.ROOT / "src", tree / "src", ignore=shutil.ignore_patterns("__pycache__"))
-        file = tree / "src" / "querysplat_cli" / "splat" / "compiled_blending.py"
+        file = tree / "src" / "querysplat_cli" / "splat" / "compiled_tiles.py"
         text = file.read_text()
         assert TILE_LINE in text
         file.write_text(text.replace(TILE_LINE, f"WIDE, HIGH = {wide}, {high}"))

@@ -28,11 +28,12 @@ from querysplat_cli.prune.gaussians import target_count
 from querysplat_cli.queries.prepare import prepare
 from querysplat_cli.reporting.report import machine
 from querysplat_cli.reporting.view_scores import score
+from querysplat_cli.runtime.choices import Space
 from querysplat_cli.runtime.figures import new_figure, save_figure
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.training.passes import Sample
 from querysplat_cli.tto.adapt import Start, adapt
-from querysplat_cli.tto.plan import QUERIES, Space, TtoRun, plan_tto
+from querysplat_cli.tto.plan import QUERIES, TtoRun, plan_tto
 from querysplat_cli.tto.rendering_loss import LossAndGradient, RenderingLoss
 from reconstruct import SETS
 
@@ -105,7 +106,7 @@ def curve(model: QuerySplat, start: Start, sample: Sample, plan: tuple[TtoRun, .
 
 def curves(name: str, sample: Sample, model: QuerySplat, steps: int | None) -> dict[str, Any]:
     posed = PosedViews(sample.views, sample.cameras, torch.zeros(0, 3), ())
-    prepared = prepare(model, posed, sample.geometry, queries=None, about=QUERIES, target="kv")
+    prepared = prepare(model, posed, sample.geometry, queries=None, soft_query_limit=QUERIES, target="kv")
     assert prepared.anchors is not None
     start = Start(prepared.variables.map(torch.Tensor.float), prepared.anchors)
     count = prepared.anchors.opacities.numel()

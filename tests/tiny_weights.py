@@ -54,7 +54,7 @@ MODEL = ModelConfig(
 
 
 def official_names(geometry_blocks: int = 12, appearance_blocks: int = 6) -> list[str]:
-    """The names of ../shared/spec/official-checkpoint.md, section 1; 521 of them at full size."""
+    """The tensor names of the released checkpoints (docs/reference/official-checkpoint.md); 521 at full size."""
     names = ["vggt_encoder.eye_token", "post_rgb_gs_tokens", "gs_tokens"]
     names += [f"{name}.{part}" for name in WEIGHT_AND_BIAS[""].split() for part in ("weight", "bias")]
     block = [f"{name}.{part}" for name in WEIGHT_AND_BIAS["block"].split() for part in ("weight", "bias")]

@@ -1,12 +1,13 @@
-"""Small samples with true depth, written where a training looks for them."""
+"""Small samples with true depth, in the cache folder of a training."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import torch
 
 from querysplat_cli.encoders.base import Geometry
-from querysplat_cli.model.config import ModelConfig
+from querysplat_cli.model.checkpoints import preset
 from querysplat_cli.scene.views import Views
 from querysplat_cli.training.config import (
     DataSettings,
@@ -18,28 +19,15 @@ from querysplat_cli.training.config import (
 )
 from querysplat_cli.training.data import cache_folder
 from querysplat_cli.training.passes import Sample, write_sample
-from querysplat_cli.training.procedural import cast, make_scene, walk
+from querysplat_cli.training.photographer import cast, walk
+from querysplat_cli.training.rooms import make_room
 
-TINY = ModelConfig(
-    width=120,
-    heads=4,
-    mlp_ratio=1.0,
-    geometry_blocks=2,
-    appearance_blocks=1,
-    queries="anchored",
-    colour_prior="projected",
-    anchor_features=199,
-    gaussians_per_query=9,
-    patch=6,
-    mixed_layers=1,
-    special_tokens=0,
-    vgm_width=12,
-)
+TINY = replace(preset("compact"), width=120, mlp_ratio=1.0)
 
 
 def sample(seed: int, inputs: int = 2, targets: int = 2) -> Sample:
     """Neighbouring views of a room at 72 × 54 pixels; every other one is a target. Features are noise."""
-    room = make_scene(seed)
+    room = make_room(seed)
     cameras = walk(room, inputs + targets, seed).resized(54, 72)
     images, depth = cast(room, cameras, samples=1)
     rows = list(range(inputs + targets))
@@ -81,7 +69,7 @@ def training(cache: Path, *, scenes: int = 3, **changes: object) -> TrainConfig:
 
 
 def toml(config: TrainConfig) -> str:
-    """A file that says the same."""
+    """The same training as the text of a TOML file."""
     from querysplat_cli.training.config import as_table
 
     table = as_table(config)

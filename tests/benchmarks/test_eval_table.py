@@ -1,4 +1,4 @@
-"""The documented table is what the summary says."""
+"""The documented table agrees with the stored summary."""
 
 import eval_table
 

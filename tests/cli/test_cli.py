@@ -1,4 +1,4 @@
-"""The command line as a user meets it: what it says, and the code it exits with."""
+"""The command line from outside: its messages and exit codes."""
 
 import subprocess
 import sys
@@ -116,7 +116,7 @@ def test_a_bug_keeps_its_traceback(
 
 
 def test_ctrl_c_inside_exec_keeps_the_exit_code(tmp_path: Path) -> None:
-    """Libraries run exec() on strings; there, CPython takes a handled interruption for an unhandled one."""
+    """CPython reports an interruption as unhandled when it was raised inside exec(), even after it was caught."""
     (tmp_path / "interrupted.py").write_text("""
 from querysplat_cli import cli
 

@@ -1,4 +1,4 @@
-"""`querysplat convert` and `querysplat poses`, as they are typed."""
+"""`querysplat convert` and `querysplat poses`, run as commands."""
 
 import json
 import sys
@@ -71,7 +71,7 @@ def test_cameras_go_round(tmp_path: Path) -> None:
 
 
 def test_photos_and_cameras_become_a_scene_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """In the cameras' own frame, straightened, and read by every verb; `tto` says what it lacks."""
+    """The scene keeps the cameras' frame, has undistorted photos, and suits every verb but `tto`."""
     room = tmp_path / "room"
     write_room(room, 3)
     content = json.loads((room / "transforms.json").read_text())
@@ -127,7 +127,7 @@ def test_a_colmap_models_points_stay(tmp_path: Path) -> None:
 
 
 def test_a_folder_that_holds_two_sets_of_cameras_means_one(tmp_path: Path) -> None:
-    """DL3DV's samples hold a transforms.json beside the model that it was made of."""
+    """DL3DV's samples have a transforms.json beside the COLMAP model from which it was made."""
     home = tmp_path / "colmap"
     write_transforms(tmp_path / "few.json", cameras(2))
     assert run(["convert", str(tmp_path / "few.json"), str(home / "sparse" / "0"), "-q"]) == 0
@@ -161,7 +161,7 @@ def test_crop(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_spz_is_turned_to_its_own_axes_and_back(tmp_path: Path) -> None:
-    """SPZ specifies y up and z backward; .ply viewers take y down and z forward."""
+    """SPZ has y up and z backward; .ply viewers expect y down and z forward."""
     gsply = pytest.importorskip("gsply")
     write_gaussians(tmp_path / "a.ply", [[1.0, 2.0, 3.0], [0.5, -0.25, 1.0]])
     assert run(["convert", str(tmp_path / "a.ply"), str(tmp_path / "a.spz"), "-q"]) == 0

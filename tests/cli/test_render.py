@@ -1,4 +1,4 @@
-"""`querysplat render` on a .ply of our own making: every output, and every way to say from where."""
+"""`querysplat render` on a small .ply: every kind of output, and every way to choose the cameras."""
 
 import json
 from pathlib import Path
@@ -22,7 +22,7 @@ SIZE = (48, 64)
 
 @pytest.fixture
 def ball(tmp_path: Path) -> Path:
-    """One opaque red ball of radius about ½ at (0, 0, 4), and three specks that say nothing."""
+    """One opaque red ball of radius about ½ at (0, 0, 4), and three specks too small to matter."""
     sh = torch.full((4, 1, 3), -0.5 / SH_0)
     sh[:, 0, 0] = 0.5 / SH_0
     means = torch.tensor([[0.0, 0, 4], [0.1, 0, 4], [-0.1, 0, 4], [0, 0.1, 4]])

@@ -1,4 +1,4 @@
-"""`querysplat train` as its users meet it."""
+"""`querysplat train`, run as a command."""
 
 import json
 from pathlib import Path
@@ -44,7 +44,7 @@ def test_dry_run_measures_and_writes_nothing(config: Path, capsys: pytest.Captur
     assert plan["unmeasured"] == ""
 
 
-def test_dry_run_without_the_encoders_weights_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_dry_run_reports_missing_encoder_weights(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     places = f'data.sources.0.places=["{tmp_path}"]'
     (tmp_path / "images").mkdir()
     sizes = ["model.width=32", "model.heads=2", "model.vgm_width=32", "data.weights=nowhere"]

@@ -1,4 +1,4 @@
-"""`querysplat weights`: what is said of files that are there, damaged, or missing."""
+"""`querysplat weights`: its report on files that are found, damaged, or missing."""
 
 import json
 import sys
@@ -52,7 +52,7 @@ def test_a_foreign_file_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[s
 
 
 def test_the_cache_is_searched_where_its_library_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """huggingface_hub's one function, as it answers: a path, or None, or a marker for "known to be missing"."""
+    """huggingface_hub's function returns a path, None, or a marker for a file that is cached as missing."""
     hub = ModuleType("huggingface_hub")
     answers: dict[str, object] = {"querysplat_vggto_1B_512_8192.safetensors": str(tmp_path / "blob")}
     hub.try_to_load_from_cache = lambda repository, file: answers.get(file, object())  # type: ignore[attr-defined]

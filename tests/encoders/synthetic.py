@@ -70,16 +70,16 @@ def camera(
     return PhotoCamera(w2c, (focal, focal), (width / 2, height / 2), distortion, height, width)
 
 
-def arc(count: int, **lens: object) -> list[PhotoCamera]:
+def arc(count: int, **options: object) -> list[PhotoCamera]:
     """Cameras on an arc in front of the room, each at another height."""
     places = [(1.6 * np.sin(a), 0.25 * np.sin(3 * a), 0.4 - 0.6 * np.cos(a)) for a in np.linspace(-1, 1, count)]
-    return [camera(place, roll=0.05 * i, **lens) for i, place in enumerate(places)]  # type: ignore[arg-type]
+    return [camera(place, roll=0.05 * i, **options) for i, place in enumerate(places)]  # type: ignore[arg-type]
 
 
-def photograph(scene: Sequence[Plane], lens: PhotoCamera, name: str, focal: float | None = None) -> Photo:
-    """The photo that `lens` takes, two samples along each side of a pixel; `focal` is what its EXIF says."""
-    rays = _rays(lens, samples=2)
-    rotation, centre = lens.w2c[:3, :3], -lens.w2c[:3, :3].T @ lens.w2c[:3, 3]
+def photograph(scene: Sequence[Plane], photo_camera: PhotoCamera, name: str, focal: float | None = None) -> Photo:
+    """The photo that `lens` takes, two samples along each side of a pixel; `focal` is its EXIF entry."""
+    rays = _rays(photo_camera, samples=2)
+    rotation, centre = photo_camera.w2c[:3, :3], -photo_camera.w2c[:3, :3].T @ photo_camera.w2c[:3, 3]
     directions = rays @ rotation
     nearest = np.full(rays.shape[:2], np.inf)
     picture = np.zeros((*rays.shape[:2], 3), np.float32)
@@ -95,27 +95,27 @@ def photograph(scene: Sequence[Plane], lens: PhotoCamera, name: str, focal: floa
         size = plane.texture.shape[0]
         at = [np.where(hit, w, 0).astype(np.float32) * size - 0.5 for w in (u, v)]
         picture[hit] = cv2.remap(plane.texture, *at, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)[hit]
-    pixels = cv2.resize(picture, (lens.width, lens.height), interpolation=cv2.INTER_AREA)
+    pixels = cv2.resize(picture, (photo_camera.width, photo_camera.height), interpolation=cv2.INTER_AREA)
     return Photo(name, Path(name), np.round(pixels).astype(np.uint8), focal)
 
 
-def photographs(scene: Sequence[Plane], lenses: Sequence[PhotoCamera], prefix: str = "") -> list[Photo]:
-    return [photograph(scene, lens, f"{prefix}{i}.png") for i, lens in enumerate(lenses)]
+def photographs(scene: Sequence[Plane], cameras: Sequence[PhotoCamera], prefix: str = "") -> list[Photo]:
+    return [photograph(scene, each, f"{prefix}{i}.png") for i, each in enumerate(cameras)]
 
 
-def _rays(lens: PhotoCamera, samples: int) -> np.ndarray:
+def _rays(photo_camera: PhotoCamera, samples: int) -> np.ndarray:
     """Camera rays [rows, columns, 3] at z = 1, by fixed-point inversion of the lens distortion."""
-    v, u = np.mgrid[: lens.height * samples, : lens.width * samples]
+    v, u = np.mgrid[: photo_camera.height * samples, : photo_camera.width * samples]
     distorted = np.stack(
         [
-            ((u + 0.5) / samples - lens.principal[0]) / lens.focal[0],
-            ((v + 0.5) / samples - lens.principal[1]) / lens.focal[1],
+            ((u + 0.5) / samples - photo_camera.principal[0]) / photo_camera.focal[0],
+            ((v + 0.5) / samples - photo_camera.principal[1]) / photo_camera.focal[1],
         ],
         -1,
     )
-    k1, k2, p1, p2 = lens.distortion
+    k1, k2, p1, p2 = photo_camera.distortion
     flat = distorted.copy()
-    for _ in range(30 if any(lens.distortion) else 0):
+    for _ in range(30 if any(photo_camera.distortion) else 0):
         x, y = flat[..., 0], flat[..., 1]
         r2 = x * x + y * y
         shift = np.stack([2 * p1 * x * y + p2 * (r2 + 2 * x * x), p1 * (r2 + 2 * y * y) + 2 * p2 * x * y], -1)

@@ -1,7 +1,8 @@
-"""Cameras of photographs whose cameras are known, and of photos that make no ordinary scene."""
+"""Estimated cameras against known ones, and sets of photos that do not show one ordinary scene."""
 
 import tempfile
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -10,7 +11,8 @@ import pytest
 import torch
 from synthetic import FOCAL, WIDTH, arc, camera, photograph, photographs, room, wall
 
-from querysplat_cli.encoders.base import PosedViews
+from querysplat_cli.encoders.base import CameraRequest, PosedViews
+from querysplat_cli.encoders.classical import matches
 from querysplat_cli.encoders.classical.cameras import estimate_cameras
 from querysplat_cli.runtime.errors import ExitCode, ImpossibleScene
 from querysplat_cli.scene.cameras import PhotoCamera
@@ -20,14 +22,14 @@ from querysplat_cli.scene.views import Photo
 SIZE = 256
 
 
-def place(photos: Sequence[Photo], **options: object) -> PosedViews:
-    return estimate_cameras(photos, max_size=SIZE, seed=0, progress=lambda text, fraction: None, **options)  # type: ignore[arg-type]
+def place(photos: Sequence[Photo]) -> PosedViews:
+    return estimate_cameras(photos, CameraRequest(SIZE, seed=0), lambda text, fraction: None)
 
 
-def pose_error(posed: PosedViews, photos: Sequence[Photo], lenses: Sequence[PhotoCamera]) -> tuple[float, float]:
+def pose_error(posed: PosedViews, photos: Sequence[Photo], cameras: Sequence[PhotoCamera]) -> tuple[float, float]:
     """Largest rotation error in degrees, and largest displacement in units of the cameras' extent."""
     names = [photo.name for photo in photos]
-    truth = torch.from_numpy(np.stack([lenses[names.index(name)].w2c for name in posed.views.names]))
+    truth = torch.from_numpy(np.stack([cameras[names.index(name)].w2c for name in posed.views.names]))
     similarity = align_cameras(posed.cameras.w2c.double(), truth)
     found = posed.cameras.to(torch.float64).transformed(similarity)
     turn = found.w2c[:, :3, :3] @ truth[:, :3, :3].mT - torch.eye(3)
@@ -68,7 +70,7 @@ def test_the_frame(posed: PosedViews) -> None:
 
 
 def test_points_lie_on_the_surfaces(six: list[Photo], posed: PosedViews) -> None:
-    """Seen from two views, a point has the same colour: its projection lands on the same surface."""
+    """A sparse point has the same colour in two views, so it projects to the same place on a surface."""
     shared = np.intersect1d(posed.visibility[2], posed.visibility[3])
     assert len(shared) > 100
     colours = []
@@ -98,10 +100,10 @@ def test_same_photos_same_bits(six: list[Photo], posed: PosedViews) -> None:
 
 
 def test_lens_distortion_is_removed() -> None:
-    lenses = arc(6, distortion=(-0.15, 0.03, 0.0, 0.0))
-    photos = photographs(room(), lenses)
+    cameras = arc(6, distortion=(-0.15, 0.03, 0.0, 0.0))
+    photos = photographs(room(), cameras)
     found = place(photos)
-    degrees, shift = pose_error(found, photos, lenses)
+    degrees, shift = pose_error(found, photos, cameras)
     assert degrees < 0.2
     assert shift < 0.003
 
@@ -112,26 +114,26 @@ def test_colmap_is_silent(six: list[Photo], capfd: pytest.CaptureFixture[str]) -
 
 
 def test_two_photos_and_what_exif_adds(six: list[Photo]) -> None:
-    lenses = arc(6)[2:4]
+    cameras = arc(6)[2:4]
     alone = place(six[2:4])
     assert pose_error(alone, six, arc(6))[0] < 3
-    assert any("focal" in doubt for doubt in alone.warnings)
-    photos = [photograph(room(), lens, f"{i}.png", FOCAL) for i, lens in enumerate(lenses)]
+    assert any("focal" in warning for warning in alone.warnings)
+    photos = [photograph(room(), each, f"{i}.png", FOCAL) for i, each in enumerate(cameras)]
     stated = place(photos)
-    assert pose_error(stated, photos, lenses)[0] < 0.2
+    assert pose_error(stated, photos, cameras)[0] < 0.2
     assert not stated.warnings
 
 
 def test_photos_of_mixed_sizes_and_lenses() -> None:
-    lenses = [
+    cameras = [
         *arc(3),
         camera((-0.9, 0.1, 0.1), size=(320, 240)),
         camera((0.2, 0.3, 0), size=(320, 240)),
         camera((0.8, -0.2, 0.1), size=(180, 240), focal=257.0),
     ]
-    photos = photographs(room(), lenses)
+    photos = photographs(room(), cameras)
     found = place(photos)
-    degrees, shift = pose_error(found, photos, lenses)
+    degrees, shift = pose_error(found, photos, cameras)
     assert degrees < 0.2
     assert shift < 0.003
     assert found.views.sizes == ((192, 256),) * 3 + ((256, 192),) * 2 + ((180, 240),)
@@ -183,14 +185,14 @@ def test_one_photo(six: list[Photo], focal: float | None) -> None:
 @pytest.mark.parametrize(
     "focal", [250.0, pytest.param(304.0, marks=pytest.mark.slow), pytest.param(560.0, marks=pytest.mark.slow)]
 )
-def test_pure_rotation_is_said_plainly(focal: float) -> None:
+def test_pure_rotation_is_recognised(focal: float) -> None:
     directions = [((0, 0, 5), 0), ((1, 0.2, 5), 0.1), ((-0.8, 0.5, 5), 0), ((0.5, -0.6, 5), -0.1)]
-    lenses = [camera((0, 0, 0), look_at, roll, focal=focal) for look_at, roll in directions]
-    found = place(photographs(room(), lenses))
+    cameras = [camera((0, 0, 0), look_at, roll, focal=focal) for look_at, roll in directions]
+    found = place(photographs(room(), cameras))
     assert len(found.views) == 4
     assert torch.equal(found.cameras.w2c[:, :3, 3], torch.zeros(4, 3))
     assert found.cameras.K[0, 0, 0].item() == pytest.approx(focal * SIZE / WIDTH, rel=0.03)
-    relative = np.stack([lens.w2c[:3, :3] @ lenses[0].w2c[:3, :3].T for lens in lenses])
+    relative = np.stack([each.w2c[:3, :3] @ cameras[0].w2c[:3, :3].T for each in cameras])
     assert found.cameras.w2c[:, :3, :3].numpy() == pytest.approx(relative, abs=0.003)
     assert len(found.points) == 0
     assert "did not move" in found.warnings[0]
@@ -212,36 +214,36 @@ def test_no_photo() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("step", [0.1, 0.03, 0.005])
 def test_small_baselines(step: float) -> None:
-    """2 %, 0.6 % and 0.1 % of the depth between neighbours: sound, then doubtful, then no motion at all."""
-    lenses = [camera((step * i, 0, 0), (step * i, 0, 6)) for i in range(4)]
-    photos = photographs(room(), lenses)
+    """Baselines of 2 %, 0.6 % and 0.1 % of the depth: sound cameras, then a warning, then no motion at all."""
+    cameras = [camera((step * i, 0, 0), (step * i, 0, 6)) for i in range(4)]
+    photos = photographs(room(), cameras)
     found = place(photos)
     assert len(found.views) == 4
     if step == 0.005:
         assert "did not move" in found.warnings[0]
         return
-    degrees, shift = pose_error(found, photos, lenses)
+    degrees, shift = pose_error(found, photos, cameras)
     assert degrees < 0.1
     assert shift < 0.01
-    assert any("hardly moved" in doubt for doubt in found.warnings) == (step == 0.03)
+    assert any("hardly moved" in warning for warning in found.warnings) == (step == 0.03)
 
 
 @pytest.mark.slow
 def test_forward_motion() -> None:
-    lenses = [camera((0.02 * i, 0, 0.3 * i), (0.02 * i, 0, 6)) for i in range(5)]
-    photos = photographs(room(), lenses)
+    cameras = [camera((0.02 * i, 0, 0.3 * i), (0.02 * i, 0, 6)) for i in range(5)]
+    photos = photographs(room(), cameras)
     found = place(photos)
-    degrees, shift = pose_error(found, photos, lenses)
+    degrees, shift = pose_error(found, photos, cameras)
     assert degrees < 0.1
     assert shift < 0.02
-    assert any("along its viewing direction" in doubt for doubt in found.warnings)
+    assert any("along its viewing direction" in warning for warning in found.warnings)
 
 
 @pytest.mark.slow
-def test_a_flat_scene_is_doubtful() -> None:
+def test_a_flat_scene_raises_a_warning() -> None:
     found = place(photographs(wall(), arc(5)))
     assert len(found.views) == 5
-    assert any("one plane" in doubt for doubt in found.warnings)
+    assert any("one plane" in warning for warning in found.warnings)
 
 
 def test_nothing_is_left_behind_by_ctrl_c(six: list[Photo], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -253,13 +255,13 @@ def test_nothing_is_left_behind_by_ctrl_c(six: list[Photo], tmp_path: Path, monk
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        estimate_cameras(six[:2], max_size=SIZE, seed=0, progress=interrupt)
+        estimate_cameras(six[:2], CameraRequest(SIZE, seed=0), interrupt)
     assert not list(tmp_path.iterdir())
 
 
 def test_many_photos_are_matched_with_the_most_similar(six: list[Photo], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("querysplat_cli.encoders.classical.matches.EXHAUSTIVE", 3)
-    monkeypatch.setattr("querysplat_cli.encoders.classical.matches.PARTNERS", 2)
+    few = replace(matches.CAMERA_POLICY, exhaustive_photos=3, most_partners=2)
+    monkeypatch.setattr(matches, "CAMERA_POLICY", few)
     shuffled = [six[i] for i in (3, 0, 5, 1, 4, 2)]
     found = place(shuffled)
     degrees, _ = pose_error(found, six, arc(6))

@@ -1,4 +1,4 @@
-"""Cameras that come from another tool."""
+"""Known cameras: poses that another tool has found."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -8,36 +8,36 @@ import pytest
 import torch
 from synthetic import arc, photograph, photographs, room
 
-from querysplat_cli.encoders.base import PosedViews
+from querysplat_cli.encoders.base import CameraRequest, PosedViews
 from querysplat_cli.encoders.classical.cameras import estimate_cameras
 from querysplat_cli.runtime.errors import ImpossibleScene
 from querysplat_cli.scene.cameras import PhotoCamera, rescaled
 from querysplat_cli.scene.views import Photo
 
-LENSES = arc(4, distortion=(-0.1, 0.02, 0.001, -0.001))
+CAMERAS = arc(4, distortion=(-0.1, 0.02, 0.001, -0.001))
 
 
 @pytest.fixture(scope="module")
 def photos() -> list[Photo]:
-    return photographs(room(), LENSES)
+    return photographs(room(), CAMERAS)
 
 
 def place(photos: list[Photo], known: Mapping[str, PhotoCamera]) -> PosedViews:
-    return estimate_cameras(photos, max_size=256, seed=0, progress=lambda text, fraction: None, known=known)
+    return estimate_cameras(photos, CameraRequest(256, 0, known), lambda text, fraction: None)
 
 
-def given(lenses: list[PhotoCamera]) -> dict[str, PhotoCamera]:
-    return {f"{i}.png": lens for i, lens in enumerate(lenses)}
+def given(cameras: list[PhotoCamera]) -> dict[str, PhotoCamera]:
+    return {f"{i}.png": camera for i, camera in enumerate(cameras)}
 
 
 @pytest.fixture(scope="module")
 def posed(photos: list[Photo]) -> PosedViews:
-    return place(photos, given(LENSES))
+    return place(photos, given(CAMERAS))
 
 
 def test_poses_are_kept_up_to_origin_and_scale(posed: PosedViews) -> None:
-    origin = np.linalg.inv(LENSES[0].w2c)
-    expected = np.stack([lens.w2c @ origin for lens in LENSES])
+    origin = np.linalg.inv(CAMERAS[0].w2c)
+    expected = np.stack([camera.w2c @ origin for camera in CAMERAS])
     found = posed.cameras.w2c.double().numpy()
     assert found[:, :3, :3] == pytest.approx(expected[:, :3, :3], abs=1e-6)
     scale = np.linalg.norm(found[3, :3, 3]) / np.linalg.norm(expected[3, :3, 3])
@@ -47,9 +47,9 @@ def test_poses_are_kept_up_to_origin_and_scale(posed: PosedViews) -> None:
 
 
 def test_points_are_where_the_room_is(posed: PosedViews) -> None:
-    origin = np.linalg.inv(LENSES[0].w2c)
+    origin = np.linalg.inv(CAMERAS[0].w2c)
     scale = posed.cameras.centres[3].norm().item() / np.linalg.norm(
-        (LENSES[3].w2c @ origin)[:3, :3].T @ (LENSES[3].w2c @ origin)[:3, 3]
+        (CAMERAS[3].w2c @ origin)[:3, :3].T @ (CAMERAS[3].w2c @ origin)[:3, 3]
     )
     world = posed.points.double().numpy() / scale @ origin[:3, :3].T + origin[:3, 3]
     assert len(world) > 300
@@ -63,9 +63,9 @@ def _normal(across: tuple[float, ...], down: tuple[float, ...]) -> np.ndarray:
 
 
 def test_the_views_are_those_of_pinhole_cameras(posed: PosedViews) -> None:
-    for view, lens in enumerate(LENSES):
+    for view, camera in enumerate(CAMERAS):
         K, (height, width) = posed.cameras.K[view].tolist(), posed.views.sizes[view]
-        straight = PhotoCamera(lens.w2c, (K[0][0], K[1][1]), (K[0][2], K[1][2]), (0.0,) * 4, height, width)
+        straight = PhotoCamera(camera.w2c, (K[0][0], K[1][1]), (K[0][2], K[1][2]), (0.0,) * 4, height, width)
         expected = torch.from_numpy(photograph(room(), straight, "").pixels).permute(2, 0, 1) / 255
         difference = (posed.views.images[view][:, :height, :width] - expected).abs()
         assert float(difference.median()) < 0.02
@@ -73,16 +73,16 @@ def test_the_views_are_those_of_pinhole_cameras(posed: PosedViews) -> None:
 
 
 def test_cameras_of_photos_at_another_size(photos: list[Photo], posed: PosedViews) -> None:
-    found = place(photos, given([rescaled(lens, 960, 1280) for lens in LENSES]))
+    found = place(photos, given([rescaled(camera, 960, 1280) for camera in CAMERAS]))
     assert found.cameras.K.numpy() == pytest.approx(posed.cameras.K.numpy(), rel=1e-5)
     assert not found.warnings
 
 
 def test_photos_without_a_usable_camera_are_named(photos: list[Photo]) -> None:
-    known = given(LENSES)
+    known = given(CAMERAS)
     del known["0.png"]
-    known["1.png"] = replace(LENSES[1], height=400, width=300)
-    known["2.png"] = replace(LENSES[2], w2c=LENSES[2].w2c @ np.diag([1, 1, -1, 1]))
+    known["1.png"] = replace(CAMERAS[1], height=400, width=300)
+    known["2.png"] = replace(CAMERAS[2], w2c=CAMERAS[2].w2c @ np.diag([1, 1, -1, 1]))
     found = place(photos, known)
     assert found.views.names == ("3.png",)
     assert [left.name for left in found.left_out] == ["0.png", "1.png", "2.png"]
@@ -95,9 +95,9 @@ def test_photos_without_a_usable_camera_are_named(photos: list[Photo]) -> None:
 
 def test_names_that_do_not_match(photos: list[Photo]) -> None:
     with pytest.raises(ImpossibleScene, match="none of the 4 photos"):
-        place(photos, {"a.png": LENSES[0]})
+        place(photos, {"a.png": CAMERAS[0]})
 
 
-def test_wrong_cameras_are_doubted(photos: list[Photo]) -> None:
-    found = place(photos, given([LENSES[i] for i in (2, 0, 3, 1)]))
-    assert any("agree with the cameras" in doubt for doubt in found.warnings)
+def test_wrong_cameras_raise_a_warning(photos: list[Photo]) -> None:
+    found = place(photos, given([CAMERAS[i] for i in (2, 0, 3, 1)]))
+    assert any("agree with the cameras" in warning for warning in found.warnings)

@@ -1,4 +1,4 @@
-"""A lens with two distortion terms is recognised as such, and an ideal one is left alone."""
+"""A lens with two distortion terms is estimated, and an ideal lens keeps no distortion."""
 
 from pathlib import Path
 

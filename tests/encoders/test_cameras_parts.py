@@ -10,11 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from synthetic import arc, camera
 
+from querysplat_cli.encoders.classical.camera_warnings import camera_warnings, is_flat, median_angle
 from querysplat_cli.encoders.classical.encoder import ClassicalEncoder
-from querysplat_cli.encoders.classical.epipolar import epipolar_error, median_epipolar_error, rays, supported
+from querysplat_cli.encoders.classical.epipolar import epipolar_error, epipolar_support, median_epipolar_error, rays
 from querysplat_cli.encoders.classical.matches import Matches, Pair
-from querysplat_cli.encoders.classical.sparse_model import SparseModel, normalised
-from querysplat_cli.encoders.classical.trust import camera_warnings, is_flat, median_angle
+from querysplat_cli.encoders.classical.sparse_model import SparseModel, in_first_camera_frame
 from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import PhotoCamera, rescaled
@@ -22,27 +22,30 @@ from querysplat_cli.scene.undistort import undistorted
 from querysplat_cli.scene.views import Photo
 
 
-def project(points: np.ndarray, lens: PhotoCamera) -> np.ndarray:
-    """Pixels [n, 2] of world points under the Brown lens model, written out."""
-    local = points @ lens.w2c[:3, :3].T + lens.w2c[:3, 3]
+def project_distorted(points: np.ndarray, photo_camera: PhotoCamera) -> np.ndarray:
+    """Pixels [n, 2] of world points under the Brown lens model, computed independently."""
+    local = points @ photo_camera.w2c[:3, :3].T + photo_camera.w2c[:3, 3]
     x, y = (local[:, :2] / local[:, 2:]).T
-    k1, k2, p1, p2 = lens.distortion
+    k1, k2, p1, p2 = photo_camera.distortion
     r2 = x * x + y * y
     radial = 1 + k1 * r2 + k2 * r2**2
     u = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
     v = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
-    return np.stack([lens.focal[0] * u + lens.principal[0], lens.focal[1] * v + lens.principal[1]], 1)
+    return np.stack(
+        [photo_camera.focal[0] * u + photo_camera.principal[0], photo_camera.focal[1] * v + photo_camera.principal[1]],
+        1,
+    )
 
 
-def scene(lenses: list[PhotoCamera], points: np.ndarray) -> tuple[SparseModel, Matches]:
+def scene(cameras: list[PhotoCamera], points: np.ndarray) -> tuple[SparseModel, Matches]:
     """A perfect model and its matches: every camera sees every point."""
-    seen = {i: np.arange(len(points)) for i in range(len(lenses))}
-    pixels = [project(points, lens) for lens in lenses]
-    pairs = [Pair(i, j, pixels[i], pixels[j]) for i in range(len(lenses)) for j in range(i + 1, len(lenses))]
-    sizes = tuple((lens.height, lens.width) for lens in lenses)
-    count = len(lenses)
+    seen = {i: np.arange(len(points)) for i in range(len(cameras))}
+    pixels = [project_distorted(points, photo_camera) for photo_camera in cameras]
+    pairs = [Pair(i, j, pixels[i], pixels[j]) for i in range(len(cameras)) for j in range(i + 1, len(cameras))]
+    sizes = tuple((photo_camera.height, photo_camera.width) for photo_camera in cameras)
+    count = len(cameras)
     matches = Matches(Path(), sizes, (None,) * count, (len(points),) * count, tuple(pairs))
-    return SparseModel(dict(enumerate(lenses)), points, seen), matches
+    return SparseModel(dict(enumerate(cameras)), points, seen), matches
 
 
 @pytest.fixture
@@ -51,14 +54,16 @@ def cloud() -> np.ndarray:
 
 
 def test_rays_undo_the_lens(cloud: np.ndarray) -> None:
-    lens = camera((0.2, 0.1, 0), distortion=(-0.1, 0.02, 0.001, -0.002))
-    local = cloud @ lens.w2c[:3, :3].T + lens.w2c[:3, 3]
-    assert rays(project(cloud, lens), lens) == pytest.approx(local[:, :2] / local[:, 2:], abs=2e-4)
+    photo_camera = camera((0.2, 0.1, 0), distortion=(-0.1, 0.02, 0.001, -0.002))
+    local = cloud @ photo_camera.w2c[:3, :3].T + photo_camera.w2c[:3, 3]
+    assert rays(project_distorted(cloud, photo_camera), photo_camera) == pytest.approx(
+        local[:, :2] / local[:, 2:], abs=2e-4
+    )
 
 
 def test_epipolar_error_is_zero_for_the_truth_and_pixels_for_a_shift(cloud: np.ndarray) -> None:
     first, second = camera((0, 0, 0), (0, 0, 5)), camera((1, 0, 0), (1, 0, 5))
-    pixels = project(cloud, first), project(cloud, second)
+    pixels = project_distorted(cloud, first), project_distorted(cloud, second)
     assert epipolar_error(Pair(0, 1, *pixels), first, second) == pytest.approx(0, abs=1e-9)
     # The motion is along x, so epipolar lines are rows; each photo takes half of the vertical shift.
     shifted = Pair(0, 1, pixels[0], pixels[1] + [0, 2])
@@ -67,15 +72,15 @@ def test_epipolar_error_is_zero_for_the_truth_and_pixels_for_a_shift(cloud: np.n
 
 def test_support_finds_a_turned_camera(cloud: np.ndarray) -> None:
     model, matches = scene(arc(4), cloud)
-    assert supported(model, matches).share == 1
-    assert supported(model, matches).sound
+    assert epipolar_support(model, matches).share == 1
+    assert epipolar_support(model, matches).sound
     assert not camera_warnings(model, matches)
     bent = replace(model, cameras={**model.cameras, 1: model.cameras[2], 2: model.cameras[1]})
-    assert not supported(bent, matches).sound
+    assert not epipolar_support(bent, matches).sound
     assert "agree with the cameras" in camera_warnings(bent, matches)[0]
 
 
-def test_misfit_is_the_median_distance_from_epipolar_lines(cloud: np.ndarray) -> None:
+def test_the_epipolar_error_is_the_median_distance_from_epipolar_lines(cloud: np.ndarray) -> None:
     model, matches = scene([camera((0, 0, 0), (0, 0, 5)), camera((1, 0, 0), (1, 0, 5))], cloud)
     exact = median_epipolar_error(model, matches)
     assert exact is not None
@@ -90,13 +95,13 @@ def test_misfit_is_the_median_distance_from_epipolar_lines(cloud: np.ndarray) ->
 def test_support_needs_points(cloud: np.ndarray) -> None:
     model, matches = scene(arc(4), cloud)
     bare = SparseModel(model.cameras, cloud[:10], {i: np.arange(10) for i in model.cameras})
-    assert supported(bare, matches).score < 0.2 * supported(model, matches).score
+    assert epipolar_support(bare, matches).score < 0.2 * epipolar_support(model, matches).score
     assert "only 10 points" in camera_warnings(bare, matches)[0]
 
 
 def test_angle_of_a_right_triangle() -> None:
-    lenses = [camera((0, 0, 0)), camera((1, 0, 0)), camera((0.5, 0, 0))]
-    model, _ = scene(lenses, np.array([[0.0, 0.0, 1.0]]))
+    cameras = [camera((0, 0, 0)), camera((1, 0, 0)), camera((0.5, 0, 0))]
+    model, _ = scene(cameras, np.array([[0.0, 0.0, 1.0]]))
     assert median_angle(model) == pytest.approx(45)
 
 
@@ -108,7 +113,7 @@ def test_flatness(cloud: np.ndarray) -> None:
 
 
 @given(st.floats(1e-6, 1e6), st.integers(0, 100))
-def test_normalised_undoes_any_similarity(scale: float, seed: int) -> None:
+def test_the_frame_of_the_first_camera_undoes_any_similarity(scale: float, seed: int) -> None:
     points = np.random.default_rng(0).uniform([-1.5, -1, 4], [1.5, 1, 7], (40, 3))
     model, _ = scene(arc(3), points)
     generator = np.random.default_rng(seed)
@@ -116,13 +121,13 @@ def test_normalised_undoes_any_similarity(scale: float, seed: int) -> None:
     turn *= np.linalg.det(turn)
     shift = scale * generator.normal(size=3)
     cameras = {}
-    for i, lens in model.cameras.items():
+    for i, photo_camera in model.cameras.items():
         w2c = np.eye(4)
-        w2c[:3, :3] = lens.w2c[:3, :3] @ turn.T
-        w2c[:3, 3] = scale * lens.w2c[:3, 3] - w2c[:3, :3] @ shift
-        cameras[i] = replace(lens, w2c=w2c)
-    moved = normalised(SparseModel(cameras, scale * points @ turn.T + shift, model.seen))
-    expected = normalised(model)
+        w2c[:3, :3] = photo_camera.w2c[:3, :3] @ turn.T
+        w2c[:3, 3] = scale * photo_camera.w2c[:3, 3] - w2c[:3, :3] @ shift
+        cameras[i] = replace(photo_camera, w2c=w2c)
+    moved = in_first_camera_frame(SparseModel(cameras, scale * points @ turn.T + shift, model.seen))
+    expected = in_first_camera_frame(model)
     assert moved.points == pytest.approx(expected.points, abs=1e-9)
     for i in cameras:
         assert moved.cameras[i].w2c == pytest.approx(expected.cameras[i].w2c, abs=1e-9)
@@ -131,10 +136,13 @@ def test_normalised_undoes_any_similarity(scale: float, seed: int) -> None:
 
 @given(st.integers(1, 2000), st.integers(1, 2000))
 def test_rescaled_keeps_the_corners(height: int, width: int) -> None:
-    lens = camera((0, 0, 0), size=(300, 400))
-    small = rescaled(lens, height, width)
+    photo_camera = camera((0, 0, 0), size=(300, 400))
+    small = rescaled(photo_camera, height, width)
     for x, y in ((0, 0), (400, 300)):
-        before = (x - lens.principal[0]) / lens.focal[0], (y - lens.principal[1]) / lens.focal[1]
+        before = (
+            (x - photo_camera.principal[0]) / photo_camera.focal[0],
+            (y - photo_camera.principal[1]) / photo_camera.focal[1],
+        )
         corner = x * width / 400, y * height / 300
         after = (corner[0] - small.principal[0]) / small.focal[0], (corner[1] - small.principal[1]) / small.focal[1]
         assert after == pytest.approx(before)
@@ -146,12 +154,12 @@ def test_undistorted_pixels_are_where_the_pinhole_camera_sees_them(
     distortion: tuple[float, float, float, float], max_size: int
 ) -> None:
     """A picture whose colour is its own ray's direction, so that any half-pixel error shows."""
-    lens = camera((0, 0, 0), size=(300, 400), focal=380.0, distortion=distortion)
+    photo_camera = camera((0, 0, 0), size=(300, 400), focal=380.0, distortion=distortion)
     v, u = np.mgrid[:300, :400] + 0.5
-    ray = rays(np.stack([u.ravel(), v.ravel()], 1), lens).reshape(300, 400, 2)
+    ray = rays(np.stack([u.ravel(), v.ravel()], 1), photo_camera).reshape(300, 400, 2)
     encoded = np.concatenate([ray, ray[..., :1]], -1) * 150 + 127.5
     photo = Photo("ray.png", Path("ray.png"), np.round(encoded).astype(np.uint8))
-    views, cameras = undistorted([photo], [lens], max_size=max_size)
+    views, cameras = undistorted([photo], [photo_camera], max_size=max_size)
     height, width = views.sizes[0]
     assert max(height, width) == min(max_size, 400)
     assert views.masks[0].sum() == height * width
@@ -173,17 +181,17 @@ def test_registry() -> None:
     assert "classical" in error.value.hint
 
 
-def test_doubts_about_the_lens(cloud: np.ndarray) -> None:
+def test_a_wrong_focal_length_is_warned_of(cloud: np.ndarray) -> None:
     model, matches = scene(arc(4), cloud)
     stated = replace(matches, focals=(600.0,) * 4)
     assert "focal length found differs by -49%" in camera_warnings(model, stated)[0]
     assert not camera_warnings(model, replace(matches, focals=(320.0,) * 4))
 
 
-def test_points_behind_cameras_are_doubted(cloud: np.ndarray) -> None:
+def test_points_behind_cameras_are_warned_of(cloud: np.ndarray) -> None:
     model, matches = scene(arc(4), cloud)
     behind = replace(model, points=np.concatenate([cloud[:250], -cloud[250:]]))
-    assert any("behind" in doubt for doubt in camera_warnings(behind, matches))
+    assert any("behind" in warning for warning in camera_warnings(behind, matches))
 
 
 def test_visibility_is_integer(cloud: np.ndarray) -> None:

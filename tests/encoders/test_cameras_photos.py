@@ -1,4 +1,4 @@
-"""Real photos: everything is placed, and where the truth is known, rightly."""
+"""Real photos: every photo gets a camera, and the camera is right where the truth is known."""
 
 import json
 from pathlib import Path
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from querysplat_cli.encoders.base import PosedViews
+from querysplat_cli.encoders.base import CameraRequest, PosedViews
 from querysplat_cli.encoders.classical.cameras import estimate_cameras
 from querysplat_cli.scene.sim3 import align_cameras
 from querysplat_cli.scene.views import Photo
@@ -22,7 +22,7 @@ def photos(data: Path, name: str) -> list[Photo]:
 
 
 def place(chosen: list[Photo]) -> PosedViews:
-    return estimate_cameras(chosen, max_size=448, seed=42, progress=lambda text, fraction: None)
+    return estimate_cameras(chosen, CameraRequest(448, seed=42), lambda text, fraction: None)
 
 
 def evenly(items: list[Photo], count: int) -> list[Photo]:
@@ -44,7 +44,7 @@ def test_every_photo_is_placed(real_photos: Path, name: str, part: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("count", "degrees", "extent"), [(12, 0.8, 0.01), (4, 7, 0.06)])
 def test_fox_is_where_its_transforms_say(real_photos: Path, count: int, degrees: float, extent: float) -> None:
-    """Largest errors; four photos a quarter turn apart still find their places, roughly."""
+    """Bounds on the largest errors. Four photos a quarter turn apart are placed roughly."""
     found = place(evenly(photos(real_photos, "fox"), count))
     assert len(found.views) == count
     frames = json.loads((real_photos / "dl3dv/fox/transforms.json").read_text())["frames"]

@@ -9,8 +9,9 @@ from querysplat_cli.encoders.base import Geometry, PosedViews
 from querysplat_cli.encoders.classical.consistency import carve, confirm
 from querysplat_cli.encoders.classical.depth import estimate_geometry
 from querysplat_cli.encoders.classical.neighbours import choose_sources, inverse_range
-from querysplat_cli.encoders.classical.semiglobal import aggregate, choose
-from querysplat_cli.encoders.classical.sweep import UNSEEN, WORST, cost_volume, plane_homography
+from querysplat_cli.encoders.classical.policy import DEPTH_POLICY
+from querysplat_cli.encoders.classical.semiglobal import aggregate_costs, best_planes
+from querysplat_cli.encoders.classical.sweep import WORST_COST, cost_volume, plane_homography
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.views import Views
 
@@ -23,11 +24,18 @@ TWO_LAYERS = [
 SIDEWAYS = [(0, 0, 0), (0.3, 0, 0), (-0.3, 0.05, 0), (0, 0.3, 0)]
 
 
-def true_depth(planes, lens) -> np.ndarray:
+def true_depth(planes, photo_camera) -> np.ndarray:
     """Camera z of the first surface on the ray of every pixel centre."""
-    v, u = np.mgrid[: lens.height, : lens.width] + 0.5
-    rays = np.stack([(u - lens.principal[0]) / lens.focal[0], (v - lens.principal[1]) / lens.focal[1], 1 + 0 * u], -1)
-    directions, centre = rays @ lens.w2c[:3, :3], -lens.w2c[:3, :3].T @ lens.w2c[:3, 3]
+    v, u = np.mgrid[: photo_camera.height, : photo_camera.width] + 0.5
+    rays = np.stack(
+        [
+            (u - photo_camera.principal[0]) / photo_camera.focal[0],
+            (v - photo_camera.principal[1]) / photo_camera.focal[1],
+            1 + 0 * u,
+        ],
+        -1,
+    )
+    directions, centre = rays @ photo_camera.w2c[:3, :3], -photo_camera.w2c[:3, :3].T @ photo_camera.w2c[:3, 3]
     nearest = np.full(u.shape, np.inf)
     for plane in planes:
         across, down = np.array(plane.across, float), np.array(plane.down, float)
@@ -42,17 +50,17 @@ def true_depth(planes, lens) -> np.ndarray:
 
 def posed(planes, places, look=(0, 0, 1000.0), points=True) -> tuple[PosedViews, np.ndarray]:
     """Views of the planes from the places, with every 12th pixel of the first as a sparse point; true depths."""
-    lenses = [camera(place, look, size=SIZE, focal=FOCAL) for place in places]
-    pictures = [photograph(planes, lens, f"{i}.png").pixels for i, lens in enumerate(lenses)]
+    taken_by = [camera(place, look, size=SIZE, focal=FOCAL) for place in places]
+    pictures = [photograph(planes, each, f"{i}.png").pixels for i, each in enumerate(taken_by)]
     images = torch.from_numpy(np.stack(pictures)).permute(0, 3, 1, 2).float() / 255
-    depth = np.stack([true_depth(planes, lens) for lens in lenses])
-    w2c = torch.from_numpy(np.stack([lens.w2c for lens in lenses])).float()
+    depth = np.stack([true_depth(planes, each) for each in taken_by])
+    w2c = torch.from_numpy(np.stack([each.w2c for each in taken_by])).float()
     K = torch.tensor([[FOCAL, 0, SIZE[1] / 2], [0, FOCAL, SIZE[0] / 2], [0, 0, 1]]).repeat(len(places), 1, 1)
     v, u = (part.ravel() + 0.5 for part in np.mgrid[6 : SIZE[0] : 12, 6 : SIZE[1] : 12])
     z = depth[0, v.astype(int), u.astype(int)]
     rays = np.stack([(u - SIZE[1] / 2) / FOCAL, (v - SIZE[0] / 2) / FOCAL, np.ones_like(u)], -1)[np.isfinite(z)]
-    lens = lenses[0]
-    world = (rays * z[np.isfinite(z), None] - lens.w2c[:3, 3]) @ lens.w2c[:3, :3]
+    first = taken_by[0]
+    world = (rays * z[np.isfinite(z), None] - first.w2c[:3, 3]) @ first.w2c[:3, :3]
     cloud = torch.from_numpy(world).float() if points else torch.zeros(0, 3)
     names = tuple(f"{i}.png" for i in range(len(places)))
     views = Views(images, torch.ones(len(places), *SIZE, dtype=torch.bool), names, (SIZE,) * len(places))
@@ -138,7 +146,7 @@ def test_masked_pixels_do_not_vote_and_have_no_confidence(slanted):
     assert np.median(error) < 0.01
 
 
-def test_one_view_is_a_guess_and_says_so(slanted):
+def test_one_view_is_a_guess_and_raises_a_warning(slanted):
     scene, _, _ = slanted
     alone = PosedViews(scene.views[[0]], scene.cameras[[0]], torch.zeros(0, 3), (torch.zeros(0, dtype=torch.long),))
     geometry = seen_depth(alone)
@@ -186,19 +194,19 @@ def test_costs_are_zero_at_the_true_plane_and_neutral_where_no_source_sees():
     # Inverse depth q moves the picture by 50·q pixels to the left; 0.1 is five pixels.
     costs = cost_volume(wide[:, :60].copy(), K, [(wide[:, 5:65].copy(), K, shift)], np.array([0.0, 0.1, 0.2, 5.0]))
     assert costs[4:-4, 12:-4, 1].max() <= 1
-    assert costs[4:-4, 12:-4, [0, 2]].mean() > 0.7 * WORST
-    assert set(costs[..., 3].ravel()) == {int(UNSEEN * WORST)}
+    assert costs[4:-4, 12:-4, [0, 2]].mean() > 0.7 * WORST_COST
+    assert set(costs[..., 3].ravel()) == {int(DEPTH_POLICY.unseen_cost * WORST_COST)}
 
 
-def test_aggregation_decides_for_undecided_pixels_as_their_neighbours_do():
+def test_pixels_without_a_best_plane_take_that_of_their_neighbours():
     costs = np.full((9, 9, 5), 60, np.uint8)
     costs[..., 3] = 20
     costs[4, 4] = 60
-    plane = choose(aggregate(costs, np.full((9, 9), 0.5, np.float32)))
+    plane = best_planes(aggregate_costs(costs, np.full((9, 9), 0.5, np.float32)))
     np.testing.assert_array_equal(plane, 3)
 
 
-def test_confirmation_counts_views_and_carving_clears_what_they_see_through():
+def test_confirmation_counts_views_and_carving_clears_free_space():
     K = np.repeat(np.array([[[24, 0, 12], [0, 24, 12], [0, 0, 1.0]]]), 2, 0)
     w2c = np.repeat(np.eye(4)[None], 2, 0)
     w2c[1, 0, 3] = -0.5
@@ -217,7 +225,7 @@ def test_confirmation_counts_views_and_carving_clears_what_they_see_through():
 
 
 @pytest.mark.parametrize(("own", "other", "cleared"), [(0.0, 0.5, True), (0.3, 0.3, False)])
-def test_a_guess_gives_way_to_farther_guesses_of_another_colour(own: float, other: float, cleared: bool):
+def test_a_guess_moves_back_behind_guesses_of_another_colour(own: float, other: float, cleared: bool):
     K = np.repeat(np.array([[[24, 0, 12], [0, 24, 12], [0, 0, 1.0]]]), 2, 0)
     w2c = np.repeat(np.eye(4)[None], 2, 0)
     w2c[1, 0, 3] = -0.5

@@ -1,4 +1,4 @@
-"""Held-out photos: which, and in whose frame."""
+"""Held-out photos: their choice, and the frame of their cameras."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,7 +9,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from querysplat_cli.encoders.base import PosedViews
-from querysplat_cli.encoders.holdout import camera_passes, split_photos
+from querysplat_cli.encoders.holdout import estimate_holdout_cameras, split_photos
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.sim3 import Sim3
@@ -34,7 +34,7 @@ def truth(count: int) -> Cameras:
 
 
 def place(chosen: Sequence[Photo], count: int, frame: Sim3, turned: float = 0.0) -> PosedViews:
-    """What a perfect pass finds, in a frame of its own; cameras rolled by `turned` degrees, left and right in turn."""
+    """The cameras of a perfect pass in a frame of its own, rolled by `turned` degrees to the left and right in turn."""
     rows = [int(photo.name.split(".")[0]) for photo in chosen]
     cameras = truth(count)[rows].transformed(frame)
     off = torch.eye(4).repeat(len(rows), 1, 1)
@@ -74,15 +74,15 @@ def test_too_few_are_left() -> None:
 
 @pytest.mark.parametrize("source", ["isolated", "joint"])
 def test_both_protocols_put_held_out_cameras_right(source: str) -> None:
-    """The two passes live in frames of their own; each scene's held-out cameras are in its inputs' frame."""
+    """The two passes have different frames; each scene's held-out cameras are in its inputs' frame."""
     everything = photos(9)
 
     def estimate_cameras(chosen: Sequence[Photo]) -> PosedViews:
         return place(chosen, 9, SHIFTED if len(chosen) == 9 else Sim3.identity())
 
-    passes = camera_passes(everything, 4, source, estimate_cameras, poses_known=False)  # type: ignore[arg-type]
-    assert passes.chosen.source == source
-    by_source = {one.source: one for one in (passes.chosen, passes.other) if one}
+    passes = estimate_holdout_cameras(everything, 4, source, estimate_cameras, poses_known=False)  # type: ignore[arg-type]
+    assert passes.chosen.protocol == source
+    by_source = {one.protocol: one for one in (passes.chosen, passes.other) if one}
     for name, frame in (("isolated", Sim3.identity()), ("joint", SHIFTED)):
         one = by_source[name]  # type: ignore[index]
         assert one.heldout is not None
@@ -95,19 +95,21 @@ def test_both_protocols_put_held_out_cameras_right(source: str) -> None:
 
 
 def test_no_held_out_pixel_is_an_input() -> None:
-    passes = camera_passes(photos(6), 3, "joint", lambda chosen: place(chosen, 6, Sim3.identity()), poses_known=True)
+    passes = estimate_holdout_cameras(
+        photos(6), 3, "joint", lambda chosen: place(chosen, 6, Sim3.identity()), poses_known=True
+    )
     seen = {int(value * 255 + 0.5) for value in passes.chosen.inputs.views.images.unique()}
     assert seen == {1, 2, 4, 5}
     assert passes.other is None
 
 
 def test_the_difference_of_the_passes_is_measured() -> None:
-    """Cameras rolled by 2° in one pass, which no alignment takes back."""
+    """Cameras rolled by 2° in one pass, which no similarity can undo."""
 
     def estimate_cameras(chosen: Sequence[Photo]) -> PosedViews:
         return place(chosen, 9, Sim3.identity(), turned=2.0 if len(chosen) == 9 else 0.0)
 
-    passes = camera_passes(photos(9), 4, "isolated", estimate_cameras, poses_known=False)
+    passes = estimate_holdout_cameras(photos(9), 4, "isolated", estimate_cameras, poses_known=False)
     assert passes.difference is not None
     assert passes.difference.degrees == pytest.approx(2.0, abs=0.15)
     assert 0.05 < passes.difference.pixels < 2

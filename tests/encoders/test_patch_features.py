@@ -5,13 +5,13 @@ import math
 import torch
 
 from querysplat_cli.encoders.base import PosedViews
-from querysplat_cli.encoders.classical.features import CHANNELS, PATCH, patch_features
+from querysplat_cli.encoders.classical.patch_features import FEATURE_CHANNELS, PATCH, patch_features
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.views import Views
 
 
 def features_of_a_wall(depth: float) -> torch.Tensor:
-    """Features [rows, columns, 12] of a wall at one depth before a camera that stands at (1, 2, 3)."""
+    """Features [rows, columns, 12] of a wall at one depth in front of a camera at (1, 2, 3)."""
     height, width = 24, 36
     w2c = torch.eye(4)[None].clone()
     w2c[0, :3, 3] = torch.tensor([-1.0, -2, -3])
@@ -23,8 +23,8 @@ def features_of_a_wall(depth: float) -> torch.Tensor:
     views = Views(image, masks, ("wall.png",), ((height, width),))
     scene = PosedViews(views, Cameras(w2c, K, height, width), torch.zeros(0, 3), (torch.zeros(0, dtype=torch.long),))
     rows = patch_features(scene, torch.full((1, height, width), depth), torch.full((1, height, width), 0.5))
-    assert rows.shape == (1, (height // PATCH) * (width // PATCH), CHANNELS)
-    return rows.reshape(height // PATCH, width // PATCH, CHANNELS)
+    assert rows.shape == (1, (height // PATCH) * (width // PATCH), FEATURE_CHANNELS)
+    return rows.reshape(height // PATCH, width // PATCH, FEATURE_CHANNELS)
 
 
 def test_position_is_the_back_projection_of_the_middle_pixel_in_the_world():

@@ -1,4 +1,4 @@
-"""Encoders are imported when they are asked for, and leave the process as it was."""
+"""Encoders are imported when they are first used, and do not change the process's signal handlers."""
 
 import os
 import signal
@@ -22,7 +22,7 @@ os.kill(os.getpid(), signal.SIGTERM)
     [("", -signal.SIGTERM), ("signal.signal(signal.SIGTERM, lambda *_: os._exit(7))", 7)],
 )
 def test_a_schedulers_sigterm_is_left_alone(before: str, code: int) -> None:
-    """pycolmap would print a dump of the stack, and forget who had asked for the signal."""
+    """pycolmap would print a stack trace and replace the handler that was installed before."""
     program = [sys.executable, "-c", TERMINATED.format(before=before)]
     done = subprocess.run(program, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (code, "")

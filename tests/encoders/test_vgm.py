@@ -1,4 +1,4 @@
-"""VGGT-Omega and VGGT beyond the golden fixtures: exchange, chunks, mixtures, shapes, files."""
+"""VGGT-Omega and VGGT where the golden fixtures do not reach: chunks, mixtures, shapes, files, exchange."""
 
 import json
 from pathlib import Path
@@ -14,10 +14,8 @@ from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.encoders.transformer.config import VgmConfig
 from querysplat_cli.encoders.transformer.pose import decode_pose, encode_pose
 from querysplat_cli.encoders.transformer.vgm import Vgm, load_vgm
-from querysplat_cli.encoders.vggt.model import CONFIG as VGGT_CONFIG
-from querysplat_cli.encoders.vggt.model import Vggt
-from querysplat_cli.encoders.vggt_omega.model import CONFIG as OMEGA_CONFIG
-from querysplat_cli.encoders.vggt_omega.model import VggtOmega
+from querysplat_cli.encoders.vggt.model import VGGT_CONFIG, Vggt
+from querysplat_cli.encoders.vggt_omega.model import VGGT_OMEGA_CONFIG, VggtOmega
 from querysplat_cli.model.memories import LayerMixer
 from querysplat_cli.runtime.errors import MissingPart, QuerySplatError
 from tiny_weights import MODEL, OMEGA, VGGT, write_model, write_vgm
@@ -40,7 +38,7 @@ def test_views_in_chunks_are_views_at_once(tmp_path: Path, make: type[Vgm], conf
 
 
 @pytest.mark.parametrize(("make", "config"), KINDS)
-def test_a_mixture_is_what_the_model_would_mix(tmp_path: Path, make: type[Vgm], config: VgmConfig) -> None:
+def test_a_mixture_equals_that_of_the_model(tmp_path: Path, make: type[Vgm], config: VgmConfig) -> None:
     vgm = write_vgm(tmp_path / "a.safetensors", make, config)
     model = write_model(tmp_path / "model.safetensors")
     images = photos(3, 2 * config.patch, 3 * config.patch)
@@ -85,7 +83,7 @@ def test_register_blocks_leave_patches_alone(tmp_path: Path) -> None:
 
 
 def test_half_precision_is_near(tmp_path: Path) -> None:
-    """bfloat16 has 8 bits: a few per cent after a few blocks; heads stay in float32."""
+    """bfloat16 has 8 bits: the error is a few per cent after a few blocks. Heads stay in float32."""
     write_vgm(tmp_path / "a.safetensors")
     exact, rough = (load_vgm(VggtOmega, OMEGA, tmp_path / "a.safetensors", precision=each) for each in ("fp32", "bf16"))
     assert rough.aggregator.frame_blocks[0].attn.qkv.weight.dtype == torch.bfloat16
@@ -118,9 +116,11 @@ def test_pose_codec_goes_round(numbers: list[float], height: int, width: int) ->
     torch.testing.assert_close(rotation @ rotation.T, torch.eye(3, dtype=torch.float64), atol=1e-12, rtol=0)
 
 
-@pytest.mark.parametrize(("make", "config", "tensors"), [(VggtOmega, OMEGA_CONFIG, 1411), (Vggt, VGGT_CONFIG, 1341)])
+@pytest.mark.parametrize(
+    ("make", "config", "tensors"), [(VggtOmega, VGGT_OMEGA_CONFIG, 1411), (Vggt, VGGT_CONFIG, 1341)]
+)
 def test_full_size_files_load_strictly(tmp_path: Path, make: type[Vgm], config: VgmConfig, tensors: int) -> None:
-    """All official names and shapes, in a .pt file whose values take no room (every tensor repeats one number)."""
+    """All official names and shapes, in a small .pt file: every tensor repeats one number."""
     with torch.device("meta"):
         state = make(config).state_dict()
     assert len(state) == tensors
@@ -145,7 +145,7 @@ def test_a_broken_configuration_is_refused(tmp_path: Path, stored: str) -> None:
 
 
 def test_encoders_are_exchanged_without_touching_the_decoders(tmp_path: Path) -> None:
-    """One model decodes what either VGM sees."""
+    """The same decoder works on the features of either VGM."""
     write_vgm(tmp_path / "vggt_omega_1b_512.safetensors")
     write_vgm(tmp_path / "model.safetensors", Vggt, VGGT)
     model = write_model(tmp_path / "model_file.safetensors")
@@ -161,7 +161,7 @@ def test_encoders_are_exchanged_without_touching_the_decoders(tmp_path: Path) ->
     assert not torch.allclose(made[0].means, made[1].means)
 
 
-def test_missing_weights_say_where_from(tmp_path: Path) -> None:
+def test_missing_weights_name_their_source(tmp_path: Path) -> None:
     with pytest.raises(MissingPart, match=r"vggt_omega_1b_512\.pt") as raised:
         find_encoder("vggt_omega", EncoderOptions(tmp_path))
     assert "facebook/VGGT-Omega" in raised.value.hint
@@ -180,4 +180,4 @@ def test_the_configuration_travels_with_the_file(tmp_path: Path) -> None:
     write_vgm(tmp_path / "a.safetensors")
     tensors = load_file(tmp_path / "a.safetensors")
     save_file(tensors, tmp_path / "b.safetensors", metadata={"config": json.dumps(OMEGA.__dict__)})
-    assert load_vgm(VggtOmega, OMEGA_CONFIG, tmp_path / "b.safetensors").config == OMEGA
+    assert load_vgm(VggtOmega, VGGT_OMEGA_CONFIG, tmp_path / "b.safetensors").config == OMEGA

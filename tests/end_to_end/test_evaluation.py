@@ -1,4 +1,4 @@
-"""`querysplat eval` on a made-up scene in DL3DV's form, as it is typed."""
+"""`querysplat eval` on a procedural scene in DL3DV's form, run as a command."""
 
 import json
 import os
@@ -92,8 +92,8 @@ def test_other_settings_are_refused(
     assert files(out) == before
 
 
-def test_our_renders_score_the_same_as_anybody_elses(evaluated: tuple[Path, dict[str, Any]], room: Path) -> None:
-    """Through --predictions and the split files, one of which names a scene that is not there."""
+def test_our_renders_score_the_same_as_predictions(evaluated: tuple[Path, dict[str, Any]], room: Path) -> None:
+    """Our own renders, scored by --predictions. One split file names a scene that is missing."""
     out, summary = evaluated
     splits = room.parent / "splits"
     shutil.copytree(out / "splits", splits)
@@ -113,7 +113,7 @@ def test_our_renders_score_the_same_as_anybody_elses(evaluated: tuple[Path, dict
 def test_an_encoder_that_looks_at_squares_is_shown_whole_photos(
     protocol: str, room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """A network, with tiny random weights; it finds cameras itself, also in the posed rows."""
+    """A network with tiny random weights. It estimates the inputs' cameras itself, also in the posed rows."""
     weights = ["--preset", "official-8192", "--weights", str(write_weights(tmp_path / "weights"))]
     size = ["--max-size", "112", "--protocol", protocol, "--tto", "0", "--json"]
     options = ["--views", "2", "--scales", "small", "--cases", "1", "--quiet"]
@@ -144,7 +144,7 @@ def test_shards_make_the_whole(room: Path) -> None:
 
 @pytest.mark.slow
 def test_a_stopped_run_leaves_whole_cases(room: Path, tmp_path: Path) -> None:
-    """SIGTERM is what a cluster's scheduler sends."""
+    """A cluster's scheduler stops a job by SIGTERM."""
     command = [sys.executable, "-m", "querysplat_cli", "eval", str(room), "-o", str(tmp_path / "out"), *OPTIONS]
     with subprocess.Popen([*command, "--cases", "50"], stderr=subprocess.PIPE, text=True) as process:
         limit = time.monotonic() + 60

@@ -17,7 +17,7 @@ pytest.importorskip("matplotlib")
 
 
 def test_rows_go_back_to_their_patches() -> None:
-    """Two views of 1 special token and 2 × 3 patches; four of their fourteen rows are known."""
+    """Two views of 1 special token and 2 × 3 patches; the places of four of their fourteen rows are given."""
     rows = torch.tensor([0, 3, 7, 13])
     found = on_patches(torch.tensor([0.4, 0.3, 0.2, 0.1]), rows, views=2, layout=(1, 2, 3))
     expected = torch.zeros(2, 2, 3)

@@ -1,4 +1,4 @@
-"""The official presets, with tiny random weights under the official names: everything but the quality."""
+"""The official presets, with tiny random weights under the official names: all but the quality is tested."""
 
 import json
 from pathlib import Path
@@ -91,7 +91,7 @@ def test_the_memories_can_be_optimised_later(room: Path, tmp_path: Path, capsys:
 
 
 def test_held_out_photos_do_not_enter_the_scene(room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The scene is the one of the input photos alone, to the bit."""
+    """The scene has the same bits as one made of the input photos alone."""
     held = reported(capsys, command(room, tmp_path / "held.ply", "--holdout-every", "2"))
     assert held["views"]["used"] == ["room3_1.png", "room3_3.png"]
     (tmp_path / "some").mkdir()
@@ -140,7 +140,7 @@ def test_too_little_memory_is_said_before_any_work(
 
 
 def test_features_can_be_optimised_instead(room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Both targets start at the same scene and go down, each its own way; either can be taken up again."""
+    """Both targets of optimisation start at the same scene, lower the loss, differ, and can be resumed."""
     losses = {}
     for target in ("kv", "features"):
         made = command(room, tmp_path / f"{target}.ply", "--tto", "4", "--tto-target", target)

@@ -1,4 +1,4 @@
-"""From photos to a scene, through the command line: what is written, what is said, and what is never left behind."""
+"""From photos to a scene, through the command line: files, messages, and what must not be left behind."""
 
 import json
 import resource
@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,21 +17,23 @@ import pytest
 import torch
 
 from querysplat_cli.cli import run
-from querysplat_cli.pipeline import reconstruct as pipeline
-from querysplat_cli.prune.gaussians import MENDED
+from querysplat_cli.pipeline import build
+from querysplat_cli.prune.policy import PRUNE_POLICY
 from querysplat_cli.runtime.errors import ExitCode
 from querysplat_cli.scene.formats.ply import read_ply
 from querysplat_cli.scene.formats.transforms import read_cameras
-from querysplat_cli.training.procedural import cast, make_scene, walk
+from querysplat_cli.training.photographer import cast, walk
+from querysplat_cli.training.rooms import make_room
+from querysplat_cli.tto.policy import TTO_POLICY
 
 PHOTOS = 7
 SMALL = ["--max-size", "192", "--tto", "24", "--quiet"]
 
 
 def take_photos(folder: Path, seed: int, count: int = PHOTOS, *, mirrored: bool = False) -> list[Path]:
-    """Photos of a made-up room, 448 × 336. Rooms share patterns; nothing matches between one and a mirrored one."""
+    """Photos of a procedural room, 448 × 336. Rooms share patterns, but a mirrored room matches none that is not."""
     folder.mkdir(parents=True, exist_ok=True)
-    scene = make_scene(seed)
+    scene = make_room(seed)
     cameras = walk(scene, count, seed)
     files = [folder / f"room{seed}_{i}.png" for i in range(count)]
     for i, file in enumerate(files):
@@ -98,13 +101,13 @@ def test_what_is_reported(scene: tuple[Path, dict[str, Any]]) -> None:
     for part in report["left_out"]:
         assert part.keys() == {"what", "why", "saved", "bytes", "seconds", "psnr_lost"}
     pruned = next(part for part in report["left_out"] if part["what"] == "Gaussians")
-    assert 0 <= pruned["psnr_lost"] <= 16 * MENDED
+    assert 0 <= pruned["psnr_lost"] <= 16 * PRUNE_POLICY.psnr_per_step
     gone, everything = (int(number.replace(",", "")) for number in pruned["saved"].split(" of "))
     assert report["gaussians"] == everything - gone == everything // 2
 
 
 def test_the_score_is_that_of_the_files(scene: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
-    """Rendering the .ply from cameras.json gives the reported PSNR, without any of our own scoring."""
+    """Renders of the .ply from cameras.json have the reported PSNR, computed here independently."""
     ply, report = scene
     assert run(["render", str(ply), "-o", str(tmp_path / "frames"), "-q"]) == 0
     for name, quality in report["quality"]["input"]["views"].items():
@@ -115,7 +118,7 @@ def test_the_score_is_that_of_the_files(scene: tuple[Path, dict[str, Any]], tmp_
         assert psnr == pytest.approx(quality["psnr"], abs=0.1)
 
 
-def test_tto_takes_the_scene_up(scene: tuple[Path, dict[str, Any]], capsys: pytest.CaptureFixture[str]) -> None:
+def test_tto_optimises_a_stored_scene(scene: tuple[Path, dict[str, Any]], capsys: pytest.CaptureFixture[str]) -> None:
     ply, before = scene
     assert run(["tto", str(ply.with_suffix("")), "--steps", "12", "--json", "-q"]) == 0
     after = json.loads(capsys.readouterr().out)
@@ -123,7 +126,7 @@ def test_tto_takes_the_scene_up(scene: tuple[Path, dict[str, Any]], capsys: pyte
     assert after["quality"]["input"]["psnr"] > before["quality"]["input"]["psnr"]
     assert [part["steps"] for part in after["tto"]] == [24, 12]
     assert after["tto"][1]["lr"] < before["tto"][0]["lr"]
-    assert run(["tto", str(ply), "--steps", "0", "--json", "-q"]) == 0  # by the .ply, and doing nothing
+    assert run(["tto", str(ply), "--steps", "0", "--json", "-q"]) == 0  # given by the .ply, and without a step
     again = json.loads(capsys.readouterr().out)
     assert again["quality"]["input"]["psnr"] == after["quality"]["input"]["psnr"]
 
@@ -131,7 +134,7 @@ def test_tto_takes_the_scene_up(scene: tuple[Path, dict[str, Any]], capsys: pyte
 def test_a_scene_is_pruned_to_a_number(
     scene: tuple[Path, dict[str, Any]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """What stays is prepared: taking the scene up again brings nothing back."""
+    """Optimising the scene again does not bring pruned Gaussians back."""
     source, before = scene
     ply = Path(shutil.copy(source, tmp_path / "scene.ply"))
     shutil.copytree(source.with_suffix(""), ply.with_suffix(""))
@@ -184,7 +187,7 @@ def test_scenes_to_be_optimised_have_no_more_queries_than_there_is_time_for(
     steps: str,
     finest: bool,
 ) -> None:
-    monkeypatch.setattr(pipeline, "QUERIES", 300)
+    monkeypatch.setattr(build, "TTO_POLICY", replace(TTO_POLICY, queries=300))
     command = ["reconstruct", str(room), "-o", str(tmp_path / "a.ply"), "--max-size", "192", "--json", "-q"]
     assert run([*command, "--tto", steps]) == 0
     report = json.loads(capsys.readouterr().out)
@@ -219,8 +222,8 @@ def test_ctrl_c_keeps_what_optimisation_reached(scene: tuple[Path, dict[str, Any
         assert any(line.strip() == "tto" for line in process.stderr)
         time.sleep(8)
         process.send_signal(signal.SIGINT)
-        said = process.stderr.read()
-    assert process.returncode == ExitCode.INTERRUPTED, said
+        messages = process.stderr.read()
+    assert process.returncode == ExitCode.INTERRUPTED, messages
     after = json.loads((ply.with_suffix("") / "report.json").read_text())
     assert after["tto"][-1]["interrupted"]
     assert 0 < len(after["tto"][-1]["curve"]) < 100_000
@@ -238,7 +241,7 @@ def test_the_same_seed_gives_the_same_file(room: Path, tmp_path: Path) -> None:
 def test_known_poses(
     room: Path, scene: tuple[Path, dict[str, Any]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """With cameras.json for poses nothing is mapped, and photos that it does not name are left out by name."""
+    """With cameras.json for poses no structure from motion runs, and the report names photos without a camera."""
     ply, _ = scene
     poses = tmp_path / "transforms.json"
     content = json.loads((ply.with_suffix("") / "cameras.json").read_text())
@@ -284,7 +287,7 @@ def test_known_poses_that_are_wrong_are_refined(
 def test_good_photos_are_used_where_some_are_bad(
     room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Grey, transparent, 16-bit, turned and smaller photos are photos; a torn file and a text are not."""
+    """Grey, transparent, 16-bit and cropped photos are used; a truncated file, a text and an empty file are not."""
     folder = tmp_path / "mixed"
     folder.mkdir()
     for i, file in enumerate(sorted(room.iterdir())):
@@ -332,7 +335,9 @@ def test_photos_without_overlap(tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert [path.name for path in tmp_path.iterdir()] == ["none"]
 
 
-def test_one_photo_is_a_guess_and_says_so(room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_scene_of_one_photo_warns_that_depth_is_a_guess(
+    room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     photo = sorted(room.iterdir())[0]
     assert run(["reconstruct", str(photo), "-o", str(tmp_path / "a.ply"), "--json", *SMALL]) == 0
     report = json.loads(capsys.readouterr().out)
@@ -365,7 +370,7 @@ def test_a_device_that_is_not_there(room: Path, tmp_path: Path, capsys: pytest.C
 
 
 def test_photos_are_never_replaced_by_their_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The scene's folder would have the name of theirs; --force is for what an earlier run wrote."""
+    """The scene folder would replace the folder of photos; --force may only replace an earlier scene."""
     photos = tmp_path / "photos"
     take_photos(photos, 3, 2)
     for given in (photos, photos / "room3_0.png"):
@@ -408,14 +413,14 @@ def test_ctrl_c_leaves_what_was_there(stage: str, room: Path, tmp_path: Path) ->
         [sys.executable, "-m", "querysplat_cli", *arguments], stderr=subprocess.PIPE, text=True
     ) as process:
         assert process.stderr is not None
-        said = ""
+        messages = ""
         for line in process.stderr:
-            said += line
+            messages += line
             if line.strip() == stage:
                 process.send_signal(signal.SIGINT)
                 break
-        said += process.stderr.read()
-    assert process.returncode == ExitCode.INTERRUPTED, said
-    assert "Traceback" not in said
+        messages += process.stderr.read()
+    assert process.returncode == ExitCode.INTERRUPTED, messages
+    assert "Traceback" not in messages
     assert [path.name for path in tmp_path.iterdir()] == ["a.ply"]
     assert (tmp_path / "a.ply").read_text() == "mine"

@@ -6,12 +6,13 @@ from pathlib import Path
 import cv2
 
 from querysplat_cli.scene.formats.transforms import opengl_from_opencv
-from querysplat_cli.training.procedural import cast, make_scene, walk
+from querysplat_cli.training.photographer import cast, walk
+from querysplat_cli.training.rooms import make_room
 
 
 def write_room(home: Path, count: int, *, seed: int = 3, size: int = 192) -> None:
     """`home`/transforms.json and `count` photos in `home`/images_4, `size` pixels wide."""
-    scene = make_scene(seed)
+    scene = make_room(seed)
     cameras = walk(scene, count, seed)
     cameras = cameras.resized(round(cameras.height * size / cameras.width), size)
     (home / "images_4").mkdir(parents=True)

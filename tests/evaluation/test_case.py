@@ -1,4 +1,4 @@
-"""Cameras of the photos, whatever an encoder made of them."""
+"""Cameras of whole photos, from those of padded or cropped network inputs."""
 
 from pathlib import Path
 
@@ -8,19 +8,20 @@ import torch
 from evaluation_scenes import write_room
 
 from querysplat_cli.encoders.base import PosedViews
-from querysplat_cli.evaluation.case import CaseRunner, lenses_of
+from querysplat_cli.evaluation.cameras import cameras_by_name
+from querysplat_cli.evaluation.judge import Judge
 from querysplat_cli.evaluation.protocol import Protocol
-from querysplat_cli.pipeline.settings import ReconstructSettings
+from querysplat_cli.runtime.choices import Fit
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
-from querysplat_cli.scene.fit import Fit, network_views
+from querysplat_cli.scene.fit import network_views
 from querysplat_cli.scene.formats.dataset import find_scenes
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.views import Photo
 
 
 def posed(sizes: list[tuple[int, int]], fit: Fit) -> PosedViews:
-    """Photos as a network of 112 pixels sees them, each with its optical axis in the middle."""
+    """Photos fitted to a network of 112 pixels, each with its principal point in the middle."""
     photos = [Photo(f"{i}.png", Path(f"{i}.png"), np.zeros((*size, 3), np.uint8)) for i, size in enumerate(sizes)]
     views = network_views(photos, 112, 16, fit)
     height, width = views.sizes[0]
@@ -30,21 +31,20 @@ def posed(sizes: list[tuple[int, int]], fit: Fit) -> PosedViews:
 
 
 def test_a_padded_photos_camera_is_that_of_the_photo_alone() -> None:
-    lenses = lenses_of(posed([(128, 256), (256, 128), (200, 200)], "pad"))
-    assert [(lens.height, lens.width) for lens in lenses.values()] == [(56, 112), (112, 56), (112, 112)]
-    for lens in lenses.values():
-        assert lens.principal == (lens.width / 2, lens.height / 2)
-        assert lens.focal == (100, 100)
+    cameras = cameras_by_name(posed([(128, 256), (256, 128), (200, 200)], "pad"))
+    assert [(camera.height, camera.width) for camera in cameras.values()] == [(56, 112), (112, 56), (112, 112)]
+    for camera in cameras.values():
+        assert camera.principal == (camera.width / 2, camera.height / 2)
+        assert camera.focal == (100, 100)
 
 
-def test_what_was_cut_off_is_not_made_up(tmp_path: Path) -> None:
+def test_a_view_that_was_cropped_away_is_refused(tmp_path: Path) -> None:
     write_room(tmp_path / "room", 1)
     (scene,) = find_scenes([tmp_path])
-    settings = ReconstructSettings(inputs=(), ply=Path("scene.ply"))
-    runner = CaseRunner({"input": scene.frames}, scene.cameras, Protocol("text"), settings, None)
+    judge = Judge({"input": scene.frames}, scene.cameras, Protocol("text"), None)
     name = scene.frames[0].name
-    _, shown = runner.photos[name]
+    _, shown = judge.photos[name]
     speck = Gaussians(*(torch.ones(1, *shape) for shape in ((3,), (4,), (3,), (), (1, 3))))
-    square = lenses_of(posed([(shown.height, shown.width)], "crop"))["0.png"]
+    square = cameras_by_name(posed([(shown.height, shown.width)], "crop"))["0.png"]
     with pytest.raises(QuerySplatError, match=f"saw only 112 × 112 of {name}"):
-        runner.judge(speck, {name: square}, "")
+        judge.score_scene(speck, {name: square}, "")

@@ -1,10 +1,11 @@
-"""Rows from what the user wants varied: any field of the settings, checked by its type."""
+"""Rows of a sweep over any field of the settings, checked by the field's type."""
 
 from pathlib import Path
 
 import pytest
 
-from querysplat_cli.evaluation.grid import axes, read_axis, rows
+from querysplat_cli.evaluation.axes import axes, read_axis
+from querysplat_cli.evaluation.grid import rows
 from querysplat_cli.runtime.errors import QuerySplatError
 
 

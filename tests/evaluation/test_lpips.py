@@ -1,4 +1,4 @@
-"""LPIPS: the network against one put together otherwise, and against published figures where weights are."""
+"""LPIPS against an independent implementation, and against published figures where the weights are installed."""
 
 from pathlib import Path
 
@@ -81,7 +81,7 @@ def test_the_network_is_the_defined_one(tmp_path: Path, net: str) -> None:
 
 
 def test_it_works_where_the_pictures_are() -> None:
-    """The meta device refuses tensors of the CPU as CUDA does."""
+    """No tensor is left on the CPU: like CUDA, the meta device refuses to mix them."""
     pictures = torch.zeros(1, 3, 64, 64, device="meta")
     assert Lpips("alex").to("meta")(pictures, pictures).device.type == "meta"
 

@@ -9,7 +9,8 @@ import torch
 from safetensors.torch import load_file
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
-from querysplat_cli.evaluation.metrics import EQUAL, compare
+from querysplat_cli.evaluation.metrics import compare
+from querysplat_cli.evaluation.policy import EVALUATION_POLICY
 
 
 @pytest.mark.parametrize("size", [(256, 256), (270, 480), (12, 11)])
@@ -37,7 +38,7 @@ def test_constant_pictures_have_closed_forms(shift: float) -> None:
 def test_equal_pictures() -> None:
     truth = torch.rand(3, 30, 30, generator=torch.Generator().manual_seed(0))
     scores = compare(truth, truth.clone(), None)
-    assert (scores.psnr, scores.ssim) == (EQUAL, pytest.approx(1, abs=1e-9))
+    assert (scores.psnr, scores.ssim) == (EVALUATION_POLICY.psnr_limit, pytest.approx(1, abs=1e-9))
 
 
 def test_ssim_is_the_stored_figure(real_photos: Path) -> None:

@@ -26,7 +26,7 @@ def track(count: int = 8) -> dict[str, PhotoCamera]:
 
 
 def moved(cameras: dict[str, PhotoCamera], scale: float) -> dict[str, PhotoCamera]:
-    """The same cameras in a world that is turned, scaled and shifted, and called otherwise."""
+    """The same cameras in a rotated, scaled and shifted world, under other file names."""
     turn = Rotation.from_euler("xyz", [0.4, -1.0, 2.0]).as_matrix()
     result = {}
     for name, camera in cameras.items():
@@ -50,7 +50,7 @@ def test_a_similarity_is_no_error() -> None:
 
 
 def test_a_turned_camera_is_found() -> None:
-    """One of eight cameras rolled by 10°: seven of 28 pairs are off by that, and directions in its own axes, too."""
+    """One of eight cameras is rolled by 10°: 7 of 28 pairs have that rotation error, and a direction error, too."""
     cameras = track()
     name = "photo_0.jpg"
     w2c = np.eye(4)

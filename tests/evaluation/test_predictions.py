@@ -1,4 +1,4 @@
-"""Other methods' outputs: pictures and scenes, in the frames and under the names in which they come."""
+"""Scores of other methods' pictures and scenes, in any frame and under any accepted file name."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -11,11 +11,11 @@ from evaluation_scenes import write_room
 from scipy.spatial.transform import Rotation
 
 from querysplat_cli.evaluation.baseline import back_project
-from querysplat_cli.evaluation.case import CaseRunner, RowResult, joined
-from querysplat_cli.evaluation.metrics import EQUAL
+from querysplat_cli.evaluation.cameras import to_frame_of
+from querysplat_cli.evaluation.judge import Judge, RowResult
+from querysplat_cli.evaluation.policy import EVALUATION_POLICY
 from querysplat_cli.evaluation.predictions import score_prediction
 from querysplat_cli.evaluation.protocol import Protocol
-from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.formats.dataset import CapturedScene, find_scenes
@@ -37,21 +37,20 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> CapturedScene:
 
 
 @pytest.fixture(params=["release", "text"])
-def runner(room: CapturedScene, request: pytest.FixtureRequest) -> CaseRunner:
+def judge(room: CapturedScene, request: pytest.FixtureRequest) -> Judge:
     groups = {group: [room.frames[i] for i in rows] for group, rows in PICKED.items()}
-    settings = ReconstructSettings(inputs=(), ply=Path("scene.ply"))
-    return CaseRunner(groups, room.cameras, Protocol(request.param), settings, None)
+    return Judge(groups, room.cameras, Protocol(request.param), None)
 
 
 @pytest.fixture
-def scene(runner: CaseRunner) -> Gaussians:
-    """Something to look at: two photos on walls at a fixed depth."""
-    names = [frame.name for frame in runner.groups["input"]][:2]
-    shown = [runner.photos[name][1].pixels for name in names]
+def scene(judge: Judge) -> Gaussians:
+    """Two photos, each on a wall at a fixed depth."""
+    names = [frame.name for frame in judge.groups["input"]][:2]
+    shown = [judge.photos[name][1].pixels for name in names]
     images = torch.stack([torch.from_numpy(pixels).permute(2, 0, 1).float() / 255 for pixels in shown])
-    lenses = [runner.known[name] for name in names]
-    K = torch.tensor([[[a.focal[0], 0, a.principal[0]], [0, a.focal[1], a.principal[1]], [0, 0, 1]] for a in lenses])
-    w2c = torch.stack([torch.from_numpy(lens.w2c).float() for lens in lenses])
+    given = [judge.known[name] for name in names]
+    K = torch.tensor([[[a.focal[0], 0, a.principal[0]], [0, a.focal[1], a.principal[1]], [0, 0, 1]] for a in given])
+    w2c = torch.stack([torch.from_numpy(camera.w2c).float() for camera in given])
     height, width = images.shape[2:]
     views = Views(images, torch.ones(2, height, width, dtype=torch.bool), tuple(names), ((height, width),) * 2)
     return back_project(views, Cameras(w2c, K.float(), height, width), torch.full((2, height, width), 3.0))
@@ -61,34 +60,34 @@ def flat(result: RowResult) -> dict[tuple[str, str], float]:
     return {(group, view.frame.name): view.scores.psnr for group, views in result.views.items() for view in views}
 
 
-def test_the_truth_scores_best_under_every_name(runner: CaseRunner, tmp_path: Path) -> None:
-    """As the photo or as its number, in the group's folder or in another."""
-    for group, frames in runner.groups.items():
+def test_the_truth_scores_best_under_every_name(judge: Judge, tmp_path: Path) -> None:
+    """Named like the photo or by its number, in the group's folder or in another one."""
+    for group, frames in judge.groups.items():
         for number, frame in enumerate(frames):
             name = Path(frame.name).stem if number % 2 else f"{frame.index:04d}"
             folder = tmp_path / "case" / ("color" if group == "extrap" else group)
             folder.mkdir(parents=True, exist_ok=True)
-            pixels = (runner.truth(frame).permute(1, 2, 0).numpy() * 255).round().astype(np.uint8)
+            pixels = (judge.truth(frame).permute(1, 2, 0).numpy() * 255).round().astype(np.uint8)
             cv2.imwrite(str(folder / f"{name}.png"), pixels[..., ::-1])
-    result = score_prediction(runner, tmp_path, "split", "case")
+    result = score_prediction(judge, tmp_path, "split", "case")
     assert len(flat(result)) == 6
     # Truths of `release` are not whole bytes: rounding them is an error of 59 dB.
-    assert min(flat(result).values()) > (58 if runner.protocol.name == "release" else EQUAL - 1)
+    assert min(flat(result).values()) > (58 if judge.protocol.name == "release" else EVALUATION_POLICY.psnr_limit - 1)
     assert result.gaussians is None
     larger = tmp_path / "larger" / "case"
     larger.mkdir(parents=True)
-    height, width = (2 * size for size in runner.truth(frame).shape[1:])
+    height, width = (2 * size for size in judge.truth(frame).shape[1:])
     cv2.imwrite(str(larger / f"{name}.png"), cv2.resize(pixels[..., ::-1], (width, height)))
-    assert flat(score_prediction(runner, tmp_path / "larger", "split", "case"))["extrap", frame.name] > 28
+    assert flat(score_prediction(judge, tmp_path / "larger", "split", "case"))["extrap", frame.name] > 28
     (tmp_path / "case" / "color" / "0007.png").unlink()
-    assert score_prediction(runner, tmp_path, "split", "case").missing["extrap"] == {
+    assert score_prediction(judge, tmp_path, "split", "case").missing["extrap"] == {
         "frame_00008.png": "no picture of it is there"
     }
 
 
-def test_a_scene_in_another_frame_scores_the_same(runner: CaseRunner, scene: Gaussians, tmp_path: Path) -> None:
-    """Only the inputs' cameras are given: the targets follow through the dataset's."""
-    expected = runner.judge(scene, runner.known, "")
+def test_a_scene_in_another_frame_scores_the_same(judge: Judge, scene: Gaussians, tmp_path: Path) -> None:
+    """Only the inputs' cameras are given. The targets' come from the dataset, by the similarity of the inputs'."""
+    expected = judge.score_scene(scene, judge.known, "")
     similarity = Sim3(
         1.7,
         torch.from_numpy(Rotation.from_euler("xyz", [0.4, 1.9, -1.0]).as_matrix()),
@@ -97,35 +96,35 @@ def test_a_scene_in_another_frame_scores_the_same(runner: CaseRunner, scene: Gau
     folder = tmp_path / "split" / "case"
     folder.mkdir(parents=True)
     write_ply(folder / "gaussians.ply", transform_gaussians(scene, similarity))
-    inputs = {frame.name: runner.known[frame.name] for frame in runner.groups["input"]}
+    inputs = {frame.name: judge.known[frame.name] for frame in judge.groups["input"]}
     bare = Cameras(torch.stack([torch.from_numpy(a.w2c) for a in inputs.values()]), torch.eye(3).repeat(3, 1, 1), 1, 1)
     theirs = {
         name: replace(camera, w2c=w2c.numpy())
         for (name, camera), w2c in zip(inputs.items(), bare.transformed(similarity).w2c, strict=True)
     }
     write_transforms(folder / "cameras.json", theirs)
-    result = score_prediction(runner, tmp_path, "split", "case")
+    result = score_prediction(judge, tmp_path, "split", "case")
     assert result.missing == {"input": {}, "interp": {}, "extrap": {}}
     assert flat(result) == pytest.approx(flat(expected), abs=0.05)
     assert result.gaussians == len(scene)
-    again = joined(theirs, inputs)
+    again = to_frame_of(inputs, theirs)
     np.testing.assert_allclose(again["frame_00001.png"].w2c, inputs["frame_00001.png"].w2c, atol=1e-6)
 
 
-def test_a_scene_alone_is_in_the_datasets_frame(runner: CaseRunner, scene: Gaussians, tmp_path: Path) -> None:
+def test_a_scene_alone_is_in_the_datasets_frame(judge: Judge, scene: Gaussians, tmp_path: Path) -> None:
     (tmp_path / "case").mkdir()
     write_ply(tmp_path / "case" / "scene.ply", scene)
-    assert flat(score_prediction(runner, tmp_path, "split", "case")) == pytest.approx(
-        flat(runner.judge(scene, runner.known, "")), abs=0.01
+    assert flat(score_prediction(judge, tmp_path, "split", "case")) == pytest.approx(
+        flat(judge.score_scene(scene, judge.known, "")), abs=0.01
     )
 
 
-def test_what_cannot_be_scored(runner: CaseRunner, tmp_path: Path) -> None:
+def test_what_cannot_be_scored(judge: Judge, tmp_path: Path) -> None:
     with pytest.raises(QuerySplatError, match="nothing for split, case"):
-        score_prediction(runner, tmp_path, "split", "case")
+        score_prediction(judge, tmp_path, "split", "case")
     (tmp_path / "case").mkdir()
     with pytest.raises(QuerySplatError, match="neither a"):
-        score_prediction(runner, tmp_path, "split", "case")
+        score_prediction(judge, tmp_path, "split", "case")
     cv2.imwrite(str(tmp_path / "case" / "frame_00001.png"), np.zeros((100, 300, 3), np.uint8))
     with pytest.raises(QuerySplatError, match="is 300 × 100, the target"):
-        score_prediction(runner, tmp_path, "split", "case")
+        score_prediction(judge, tmp_path, "split", "case")

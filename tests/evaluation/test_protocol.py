@@ -1,4 +1,4 @@
-"""What is shown, what is scored, and pictures through a lens."""
+"""Input photos, target photos, and renders through a distorting lens."""
 
 from pathlib import Path
 
@@ -59,7 +59,7 @@ def test_sizes(name: str, size: tuple[int, int], shown: tuple[int, int], scored:
 
 @pytest.mark.parametrize("name", ["release", "text"])
 def test_the_shown_photo_and_its_camera_agree(name: str) -> None:
-    """A mark at a point's projection is still there after cropping and reducing; the camera is a full-size photo's."""
+    """A mark at a point's projection stays at its projection when photo and camera are cropped and reduced."""
     rules, point = Protocol(name), np.array([[0.05, -0.08, 1.0]])  # type: ignore[arg-type]
     full = camera(1080, 1920)
     taken = Photo("a.png", Path("a.png"), np.zeros((540, 960, 3), np.uint8))
@@ -79,7 +79,7 @@ def test_a_camera_of_another_shape_is_refused() -> None:
 
 @pytest.mark.parametrize("lens", [LENS, (0.0, 0.0, 0.0, 0.0), (-0.2, 0.05, 0.0, 0.0)])
 def test_specks_are_where_opencv_puts_them(lens: tuple[float, float, float, float]) -> None:
-    """OpenCV resamples at 1/32 pixel; half a pixel, the usual mistake, would be seen."""
+    """OpenCV resamples at 1/32 pixel, so a shift by half a pixel, the usual mistake, would fail."""
     taken = camera(120, 160, lens)
     for point in np.array([[0.0, 0, 1], [0.3, 0.2, 1], [-0.35, 0.1, 1], [0.1, -0.25, 1.0]]):
         picture = photograph(specks(point[None], 0.01), taken)[0].double().numpy()
@@ -98,6 +98,6 @@ def test_a_lens_without_distortion_changes_nothing() -> None:
 
 
 def _seen(lens: PhotoCamera, points: np.ndarray) -> np.ndarray:
-    """Pixels with centres at +0.5, by OpenCV, which counts from the centres."""
+    """Projected pixels by OpenCV, moved by half a pixel so that pixel centres are at +0.5."""
     K = np.array([[lens.focal[0], 0, lens.principal[0]], [0, lens.focal[1], lens.principal[1]], [0, 0, 1]])
     return cv2.projectPoints(points, np.zeros(3), np.zeros(3), K, np.array(lens.distortion))[0][:, 0]

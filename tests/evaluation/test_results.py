@@ -1,4 +1,4 @@
-"""Results on disk: what they add up to, what may be merged, and what is refused."""
+"""Results on disk: their summary, their merging, and runs that are refused."""
 
 import csv
 import json
@@ -10,10 +10,18 @@ import numpy as np
 import pytest
 import torch
 
-from querysplat_cli.evaluation.case import RowResult, ViewScore
 from querysplat_cli.evaluation.costs import Cost
+from querysplat_cli.evaluation.judge import RowResult, ViewScore
 from querysplat_cli.evaluation.metrics import Scores
-from querysplat_cli.evaluation.results import Place, merge, places, prepare, run_config, write_case, write_failure
+from querysplat_cli.evaluation.results import (
+    RowFolder,
+    merge,
+    open_row_folder,
+    row_folders,
+    run_config,
+    write_case,
+    write_failure,
+)
 from querysplat_cli.evaluation.splits import Case, FrameRef, Split
 from querysplat_cli.evaluation.summary import summarise
 from querysplat_cli.evaluation.sweep import Point, Spread, frontier, write_curves
@@ -47,21 +55,21 @@ def settings(**changes: Any) -> dict[str, Any]:
     return {"tto": 0, **changes}
 
 
-def start(out: Path, row: str, on: Split, **changes: Any) -> Place:
-    place = Place(out, row, on.name)
-    prepare(place, run_config(settings(**changes), on, "release", {"missing": "no LPIPS"}), force=False)
-    return place
+def start(out: Path, row: str, on: Split, **changes: Any) -> RowFolder:
+    row_folder = RowFolder(out, row, on.name)
+    open_row_folder(row_folder, run_config(settings(**changes), on, "release", {"missing": "no LPIPS"}), force=False)
+    return row_folder
 
 
 def test_a_splits_figure_is_the_mean_over_views_and_the_average_that_over_splits(tmp_path: Path) -> None:
     """As in the release: a case with more scored views weighs more, a split with more cases does not."""
     small, large = split("small", "small"), split("large", "large", 1)
-    place = start(tmp_path, "free_tto=0", small)
-    write_case(place.case("s_000"), "s", result(10, 20, 30, seconds=1.0), pictures=False)
-    write_case(place.case("s_001"), "s", result(40, seconds=3.0), pictures=True)
-    place = start(tmp_path, "free_tto=0", large)
-    write_case(place.case("s_000"), "s", result(11), pictures=False)
-    write_failure(Place(tmp_path, "free_tto=0", "large").case("s_001"), "s", "no overlap")
+    row_folder = start(tmp_path, "free_tto=0", small)
+    write_case(row_folder.case("s_000"), "s", result(10, 20, 30, seconds=1.0), pictures=False)
+    write_case(row_folder.case("s_001"), "s", result(40, seconds=3.0), pictures=True)
+    row_folder = start(tmp_path, "free_tto=0", large)
+    write_case(row_folder.case("s_000"), "s", result(11), pictures=False)
+    write_failure(RowFolder(tmp_path, "free_tto=0", "large").case("s_001"), "s", "no overlap")
     summary = summarise(tmp_path)
     rows = {(row["split"], row["group"]): row for row in summary["rows"]}
     assert rows["small", "interp"]["psnr"] == 25
@@ -74,7 +82,7 @@ def test_a_splits_figure_is_the_mean_over_views_and_the_average_that_over_splits
     assert average["psnr"] == pytest.approx((25 + 11) / 2)
     assert (average["splits"], average["failed"]) == (2, 1)
     assert [failure["error"] for failure in summary["failures"]] == ["no overlap"]
-    assert (place.out / "free_tto=0" / "small" / "s_001" / "rendered" / "interp" / "1.png").is_file()
+    assert (row_folder.out / "free_tto=0" / "small" / "s_001" / "rendered" / "interp" / "1.png").is_file()
     with (tmp_path / "summary.csv").open() as file:
         assert {row["psnr"] for row in csv.DictReader(file) if row["group"] == "interp"} == {"25.0", "11.0"}
     text = (tmp_path / "summary.md").read_text()
@@ -84,11 +92,11 @@ def test_a_splits_figure_is_the_mean_over_views_and_the_average_that_over_splits
 
 
 def test_a_split_in_which_everything_failed_is_not_forgotten(tmp_path: Path) -> None:
-    place = start(tmp_path, "r", split("small", "small"))
-    write_case(place.case("s_000"), "s", result(20), pictures=False)
-    place = start(tmp_path, "r", split("large", "large"))
+    row_folder = start(tmp_path, "r", split("small", "small"))
+    write_case(row_folder.case("s_000"), "s", result(20), pictures=False)
+    row_folder = start(tmp_path, "r", split("large", "large"))
     for case in range(2):
-        write_failure(place.case(f"s_{case:03d}"), "s", "no overlap")
+        write_failure(row_folder.case(f"s_{case:03d}"), "s", "no overlap")
     (average,) = [row for row in summarise(tmp_path)["averages"] if row["group"] == "interp"]
     assert (average["psnr"], average["splits"], average["cases"], average["failed"]) == (20, 1, 1, 2)
     text = (tmp_path / "summary.md").read_text()
@@ -96,9 +104,9 @@ def test_a_split_in_which_everything_failed_is_not_forgotten(tmp_path: Path) -> 
     assert "| r | – / – / – | – / – / – | – / – / – | 0 of 0 | 2 of 2 |" in text
 
 
-def test_quoted_rows_have_a_source_and_say_so(tmp_path: Path) -> None:
-    place = start(tmp_path, "free_tto=0", split("small", "small"))
-    write_case(place.case("s_000"), "s", result(20), pictures=False)
+def test_quoted_rows_name_their_source(tmp_path: Path) -> None:
+    row_folder = start(tmp_path, "free_tto=0", split("small", "small"))
+    write_case(row_folder.case("s_000"), "s", result(20), pictures=False)
     summary = summarise(tmp_path)
     assert all(row["where"] and row["views"] in (2, 4, 12) for row in summary["quoted"]["rows"])
     text = (tmp_path / "summary.md").read_text()
@@ -111,11 +119,13 @@ def test_shards_add_up(tmp_path: Path) -> None:
     whole, parts = split("small", "small", 4), [tmp_path / "1", tmp_path / "2"]
     for number in range(4):
         for out in (tmp_path / "all", parts[number % 2]):
-            place = start(out, "free_tto=0", whole)
-            write_case(place.case(f"s_{number:03d}"), "s", result(10.0 * number, 15), pictures=False)
+            row_folder = start(out, "free_tto=0", whole)
+            write_case(row_folder.case(f"s_{number:03d}"), "s", result(10.0 * number, 15), pictures=False)
     merge(parts, tmp_path / "merged")
     assert summarise(tmp_path / "merged")["rows"] == summarise(tmp_path / "all")["rows"]
-    assert [(place.row, place.split) for place in places(tmp_path / "merged")] == [("free_tto=0", "small")]
+    assert [(row_folder.row, row_folder.split) for row_folder in row_folders(tmp_path / "merged")] == [
+        ("free_tto=0", "small")
+    ]
 
 
 def test_a_scored_case_wins_over_a_failed_one(tmp_path: Path) -> None:
@@ -143,9 +153,9 @@ def test_different_runs_do_not_mix(tmp_path: Path) -> None:
 
 
 def test_damaged_results_are_named(tmp_path: Path) -> None:
-    place = start(tmp_path, "r", split("small", "small"))
-    write_case(place.case("s_000"), "s", result(12), pictures=False)
-    (place.case("s_000") / "metrics.json").write_text("{")
+    row_folder = start(tmp_path, "r", split("small", "small"))
+    write_case(row_folder.case("s_000"), "s", result(12), pictures=False)
+    (row_folder.case("s_000") / "metrics.json").write_text("{")
     with pytest.raises(QuerySplatError, match=r"s_000/metrics\.json: damaged"):
         summarise(tmp_path)
 
@@ -185,9 +195,9 @@ def test_the_frontier_holds_what_nothing_beats() -> None:
 def test_curves_are_written(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     for row, psnr, seconds in (("a", 10, 1.0), ("b", 20, 3.0)):
-        place = start(tmp_path, row, split("small", "small"))
+        row_folder = start(tmp_path, row, split("small", "small"))
         for case in range(2):
-            write_case(place.case(f"s_{case:03d}"), "s", result(psnr + case, seconds=seconds), pictures=False)
+            write_case(row_folder.case(f"s_{case:03d}"), "s", result(psnr + case, seconds=seconds), pictures=False)
     points = write_curves(tmp_path)
     assert [(each.row, each.figures["psnr"].middle, each.figures["seconds"].middle) for each in points] == [
         ("a", 10.5, 2.0),

@@ -1,4 +1,4 @@
-"""Splits: generated ones keep their promises, and both forms of file come back as they were."""
+"""Generated splits follow their rules, and both forms of split files survive writing and reading."""
 
 import json
 from pathlib import Path
@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from querysplat_cli.evaluation.generate import INTERVALS, SCALES, TARGETS, generate
+from querysplat_cli.evaluation.generate import INTERVALS, SCALES, generate
+from querysplat_cli.evaluation.policy import EVALUATION_POLICY
 from querysplat_cli.evaluation.splits import (
     Case,
     FrameRef,
@@ -37,10 +38,10 @@ def scene(name: str, count: int, *, first: int = 0) -> CapturedScene:
     cases=st.integers(1, 12),
     seed=st.integers(0, 5),
 )
-def test_generated_cases_are_what_they_say(views: int, scale: str, counts: list[int], cases: int, seed: int) -> None:
+def test_generated_cases_follow_the_rules(views: int, scale: str, counts: list[int], cases: int, seed: int) -> None:
     scenes = [scene(f"s{i}", count, first=7 * i) for i, count in enumerate(counts)]
     interval = INTERVALS[views][SCALES.index(scale)]
-    need = (views - 1) * interval + 1 + TARGETS
+    need = (views - 1) * interval + 1 + EVALUATION_POLICY.generated_targets
     if max(counts) < need:
         with pytest.raises(ImpossibleScene, match=str(need)):
             generate(scenes, "data", views, scale, cases=cases, seed=seed)
@@ -51,10 +52,10 @@ def test_generated_cases_are_what_they_say(views: int, scale: str, counts: list[
     for case in split.cases:
         home = next(each for each in scenes if each.name == case.scene)
         inputs, interp, extrap = ([ref.frame_index for ref in case.groups[g]] for g in ("input", "interp", "extrap"))
-        assert len(set(interp)) == len(set(extrap)) == TARGETS
+        assert len(set(interp)) == len(set(extrap)) == EVALUATION_POLICY.generated_targets
         assert inputs == list(range(inputs[0], inputs[0] + (views - 1) * interval + 1, interval))
         assert all(inputs[0] < i < inputs[-1] and i not in inputs for i in interp)
-        reach = max(interval, TARGETS)
+        reach = max(interval, EVALUATION_POLICY.generated_targets)
         assert all(inputs[0] - reach <= i < inputs[0] or inputs[-1] < i <= inputs[-1] + reach for i in extrap)
         found = resolve(case, home)
         assert [frame.index for frame in found["extrap"]] == extrap
@@ -79,7 +80,7 @@ def test_the_releases_form_comes_back(tmp_path: Path) -> None:
     assert read_splits(tmp_path) == [split]
 
 
-def test_index_files_tell_inputs_between_and_beyond_apart(tmp_path: Path) -> None:
+def test_index_files_are_divided_into_inputs_interpolation_and_extrapolation(tmp_path: Path) -> None:
     """TokenGS's and DepthSplat's targets hold the inputs; null stands for scenes that are left out."""
     file = tmp_path / "dl3dv.json"
     entries = {
@@ -108,7 +109,7 @@ def test_frames_are_found_by_name_in_renamed_folders() -> None:
         resolve(split.cases[0], scene("a", 2))
 
 
-def test_names_that_repeat_in_folders_are_told_apart() -> None:
+def test_names_that_repeat_in_folders_stay_separate() -> None:
     frames = tuple(
         Frame(i, name, "images", Path(name)) for i, name in enumerate(["left/1.png", "right/1.png", "2.png"])
     )

@@ -1,4 +1,4 @@
-"""Worker processes: all jobs are done, and one that dies takes no other with it."""
+"""Worker processes: all jobs are done, and a crash ends one job only."""
 
 import os
 import signal

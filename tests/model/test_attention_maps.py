@@ -1,4 +1,4 @@
-"""What a query looks at, against attention written out."""
+"""What a query attends to, against attention written out."""
 
 import torch
 from model_scenes import anchors, compact, memories
@@ -6,7 +6,7 @@ from model_scenes import anchors, compact, memories
 from querysplat_cli.model.attention import CrossAttention
 from querysplat_cli.model.attention_maps import attention_of
 from querysplat_cli.model.initialise import initial_model
-from querysplat_cli.model.memories import Memories
+from querysplat_cli.model.memories import Memories, Memory
 from tiny_weights import MODEL, write_model
 
 
@@ -21,8 +21,8 @@ def test_learned_queries(tmp_path) -> None:  # type: ignore[no-untyped-def]
     torch.testing.assert_close(appearance.sum(), torch.tensor(1.0))
     seen: list[torch.Tensor] = []
 
-    def listen(cross: CrossAttention, inputs: tuple[torch.Tensor, ...], output: torch.Tensor) -> None:
-        tokens, keys = inputs[0], inputs[1]
+    def listen(cross: CrossAttention, inputs: tuple[torch.Tensor, Memory], output: torch.Tensor) -> None:
+        tokens, keys = inputs[0], inputs[1].keys
         query = cross.q_norm(cross.q_proj(cross.norm(tokens)).unflatten(-1, (cross.heads, -1)))
         logits = torch.einsum("qhc,mhc->hqm", query, keys) / query.shape[-1] ** 0.5
         seen.append(logits.softmax(-1).mean(0))
@@ -36,7 +36,7 @@ def test_learned_queries(tmp_path) -> None:  # type: ignore[no-untyped-def]
     torch.testing.assert_close(appearance, seen[2][7])
 
 
-def test_anchored_queries_look_at_their_neighbours_alone() -> None:
+def test_anchored_queries_attend_to_their_neighbours_alone() -> None:
     model = initial_model(compact(), seed=0)
     where = anchors(model.config)
     geometry, appearance = attention_of(model, memories(model.config), where, query=3)

@@ -154,7 +154,7 @@ def test_a_broken_configuration_is_refused(tmp_path: Path, stored: str) -> None:
         load_file(tmp_path / "broken.safetensors")
 
 
-def test_weights_that_are_not_here() -> None:
+def test_weights_that_are_missing() -> None:
     with pytest.raises(MissingPart):
         load("official-paper")
     with pytest.raises(QuerySplatError, match="neither a preset nor a file"):
@@ -206,7 +206,7 @@ def mapped_bytes() -> int:
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").is_file(), reason="there is no /proc")
-def test_the_file_is_let_go_where_its_numbers_were_converted(tmp_path: Path) -> None:
+def test_the_file_is_unmapped_where_its_numbers_were_converted(tmp_path: Path) -> None:
     """One norm that stays a view of the mapped file would keep all of it in memory, beside the converted copy."""
     path = tmp_path / "some.safetensors"
     write_model(path, ModelConfig(**{**MODEL.__dict__, "width": 512, "vgm_width": 512}))

@@ -6,10 +6,11 @@ import pytest
 import torch
 from model_scenes import PATCHES, VIEWS, anchors, compact, memories, photos
 
+from querysplat_cli.model.anchors import Neighbours
 from querysplat_cli.model.config import ModelConfig, preset
 from querysplat_cli.model.heads import assemble
 from querysplat_cli.model.initialise import initial_model
-from querysplat_cli.model.memories import Memories, attended_rows, plucker_rays
+from querysplat_cli.model.memories import Memories, Memory, attended_rows, plucker_rays
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.gaussians import SH_0
@@ -65,7 +66,7 @@ def test_same_seed_same_weights_and_global_randomness_untouched() -> None:
     assert any(not torch.equal(first[name], other[name]) for name in first)
 
 
-def test_rows_that_nobody_attends_to_can_go() -> None:
+def test_rows_that_no_query_attends_to_can_be_left_out() -> None:
     config = compact()
     model = initial_model(config, seed=0).requires_grad_(False)
     scene, everything = anchors(config, queries=7), memories(config)
@@ -76,19 +77,18 @@ def test_rows_that_nobody_attends_to_can_go() -> None:
     assert all(torch.equal(a, b) for a, b in zip(before.__dict__.values(), after.__dict__.values(), strict=True))
 
 
-def test_local_decoding_equals_global_decoding_when_everything_is_near() -> None:
-    """Every query near every row: the anchored road and the learned one are the same decoder."""
+def test_local_decoding_equals_global_decoding_when_every_row_is_near() -> None:
+    """Each query has all rows as its neighbours: anchored and learned queries then share one result."""
     config = compact(width=16, heads=2, gaussians_per_query=1)
     torch.manual_seed(0)
     model = QuerySplat(config).double().requires_grad_(False)
     tokens, keys, values = (torch.randn(*shape, dtype=torch.float64) for shape in ((5, 16), (9, 2, 8), (9, 2, 8)))
-    from querysplat_cli.model.anchors import Neighbours
 
     def everyone(rows: int) -> Neighbours:
         return Neighbours(torch.arange(rows).expand(5, -1), torch.zeros(5, rows, dtype=torch.float64))
 
-    local = model.geometry_decoder(tokens, keys, values, everyone(9), everyone(5))
-    torch.testing.assert_close(local, model.geometry_decoder(tokens, keys, values), rtol=1e-12, atol=1e-12)
+    local = model.geometry_decoder(tokens, Memory(keys, values, everyone(9)), everyone(5))
+    torch.testing.assert_close(local, model.geometry_decoder(tokens, Memory(keys, values)), rtol=1e-12, atol=1e-12)
 
 
 def test_anchors_and_learned_queries_are_not_mixed_up() -> None:
@@ -116,11 +116,11 @@ def test_plucker_rays_pass_through_their_camera_and_their_pixel() -> None:
 
 
 def test_blocks_run_again_backward_give_the_same_gradient() -> None:
-    """Learned queries forget what is between blocks; the gradient is that of the plain chain."""
+    """For learned queries nothing is stored inside a block; the gradient is that of the plain chain."""
     torch.manual_seed(0)
     model = QuerySplat(TINY).requires_grad_(False)
     for block in (*model.geometry_decoder.blocks, *model.appearance_decoder.blocks):
-        for scale in (block.cross_scale, block.among_scale, block.mlp_scale):
+        for scale in (block.cross_scale, block.self_attention_scale, block.mlp_scale):
             scale.gamma.fill_(0.3)
     shape = (20, TINY.heads, TINY.width // TINY.heads)
     stored = Memories(*(torch.randn(shape) for _ in range(4))).map(lambda tensor: tensor.requires_grad_())
@@ -128,10 +128,10 @@ def test_blocks_run_again_backward_give_the_same_gradient() -> None:
     found = torch.autograd.grad(model.decode(stored).means.sum() + model.decode(stored).sh.sum(), tensors)
     tokens = torch.cat([model.eye_token, model.geometry_queries])
     for block in model.geometry_decoder.blocks:
-        tokens = block(tokens, stored.geometry_keys, stored.geometry_values)
+        tokens = block(tokens, stored.geometry())
     after = tokens[1:] + model.appearance_queries
     for block in model.appearance_decoder.blocks:
-        after = block(after, stored.appearance_keys, stored.appearance_values)
+        after = block(after, stored.appearance())
     made = assemble(*model._raw(tokens[1:], after), TINY)
     expected = torch.autograd.grad(made.means.sum() + made.sh.sum(), tensors)
     for ours, theirs in zip(found, expected, strict=True):

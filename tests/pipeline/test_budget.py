@@ -1,9 +1,11 @@
-"""How a time budget is shared out."""
+"""How a time budget is divided."""
 
 from hypothesis import given
 from hypothesis import strategies as st
 
-from querysplat_cli.pipeline.budget import PIXEL_SECONDS, SMALLEST, Budget, optimising_seconds, working_size
+from querysplat_cli.pipeline.budget import Budget, optimising_seconds, working_size
+from querysplat_cli.pipeline.policy import PIPELINE_POLICY
+from querysplat_cli.prune.policy import PRUNE_POLICY
 from querysplat_cli.tto.plan import plan_tto
 
 
@@ -15,12 +17,13 @@ def spent(seconds: float, of: float) -> Budget:
 def test_pictures_are_as_large_as_the_time_allows(
     seconds: float, photos: int, scenes: int, height: int, width: int
 ) -> None:
+    smallest = PRUNE_POLICY.smallest_size
     size = working_size(spent(0.0, seconds), photos, scenes, (height, width), 448)
-    assert SMALLEST <= size <= 448
+    assert smallest <= size <= 448
     assert size <= working_size(spent(0.0, 2 * seconds), photos, scenes, (height, width), 448)
-    if size > SMALLEST:
+    if size > smallest:
         pixels = size**2 * min(height, width) / max(height, width)
-        assert PIXEL_SECONDS * pixels * photos * scenes <= 0.4 * seconds
+        assert PIPELINE_POLICY.pixel_seconds * pixels * photos * scenes <= 0.4 * seconds
 
 
 def test_two_scenes_share_what_is_left_where_it_is_enough() -> None:
@@ -33,7 +36,7 @@ def test_two_scenes_share_what_is_left_where_it_is_enough() -> None:
     assert optimising_seconds(spent(50.0, of=40.0), 15.0, 100_000, 1) == (0.0, False)
 
 
-def test_with_a_time_the_steps_are_the_most_that_pay() -> None:
+def test_a_time_budget_plans_the_most_steps_that_improve_a_scene() -> None:
     (run,) = plan_tto(None, views=5, gaussians=1000, seconds=3.0)
     assert run.settings.steps == 300
     assert run.settings.seconds == 3.0

@@ -5,30 +5,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
 
 from querysplat_cli.encoders.base import EncoderOptions
 from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.model.querysplat import QuerySplat
-from querysplat_cli.pipeline.memory import SHARE, MemoryNeeds, evenly_spaced, free_bytes, within_memory
+from querysplat_cli.pipeline.memory import MemoryNeeds, within_memory
+from querysplat_cli.pipeline.policy import PIPELINE_POLICY
+from querysplat_cli.runtime.device import free_bytes
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.views import Photo
 from tiny_weights import MODEL, OMEGA, write_weights
 
 PHOTOS = [Photo(f"{i}.png", Path(f"{i}.png"), np.zeros((4, 4, 3), np.uint8)) for i in range(40)]
-
-
-@given(st.integers(1, 60), st.integers(1, 60))
-def test_evenly_spaced(items: int, count: int) -> None:
-    kept = evenly_spaced(range(items), count)
-    assert len(kept) == len(set(kept)) == min(items, count)
-    assert kept == sorted(kept)
-    if count > 1:
-        assert kept[0] == 0
-        assert kept[-1] == items - 1
-        gaps = np.diff(kept)
-        assert len(gaps) == 0 or gaps.max() - gaps.min() <= 1
 
 
 def test_as_many_as_fit(tmp_path: Path) -> None:
@@ -38,7 +26,7 @@ def test_as_many_as_fit(tmp_path: Path) -> None:
     needed = [needs.bytes(views) or 0 for views in range(1, 41)]
     assert needed == sorted(needed)
     assert model.bytes_needed(9, 512, 5, optimising=True) > model.bytes_needed(9, 512, 5)
-    free = int(needed[16] / SHARE) + 2
+    free = int(needed[16] / PIPELINE_POLICY.memory_share) + 2
     kept, left_out, expected = within_memory(PHOTOS, needs, free, None)
     assert len(kept) == 17
     assert expected == needed[16]
@@ -50,7 +38,7 @@ def test_as_many_as_fit(tmp_path: Path) -> None:
         within_memory(PHOTOS, needs, 2**20, None)
 
 
-def test_an_encoder_that_cannot_tell_is_not_limited() -> None:
+def test_an_encoder_without_an_estimate_is_not_limited() -> None:
     needs = MemoryNeeds(find_encoder("classical"), QuerySplat(MODEL), 448)
     kept, left_out, expected = within_memory(PHOTOS, needs, 1, None)
     assert (len(kept), left_out, expected) == (40, [], None)

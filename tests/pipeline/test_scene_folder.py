@@ -1,4 +1,4 @@
-"""The scene folder gives back what was put into it."""
+"""What is written to a scene folder is read back unchanged."""
 
 import json
 import sys
@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 
+from querysplat_cli.encoders.base import Geometry
 from querysplat_cli.model.memories import Memories
 from querysplat_cli.pipeline.scene_folder import StoredScene, read_scene, write_scene
 from querysplat_cli.queries.build import build_anchors
@@ -43,7 +44,7 @@ def stored() -> tuple[StoredScene, Gaussians]:
     inputs, cameras = views(("a.png", "sub/b.png", "c.webp"), 0)
     heldout = views(("d.png",), 1)
     depth = torch.full(inputs.masks.shape, 3.0)
-    anchors, _ = build_anchors(inputs, cameras, depth, torch.ones_like(depth), patch=6)
+    anchors, _ = build_anchors(inputs, cameras, Geometry(depth, torch.ones_like(depth), (), 6))
     generator = torch.Generator().manual_seed(2)
     memories = Memories(*(torch.randn(5 + i // 2, 2, 3, generator=generator) for i in range(4)))
     gaussians = Gaussians(
@@ -85,11 +86,11 @@ def test_round_trip(stored: tuple[StoredScene, Gaussians], tmp_path: Path) -> No
         assert found.model == "compact"
     assert len(read_ply(tmp_path / "s.ply")) == 7
     files = [tmp_path / "s.ply", *(path for path in (tmp_path / "s").rglob("*") if path.is_file())]
-    assert len({file.stat().st_mode for file in files}) == 1  # all as readable as any other file of the user's
+    assert len({file.stat().st_mode for file in files}) == 1  # the same permissions as any other file
 
 
 def test_cameras_name_the_files_that_are_there(stored: tuple[StoredScene, Gaussians], tmp_path: Path) -> None:
-    """c.webp is kept as a PNG: other tools find it by `file_path`, and cameras by the photo's own name stay found."""
+    """c.webp is stored as a PNG. Other tools find it by `file_path`; cameras are also found by the photo's own name."""
     write_scene(tmp_path / "s.ply", *stored, {"tto": []})
     listing = tmp_path / "s" / "cameras.json"
     content = json.loads(listing.read_text())
@@ -97,7 +98,7 @@ def test_cameras_name_the_files_that_are_there(stored: tuple[StoredScene, Gaussi
     there = {str(path.relative_to(tmp_path / "s")) for path in (tmp_path / "s" / "images").rglob("*.*")}
     assert named == there
     assert list(read_transforms(listing)) == ["a.png", "b.png", "c.webp", "d.png"]
-    (scene,) = find_scenes([tmp_path / "s"])  # eval's and train's door
+    (scene,) = find_scenes([tmp_path / "s"])  # how evaluate and train read it
     assert len(scene.frames) == 4
 
 

@@ -1,20 +1,24 @@
-"""What is left out: Gaussians, SH bands and views that change nothing."""
+"""Pruning of Gaussians, of SH bands and of near-duplicate views."""
 
 import math
 from dataclasses import fields, replace
 
+import numpy as np
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 
 from querysplat_cli.prune.bands import without_idle_bands
-from querysplat_cli.prune.gaussians import HIDDEN, importance, prune, target_count
-from querysplat_cli.prune.views import near_duplicates
+from querysplat_cli.prune.gaussians import importance, prune, target_count
+from querysplat_cli.prune.policy import PRUNE_POLICY
+from querysplat_cli.prune.views import evenly_spaced, near_duplicates
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
 from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.render import render
 from querysplat_cli.tto.gaussians import optimise_gaussians
-from querysplat_cli.tto.optimise import TtoSettings
+from querysplat_cli.tto.options import Callbacks, TtoSettings
 from querysplat_cli.tto.rendering_loss import RenderingLoss
 
 SIZE = 32
@@ -28,7 +32,7 @@ def cameras(*sideways: float) -> Cameras:
 
 
 def wall_and_hidden(hidden: int = 50) -> Gaussians:
-    """A wall of 144 opaque Gaussians near z = 2, none as far as another, and `hidden` ones behind it."""
+    """A wall of 144 opaque Gaussians near z = 2, each at its own depth, and `hidden` ones behind the wall."""
     steps = torch.linspace(-1.1, 1.1, 12)
     depth = torch.linspace(1.9, 2.1, 144)[torch.randperm(144, generator=torch.Generator().manual_seed(5))]
     wall = torch.stack([*torch.meshgrid(steps, steps, indexing="xy"), depth.view(12, 12)], -1).reshape(-1, 3)
@@ -53,8 +57,8 @@ def photos(gaussians: Gaussians, views: Cameras) -> RenderingLoss:
     return RenderingLoss(Views(images, masks, names, ((SIZE, SIZE),) * len(views)), views)
 
 
-def test_importance_is_what_colours_the_picture_times_what_goes_with_it() -> None:
-    """Against blending weights and pictures without each Gaussian, in so many views that signs average out."""
+def test_importance_is_blending_weight_times_change_of_the_render() -> None:
+    """Compared with blending weights and with renders without each Gaussian, over enough views for signs to average."""
     scene, views = wall_and_hidden(0)[::9], cameras(*torch.linspace(-0.2, 0.2, 200).tolist())
     scene = replace(scene, opacities=torch.linspace(0.2, 0.9, len(scene)))
     margin = math.ceil(SIZE / 10)
@@ -71,11 +75,11 @@ def test_importance_is_what_colours_the_picture_times_what_goes_with_it() -> Non
         white = black.clone()
         white[each, 0] = 0.5 / SH_0
         weight = render(replace(scene, sh=white), wider).colour[:, 0].sum()
-        expected = weight * (gone.sqrt() + HIDDEN * weight)
+        expected = weight * (gone.sqrt() + PRUNE_POLICY.hidden_change * weight)
         assert found[each] == pytest.approx(float(expected), rel=0.2)
 
 
-def test_what_no_photo_shows_goes_and_the_rest_stays() -> None:
+def test_gaussians_that_no_photo_shows_are_pruned() -> None:
     scene, views = wall_and_hidden(144), cameras(-0.1, 0.0, 0.1)
     target = photos(scene, views)
     pruned = prune(scene, views, "auto", lambda some: target.psnr(some, [0, 1, 2]), math.inf)
@@ -85,7 +89,7 @@ def test_what_no_photo_shows_goes_and_the_rest_stays() -> None:
     assert pruned.psnr_before == pytest.approx(target.psnr(scene, [0, 1, 2]))
 
 
-def test_of_two_that_coincide_the_second_goes_first() -> None:
+def test_of_two_gaussians_that_coincide_the_second_is_pruned_first() -> None:
     wall, views = wall_and_hidden(0), cameras(*torch.linspace(-0.1, 0.1, 50).tolist())
     apart = replace(wall, scales=torch.full((144, 3), 0.04))
     doubled = Gaussians(*(torch.cat([getattr(apart, each.name)] * 2) for each in fields(apart)))
@@ -104,14 +108,14 @@ def test_a_number_keeps_those_of_most_importance() -> None:
 
 
 @pytest.mark.parametrize("steps", [9.0, 11.0])
-def test_nothing_goes_that_the_steps_left_do_not_make_up_for(steps: float) -> None:
+def test_no_gaussian_is_pruned_where_the_steps_left_cannot_make_up_for_it(steps: float) -> None:
     scene, views = wall_and_hidden(), cameras(-0.1, 0.0, 0.1)
     pruned = prune(scene, views, "auto", lambda some: 30.0 if len(some) == len(scene) else 29.0, steps)
     assert pruned.kept.all() == (steps == 9)
     assert pruned.psnr_after == (30 if steps == 9 else 29)
 
 
-def test_half_stay_unless_they_are_few_for_the_pixels() -> None:
+def test_half_of_the_gaussians_stay_unless_there_are_few_for_the_pixels() -> None:
     views = cameras(0.0, 0.1, 0.2)  # 3 · 32 · 32 = 3072 pixels
     assert target_count(1000, "auto", views) == 500
     assert target_count(50, "auto", views) == 30
@@ -121,14 +125,14 @@ def test_half_stay_unless_they_are_few_for_the_pixels() -> None:
     assert target_count(300, 400, views) == 300
 
 
-def test_optimisation_goes_on_with_those_that_stay() -> None:
+def test_optimisation_continues_with_the_gaussians_that_stay() -> None:
     scene, views = wall_and_hidden(), cameras(-0.1, 0.0, 0.1)
     result = optimise_gaussians(
         scene,
         photos(replace(scene, sh=0.5 * scene.sh), views),
         TtoSettings(steps=10, lr=0.002),
         generator=torch.Generator().manual_seed(0),
-        pruning=lambda some, _, steps: prune(some, views, 150, lambda each: 0.0, steps),
+        callbacks=Callbacks(prune=lambda some, _, steps: prune(some, views, 150, lambda each: 0.0, steps)),
     )
     assert result.loss_after < result.loss_before
     assert {(step.step < 4, step.gaussians) for step in result.history} == {(True, 194), (False, 150)}
@@ -143,14 +147,14 @@ def test_steps_after_a_costly_pruning_are_not_taken_for_failures() -> None:
         photos(scene, views),
         TtoSettings(steps=10, lr=0.002),
         generator=torch.Generator().manual_seed(0),
-        pruning=lambda some, _, steps: prune(some, views, 100, lambda each: 0.0, steps),
+        callbacks=Callbacks(prune=lambda some, _, steps: prune(some, views, 100, lambda each: 0.0, steps)),
     )
     assert [step.gaussians for step in result.history[-5:]] == [100] * 5
-    assert len(result.gaussians) == 194, "what is worse than the start is not kept"
+    assert len(result.gaussians) == 194, "a state that is worse than the start is not kept"
 
 
 @pytest.mark.parametrize("size", [0.0, 1.0])
-def test_bands_go_where_colours_do_not_depend_on_the_direction(size: float) -> None:
+def test_bands_are_left_out_where_colours_do_not_depend_on_the_direction(size: float) -> None:
     scene, views = wall_and_hidden(), cameras(-0.3, 0.3)
     random = torch.Generator().manual_seed(3)
     scene = replace(scene, sh=scene.sh + size * torch.randn(scene.sh.shape, generator=random))
@@ -177,3 +181,15 @@ def test_views_from_one_place_are_duplicates_and_others_are_not() -> None:
     apart = (torch.arange(20), torch.arange(10, 40), *everything[2:])
     assert 1 not in near_duplicates(views, points, apart)
     assert near_duplicates(views, torch.zeros(0, 3), (torch.zeros(0, dtype=torch.int64),) * 5) == {}
+
+
+@given(st.integers(1, 60), st.integers(1, 60))
+def test_evenly_spaced_items_include_both_ends(items: int, count: int) -> None:
+    kept = evenly_spaced(range(items), count)
+    assert len(kept) == len(set(kept)) == min(items, count)
+    assert kept == sorted(kept)
+    if count > 1:
+        assert kept[0] == 0
+        assert kept[-1] == items - 1
+        gaps = np.diff(kept)
+        assert len(gaps) == 0 or gaps.max() - gaps.min() <= 1

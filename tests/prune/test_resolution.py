@@ -1,4 +1,4 @@
-"""Pictures no larger than what the photos show."""
+"""Working pictures no larger than the detail in the photos needs."""
 
 from pathlib import Path
 
@@ -6,14 +6,15 @@ import cv2
 import numpy as np
 import pytest
 
-from querysplat_cli.prune.resolution import SAME, blurred
+from querysplat_cli.prune.policy import PRUNE_POLICY
+from querysplat_cli.prune.resolution import blurred
 from querysplat_cli.scene.views import Photo
 
 USUAL = 448
 
 
 def photo(blur: float, *, height: int = 672, width: int = 896) -> Photo:
-    """White noise of low contrast after a Gaussian blur of so many of its pixels, two to one of the usual size."""
+    """White noise of low contrast after a Gaussian blur of `blur` pixels, at twice the usual size."""
     pixels = np.random.default_rng(0).uniform(64, 192, (height, width, 3))
     if blur:
         pixels = cv2.GaussianBlur(pixels, (0, 0), blur)
@@ -30,10 +31,10 @@ def test_blurred_photos_need_fewer_pixels(blur: float) -> None:
     assert found is not None
     assert found.usual == USUAL
     assert found.size <= 0.6 * USUAL
-    assert found.psnr >= SAME
+    assert found.psnr >= PRUNE_POLICY.same_psnr
 
 
-def test_one_sharp_photo_decides() -> None:
+def test_one_sharp_photo_keeps_the_size_for_all() -> None:
     assert blurred([photo(12.0), photo(0.0), photo(12.0)], USUAL) is None
 
 

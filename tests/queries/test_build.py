@@ -2,21 +2,16 @@
 
 import pytest
 import torch
-from hypothesis import given
-from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from querysplat_cli.encoders.base import Geometry
 from querysplat_cli.model.anchors import Anchors
 from querysplat_cli.model.checkpoints import load
-from querysplat_cli.queries.build import (
-    BORDER_COARSER,
-    FEATURES,
-    FILL,
-    FINEST,
-    AnchorReport,
-    build_anchors,
-    quaternions,
-)
+from querysplat_cli.queries.build import build_anchors
+from querysplat_cli.queries.cells import CELLS
+from querysplat_cli.queries.coverage import AnchorReport
+from querysplat_cli.queries.features import FEATURES
+from querysplat_cli.queries.policy import QUERY_POLICY
 from querysplat_cli.queries.rendering_error import with_rendering_error
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
@@ -30,7 +25,7 @@ BLOCKS = (HEIGHT // 6) * (WIDTH // 6)
 
 
 def plane(shifts: list[float], seed: int = 0) -> tuple[Views, Cameras, torch.Tensor, torch.Tensor]:
-    """Cameras side by side that look straight at the plane z = 2; random pictures, depth sure everywhere."""
+    """Cameras side by side that look straight at the plane z = 2; random pictures, confidence 1 everywhere."""
     count = len(shifts)
     w2c = torch.eye(4).repeat(count, 1, 1)
     w2c[:, 0, 3] = -torch.tensor(shifts)
@@ -42,8 +37,17 @@ def plane(shifts: list[float], seed: int = 0) -> tuple[Views, Cameras, torch.Ten
     return views, Cameras(w2c, K, HEIGHT, WIDTH), torch.full(masks.shape, DEPTH), torch.ones(masks.shape)
 
 
-def build(*scene: object, queries: int | None = None, about: int | None = None) -> tuple[Anchors, AnchorReport]:
-    return build_anchors(*scene, patch=6, queries=queries, about=about)  # type: ignore[arg-type]
+def build(
+    views: Views,
+    cameras: Cameras,
+    depth: torch.Tensor,
+    confidence: torch.Tensor,
+    *,
+    queries: int | None = None,
+    soft: int | None = None,
+) -> tuple[Anchors, AnchorReport]:
+    geometry = Geometry(depth, confidence, (), 6)
+    return build_anchors(views, cameras, geometry, queries=queries, soft_query_limit=soft)
 
 
 def test_one_view_of_a_plane() -> None:
@@ -56,7 +60,7 @@ def test_one_view_of_a_plane() -> None:
     first = torch.tensor([[x, y] for y in (1.0, 3, 5) for x in (1.0, 3, 5)])
     torch.testing.assert_close(pixel[0], first)
     cell = 2 * DEPTH / FOCAL
-    torch.testing.assert_close(anchors.scales[:BLOCKS, :, :2], torch.full((BLOCKS, 9, 2), FILL * cell))
+    torch.testing.assert_close(anchors.scales[:BLOCKS, :, :2], torch.full((BLOCKS, 9, 2), QUERY_POLICY.fill * cell))
     torch.testing.assert_close(anchors.spacing[:BLOCKS], torch.full((BLOCKS,), 3 * cell))
     torch.testing.assert_close(anchors.colours[0, 0], views.images[0, :, :2, :2].mean((1, 2)))
     normal = torch.from_numpy(Rotation.from_quat(anchors.quats[:, 0].roll(-1, 1).numpy()).as_matrix())[:, :, 2]
@@ -85,9 +89,9 @@ def test_confident_views_average_their_colours_and_guesses_count_less() -> None:
     torch.testing.assert_close(colours, torch.full_like(colours, 0.2))
 
 
-def test_a_guess_before_what_others_see_is_left_out() -> None:
+def test_a_guess_in_front_of_what_others_see_is_left_out() -> None:
     views, cameras, depth, confidence = plane([0.0, 0.0, 0.0])
-    depth[2, :12], confidence[2, :12] = 1.0, 0.0  # two rows of blocks hang halfway
+    depth[2, :12], confidence[2, :12] = 1.0, 0.0  # two rows of blocks stand halfway to the plane
     _, report = build(views, cameras, depth, confidence)
     assert report.hiding == 2 * WIDTH // 6
 
@@ -113,17 +117,17 @@ def test_a_limit_that_cannot_be_kept_is_refused() -> None:
         build(*apart, queries=2)
 
 
-@pytest.mark.parametrize("about", [BLOCKS, BLOCKS - 1, 20])
-def test_about_so_many_queries_cut_the_photos_and_leave_what_lies_beyond(about: int) -> None:
-    _, report = build(*plane([0.0]), about=about)
-    assert report.kept <= about
-    assert (report.side == FINEST) == (about == BLOCKS)
+@pytest.mark.parametrize("soft", [BLOCKS, BLOCKS - 1, 20])
+def test_a_soft_limit_cuts_the_photos_more_coarsely_and_keeps_what_lies_beyond(soft: int) -> None:
+    _, report = build(*plane([0.0]), soft=soft)
+    assert report.kept <= soft
+    assert (report.side == CELLS * QUERY_POLICY.finest_cell) == (soft == BLOCKS)
     assert report.beyond > 0
 
 
-def test_about_so_many_queries_are_more_where_photos_are_more() -> None:
+def test_a_soft_limit_is_exceeded_where_the_photos_alone_are_more() -> None:
     apart = plane([0.0, 1000.0, 2000.0])
-    assert build(*apart, about=2)[1].kept == 3
+    assert build(*apart, soft=2)[1].kept == 3
 
 
 def test_neighbours_are_the_nearest_patches() -> None:
@@ -140,8 +144,8 @@ def prior(anchors: Anchors) -> Gaussians:
     return Gaussians(*(part.flatten(0, 1) for part in parts), anchors.opacities.flatten(), sh)
 
 
-def test_the_plane_goes_on_beside_the_photo() -> None:
-    """Even stripes along x go on for ever: a camera half a picture to the left sees them where no photo does."""
+def test_the_plane_continues_outside_the_photo() -> None:
+    """Even stripes along x have no end: a camera half a picture to the left sees them where no photo does."""
     views, cameras, depth, confidence = plane([0.0])
     views.images[:] = torch.linspace(0.2, 0.8, HEIGHT)[:, None]
     anchors, report = build(views, cameras, depth, confidence)
@@ -158,7 +162,7 @@ def test_the_plane_goes_on_beside_the_photo() -> None:
     assert float(render(inside, aside).alpha[:, :, : WIDTH // 2 - 4].max()) < 0.01
 
 
-def test_no_query_stands_beside_a_photo_where_another_photo_looks() -> None:
+def test_no_query_extends_a_photo_where_another_photo_shows_the_place() -> None:
     """Two views side by side: the borders between them are left out, the four around both stay."""
     scene = plane([0.0, WIDTH / 2 * DEPTH / FOCAL])
     anchors, report = build(*scene)
@@ -169,11 +173,11 @@ def test_no_query_stands_beside_a_photo_where_another_photo_looks() -> None:
     for axis, edge in ((0, 1.5 * WIDTH), (1, HEIGHT)):
         assert bool((pixel[..., axis] < 0).any())
         assert bool((pixel[..., axis] > edge).any())
-    torch.testing.assert_close(anchors.spacing[-1], anchors.spacing[0] * BORDER_COARSER)
+    torch.testing.assert_close(anchors.spacing[-1], anchors.spacing[0] * QUERY_POLICY.border_coarser)
 
 
-def test_blocks_beside_a_photo_keep_about_the_size_of_their_prior() -> None:
-    """The bundled decoder has never seen any: told plainly what they are, it makes them several times larger."""
+def test_blocks_outside_the_photos_keep_about_the_size_of_their_prior() -> None:
+    """The bundled decoder was not trained on any. With their true features it makes them several times larger."""
     views, cameras, depth, confidence = plane([0.0, 0.3])
     anchors, report = build(views, cameras, depth, confidence)
     anchors = with_rendering_error(anchors, views, cameras)
@@ -186,15 +190,7 @@ def test_blocks_beside_a_photo_keep_about_the_size_of_their_prior() -> None:
     assert float(grown.median()) < 2
 
 
-@given(st.lists(st.floats(-1, 1), min_size=4, max_size=4).filter(lambda q: sum(x * x for x in q) > 0.01))
-def test_quaternions_are_scipy_s(parts: list[float]) -> None:
-    rotation = Rotation.from_quat(parts)
-    found = quaternions(torch.from_numpy(rotation.as_matrix()))
-    again = Rotation.from_quat(found.roll(-1, -1).numpy())
-    assert (again.inv() * rotation).magnitude() < 1e-7
-
-
-def test_what_is_known_of_an_anchor_does_not_depend_on_the_frame() -> None:
+def test_the_features_of_an_anchor_do_not_depend_on_the_frame() -> None:
     views, cameras, depth, confidence = plane([0.0, 0.317])
     # Off the pixels' edges, where rounding would decide which pixel a point falls into.
     cameras.w2c[1, 1, 3] = 0.113
@@ -208,7 +204,7 @@ def test_what_is_known_of_an_anchor_does_not_depend_on_the_frame() -> None:
     torch.testing.assert_close(after.features, before.features, rtol=1e-4, atol=2e-4)
 
 
-def test_an_anchor_knows_the_borders_of_its_picture() -> None:
+def test_features_state_the_distance_from_the_borders() -> None:
     anchors, report = build(*plane([0.0]))
     near = anchors.features[: report.kept, 6:10].reshape(HEIGHT // 6, WIDTH // 6, 4)
     assert near[0, 0].tolist() == [0, 1, 0, 1]

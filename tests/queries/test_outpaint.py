@@ -1,4 +1,4 @@
-"""Pictures of what stands beside the photos, against what was painted."""
+"""Extended pictures against cells of known colours."""
 
 import torch
 
@@ -23,7 +23,7 @@ def scene() -> tuple[Views, Cameras, torch.Tensor]:
 
 def test_the_nearest_cell_is_repeated() -> None:
     views, cameras, depth = scene()
-    views.images[:, :, :, 24:], depth[:, :, 24:] = float("nan"), 0.0  # outside the mask anything may stand
+    views.images[:, :, :, 24:], depth[:, :, 24:] = float("nan"), 0.0  # outside the mask anything is allowed
     around = extend_borders(views, cameras, depth, cell=CELL, margin=MARGIN)
     row, column = torch.meshgrid(torch.arange(6 + 2 * RING) - RING, torch.arange(8 + 2 * RING) - RING, indexing="ij")
     straight = ((row >= 0) & (row < 6)) | ((column >= 0) & (column < 6))
@@ -42,7 +42,7 @@ def test_the_camera_looks_the_same_way() -> None:
     torch.testing.assert_close(torch.linalg.solve(around.cameras.K[0], cell), torch.linalg.solve(cameras.K[0], pixel))
 
 
-def test_a_view_without_a_pixel_has_no_surroundings() -> None:
+def test_a_view_without_a_pixel_has_no_border() -> None:
     views, cameras, depth = scene()
     views.masks[:] = False
     assert not extend_borders(views, cameras, depth, cell=CELL, margin=MARGIN).views.masks.any()

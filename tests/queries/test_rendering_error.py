@@ -4,12 +4,14 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
-from querysplat_cli.queries.rendering_error import CHANNELS, GAINS, LARGEST, rendering_error
+from querysplat_cli.queries.policy import QUERY_POLICY
+from querysplat_cli.queries.rendering_error import ERROR_CHANNELS, error_gains, rendering_error
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
+from querysplat_cli.scene.rotations import quaternion_to_matrix
 from querysplat_cli.scene.views import Views
-from querysplat_cli.splat.projection import rotation_matrices
-from querysplat_cli.splat.render import contributions, render
+from querysplat_cli.splat.blending_weights import blending_weights
+from querysplat_cli.splat.render import render
 
 
 def scene() -> tuple[Gaussians, Cameras]:
@@ -36,23 +38,23 @@ def photos(images: Tensor) -> Views:
     return Views(images, torch.ones(count, height, width, dtype=torch.bool), ("a", "b"), ((height, width),) * count)
 
 
-def test_a_scene_that_looks_like_its_photos_is_told_nothing() -> None:
+def test_a_scene_that_looks_like_its_photos_has_no_error() -> None:
     gaussians, cameras = scene()
-    told = rendering_error(gaussians, photos(render(gaussians, cameras).colour), cameras)
-    assert told.shape == (30, CHANNELS)
-    assert told[:, :-1].abs().max() < 1e-3
-    torch.testing.assert_close(told[:, -1], (contributions(gaussians, cameras) + 1).log() / 4)
+    found = rendering_error(gaussians, photos(render(gaussians, cameras).colour), cameras)
+    assert found.shape == (30, ERROR_CHANNELS)
+    assert found[:, :-1].abs().max() < 1e-3
+    torch.testing.assert_close(found[:, -1], (blending_weights(gaussians, cameras) + 1).log() / 4)
 
 
-def test_it_is_the_descent_of_the_squared_error_by_the_reference() -> None:
+def test_it_is_the_descent_of_the_squared_error_by_the_reference_renderer() -> None:
     gaussians, cameras = scene()
     noise = torch.randn(2, 3, 30, 40, generator=torch.Generator().manual_seed(1))
     images = render(gaussians, cameras).colour + 0.05 * noise
-    told = rendering_error(gaussians, photos(images), cameras)
+    found = rendering_error(gaussians, photos(images), cameras)
     exact = gaussians.map(Tensor.double)
     sizes = {"c": 3, "o": 1, "f": 3, "s": 3}
     change = {name: torch.zeros(30, n, dtype=torch.float64).requires_grad_() for name, n in sizes.items()}
-    axes = rotation_matrices(exact.quats)
+    axes = quaternion_to_matrix(exact.quats)
     moved = Gaussians(
         exact.means + torch.einsum("nij,nj->ni", axes, exact.scales * change["f"]),
         exact.quats,
@@ -62,14 +64,15 @@ def test_it_is_the_descent_of_the_squared_error_by_the_reference() -> None:
     )
     picture = render(moved, cameras.to(torch.float64), backend="reference").colour
     (-0.5 * (images.double() - picture).square().sum()).backward()
-    pixels = contributions(gaussians, cameras).double()[:, None] + 1
+    pixels = blending_weights(gaussians, cameras).double()[:, None] + 1
     slopes = torch.cat([change[name].grad for name in sizes], 1) / pixels  # type: ignore[misc]
-    expected = (GAINS * slopes).clamp(-LARGEST, LARGEST)
-    torch.testing.assert_close(told[:, :-1].double(), expected, rtol=2e-3, atol=2e-3)
-    assert (expected.abs() < LARGEST).float().mean() > 0.9
+    limit = QUERY_POLICY.largest_error
+    expected = (error_gains() * slopes).clamp(-limit, limit)
+    torch.testing.assert_close(found[:, :-1].double(), expected, rtol=2e-3, atol=2e-3)
+    assert (expected.abs() < limit).float().mean() > 0.9
 
 
-def test_masked_pixels_say_nothing() -> None:
+def test_masked_pixels_do_not_count() -> None:
     gaussians, cameras = scene()
     views = photos(torch.rand(2, 3, 30, 40))
     nothing = Views(views.images, torch.zeros_like(views.masks), views.names, views.sizes)

@@ -1,4 +1,4 @@
-"""Scores against closed forms."""
+"""Scores compared with closed forms."""
 
 import pytest
 import torch
@@ -11,7 +11,7 @@ from querysplat_cli.scene.views import Views
 
 @pytest.mark.parametrize(("background", "decibels"), [(0.0, 6.0206), (0.25, 12.0412), (1.0, 6.0206)])
 def test_what_no_gaussian_covers_is_the_background(background: float, decibels: float) -> None:
-    """A picture of one grey differs from a photo of another by their difference d: −20·lg d."""
+    """The PSNR of a grey picture against a grey photo is −20·lg of their difference."""
     camera = Cameras(torch.eye(4)[None], torch.tensor([[[20.0, 0, 10], [0, 20, 8], [0, 0, 1]]]), height=16, width=20)
     views = Views(torch.full((1, 3, 16, 20), 0.5), torch.ones(1, 16, 20, dtype=torch.bool), ("a.png",), ((16, 20),))
     behind = Gaussians(

@@ -1,4 +1,4 @@
-""".spz and .sog: what comes back is what their bits can hold."""
+""".spz and .sog: the error after writing and reading is that of their quantisation."""
 
 import io
 import json

@@ -1,4 +1,4 @@
-"""Scenes in the forms in which datasets come, with what is wrong with them in practice."""
+"""Scenes in the layouts of public datasets, and the faults that these have in practice."""
 
 import json
 import shutil
@@ -73,7 +73,7 @@ def test_a_zip_is_read_like_its_folder(tmp_path: Path) -> None:
 @pytest.mark.parametrize("home", [".", "gaussian_splat"])
 @pytest.mark.parametrize("text", [False, True])
 def test_a_colmap_project(tmp_path: Path, home: str, text: bool) -> None:
-    """As COLMAP's users keep it, and in DL3DV's Benchmark; a folder or a zip."""
+    """The layout of COLMAP projects and of DL3DV's Benchmark, as a folder or a zip."""
     write_scene(tmp_path / "dl3dv")
     (known,) = find_scenes([tmp_path / "dl3dv"])
     model = tmp_path / "in" / "scene1" / home / "sparse" / "0"
@@ -147,7 +147,7 @@ def test_frames_are_in_natural_order_whatever_the_list_says(tmp_path: Path) -> N
     assert [frame.index for frame in scene.frames] == [order.index(i) for i in range(1, 6)]
 
 
-def test_cameras_that_are_none(tmp_path: Path) -> None:
+def test_cameras_that_are_not_rigid_are_left_out(tmp_path: Path) -> None:
     """NaN and mirrored cameras occur in DL3DV (DepthSplat's loader skips them)."""
     numbers = list(range(1, FRAMES + 1))
     content = listing(numbers)
@@ -169,7 +169,7 @@ def test_plain_photos_have_no_cameras(tmp_path: Path) -> None:
     assert [frame.index for frame in scene.frames] == [0, 1, 2]
 
 
-def test_what_is_no_scene(tmp_path: Path) -> None:
+def test_places_without_a_scene_are_refused(tmp_path: Path) -> None:
     with pytest.raises(QuerySplatError, match="no such file"):
         find_scenes([tmp_path / "nowhere"])
     (tmp_path / "text.zip").write_text("no zip")

@@ -82,14 +82,14 @@ def test_a_folder_has_one_writer_at_a_time(tmp_path: Path) -> None:
         assert not list(tmp_path.iterdir())
 
 
-def test_a_full_disk_is_said_in_words(tmp_path: Path) -> None:
+def test_a_full_disk_is_reported_in_words(tmp_path: Path) -> None:
     with pytest.raises(QuerySplatError, match="disk is full"), atomic_path(tmp_path / "scene.ply") as draft:
         write_half(draft, OSError(errno.ENOSPC, "No space left on device"))
     assert listing(tmp_path) == []
 
 
 def test_a_write_that_fails_without_a_reason_on_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """OpenCV only says that it could not write."""
+    """OpenCV reports only that it could not write."""
     monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=1000))
     with pytest.raises(QuerySplatError, match="disk is full"), atomic_folder(tmp_path / "scene"):
         raise OSError("cannot write preview.png")
@@ -102,7 +102,7 @@ def test_a_full_disk_in_the_words_of_another_library(tmp_path: Path) -> None:
         raise RuntimeError("a bug")
 
 
-def test_missing_permission_is_said_in_words(tmp_path: Path) -> None:
+def test_missing_permission_is_reported_in_words(tmp_path: Path) -> None:
     with pytest.raises(QuerySplatError, match="permission"), atomic_path(tmp_path / "scene.ply"):
         raise PermissionError(errno.EACCES, "Permission denied")
 

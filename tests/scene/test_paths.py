@@ -1,4 +1,4 @@
-"""Camera paths: where they go, where they look, and that they are smooth."""
+"""Camera paths: their course, their direction of view, and their smoothness."""
 
 import math
 
@@ -13,14 +13,14 @@ from querysplat_cli.scene.paths import interpolate, look_at, orbit
 
 MIDDLE = torch.tensor([1.0, 2.0, 3.0])
 UP = np.array([0.0, -1.0, 0.0])
-LENS = Cameras(torch.eye(4)[None], torch.tensor([[[300.0, 0, 160], [0, 300, 120], [0, 0, 1]]]), 240, 320)
+CAMERA = Cameras(torch.eye(4)[None], torch.tensor([[[300.0, 0, 160], [0, 300, 120], [0, 0, 1]]]), 240, 320)
 
 
 def ring(degrees: np.ndarray, radius: float = 4.0, height: float = 1.0) -> Cameras:
     """Cameras around MIDDLE, all looking at it, above it by `height` (the world's y points down)."""
     a = np.deg2rad(degrees)
     places = np.stack([radius * np.sin(a), np.full_like(a, -height), -radius * np.cos(a)], 1) + MIDDLE.numpy()
-    return look_at(places, MIDDLE.double().numpy(), UP, LENS)
+    return look_at(places, MIDDLE.double().numpy(), UP, CAMERA)
 
 
 def azimuths(cameras: Cameras) -> np.ndarray:
@@ -38,7 +38,7 @@ def aim(cameras: Cameras) -> torch.Tensor:
 
 @pytest.mark.parametrize(
     ("degrees", "tilt"),
-    # One picture does not tell whether the photographer tilted the camera.
+    # From one picture the tilt of the camera cannot be estimated.
     [(np.arange(0, 360, 30), 1e-5), (np.linspace(-25, 25, 9), 3e-3), (np.array([10.0]), 0.02)],
 )
 def test_an_orbit_looks_at_the_middle_from_the_usual_distance(degrees: np.ndarray, tilt: float) -> None:
@@ -73,8 +73,8 @@ def test_in_front_of_a_forward_facing_capture_the_orbit_stays_there(towards: flo
 
 
 def test_cameras_in_the_middle_are_refused() -> None:
-    with pytest.raises(QuerySplatError, match="stand where they should look"):
-        orbit(LENS, torch.zeros(3), 10)
+    with pytest.raises(QuerySplatError, match="at the point to look at"):
+        orbit(CAMERA, torch.zeros(3), 10)
 
 
 def test_interpolation_passes_through_its_inputs() -> None:
@@ -90,7 +90,7 @@ def test_interpolation_turns_the_short_way_at_a_constant_rate() -> None:
     w2c = torch.eye(4).repeat(2, 1, 1)
     w2c[0, :3, :3] = torch.from_numpy(Rotation.from_euler("y", 170, degrees=True).as_matrix())
     w2c[1, :3, :3] = torch.from_numpy(Rotation.from_euler("y", -170, degrees=True).as_matrix())
-    path = interpolate(Cameras(w2c, LENS.K.repeat(2, 1, 1), 240, 320), 5)
+    path = interpolate(Cameras(w2c, CAMERA.K.repeat(2, 1, 1), 240, 320), 5)
     angles = Rotation.from_matrix(path.w2c[:, :3, :3].numpy()).as_euler("yxz", degrees=True)[:, 0] % 360
     np.testing.assert_allclose(angles, [170, 175, 180, 185, 190], atol=1e-3)
 
@@ -99,10 +99,10 @@ def test_interpolation_turns_the_short_way_at_a_constant_rate() -> None:
 def test_interpolation_between_equal_and_opposite_cameras_is_finite(degrees: float) -> None:
     w2c = torch.eye(4, dtype=torch.float64).repeat(2, 1, 1)
     w2c[1, :3, :3] = torch.from_numpy(Rotation.from_euler("y", degrees, degrees=True).as_matrix())
-    path = interpolate(Cameras(w2c, LENS.K.repeat(2, 1, 1).double(), 240, 320), 7)
+    path = interpolate(Cameras(w2c, CAMERA.K.repeat(2, 1, 1).double(), 240, 320), 7)
     assert torch.isfinite(path.w2c).all()
     torch.testing.assert_close(path.w2c[[0, -1]], w2c)
 
 
-def test_interpolation_of_one_camera_stands_still() -> None:
-    assert interpolate(LENS, 3).w2c.shape == (3, 4, 4)
+def test_interpolation_of_one_camera_repeats_it() -> None:
+    assert interpolate(CAMERA, 3).w2c.shape == (3, 4, 4)

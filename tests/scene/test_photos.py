@@ -198,7 +198,7 @@ def test_focal_length_in_pixels(tmp_path: Path, tags: dict[int, object], focal: 
     assert load_one(path, max_side=96).focal == pytest.approx(focal and focal * 96 / 128)
 
 
-def test_one_name_in_two_folders_is_told_apart(tmp_path: Path) -> None:
+def test_equal_names_in_two_folders_get_different_short_names(tmp_path: Path) -> None:
     for place in ("kitchen", "garden"):
         save(tmp_path / place / "1.png")
     save(tmp_path / "garden" / "2.png")

@@ -1,4 +1,4 @@
-"""The .ply: what goes in comes out, other tools read it, and files that are none are refused."""
+"""The .ply: writing and reading keep the scene, other tools read it, and other files are refused."""
 
 from pathlib import Path
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from querysplat_cli.scene.cameras import Cameras
-from querysplat_cli.scene.sim3 import DegenerateAlignment, Sim3, align_cameras, align_sim3, rotation_angles
+from querysplat_cli.scene.sim3 import DegenerateAlignment, Sim3, align_cameras
 
 
 def similarity(seed: int) -> Sim3:
@@ -23,15 +23,6 @@ def cameras(seed: int, count: int) -> Cameras:
     w2c[:, :3, :3] = torch.from_numpy(Rotation.random(count, random_state=seed).as_matrix()).reshape(count, 3, 3)
     w2c[:, :3, 3] = torch.from_numpy(rng.normal(size=(count, 3)))
     return Cameras(w2c, torch.eye(3, dtype=torch.float64).repeat(count, 1, 1), 10, 10)
-
-
-@given(seed=st.integers(0, 10_000), count=st.integers(3, 12))
-def test_points_give_back_the_similarity_that_moved_them(seed: int, count: int) -> None:
-    truth = similarity(seed)
-    points = torch.from_numpy(np.random.default_rng(seed + 1).normal(size=(count, 3)))
-    found = align_sim3(points, truth.apply(points))
-    torch.testing.assert_close(found.scale, truth.scale, rtol=1e-6, atol=0)
-    torch.testing.assert_close(found.apply(points), truth.apply(points), rtol=1e-6, atol=1e-6 * truth.scale)
 
 
 @given(seed=st.integers(0, 10_000), count=st.integers(2, 8))
@@ -54,39 +45,12 @@ def test_pictures_do_not_change_when_world_and_cameras_move_together(seed: int) 
     torch.testing.assert_close(seen_after / truth.scale, seen, rtol=1e-6, atol=1e-6)
 
 
-@given(seed=st.integers(0, 10_000))
-def test_inverse_and_composition(seed: int) -> None:
-    one, two = similarity(seed), similarity(seed + 1)
-    points = torch.from_numpy(np.random.default_rng(seed).normal(size=(5, 3)))
-    torch.testing.assert_close(one.inverse().apply(one.apply(points)), points, rtol=1e-6, atol=1e-6)
-    expected = one.apply(two.apply(points))
-    torch.testing.assert_close(
-        one.compose(two).apply(points), expected, rtol=1e-6, atol=1e-6 * float(expected.abs().max())
-    )
-
-
-@pytest.mark.parametrize(
-    "points",
-    [torch.ones(5, 3), torch.arange(12.0).reshape(4, 3), torch.eye(3)[:2]],
-    ids=["coincident", "collinear", "two"],
-)
-def test_points_that_leave_the_similarity_free_are_refused(points: torch.Tensor) -> None:
-    with pytest.raises(DegenerateAlignment):
-        align_sim3(points, points * 2)
-
-
 def test_cameras_at_one_place_are_refused() -> None:
     here = cameras(3, 4)
     w2c = here.w2c.clone()
     w2c[:, :3, 3] = 0
     with pytest.raises(DegenerateAlignment, match="one place"):
         align_cameras(w2c, w2c)
-
-
-def test_a_mirrored_world_is_not_reached_by_a_reflection() -> None:
-    points = torch.from_numpy(np.random.default_rng(0).normal(size=(8, 3)))
-    found = align_sim3(points, points * torch.tensor([1.0, 1.0, -1.0]))
-    assert float(torch.linalg.det(found.rotation)) == pytest.approx(1)
 
 
 def disturbed(w2c: torch.Tensor, which: int, *, rotation: bool, centre: bool) -> torch.Tensor:
@@ -118,7 +82,7 @@ def test_one_wrong_camera_does_not_move_the_others(seed: int, count: int, kind: 
     torch.testing.assert_close(found.rotation, truth.rotation, rtol=0, atol=0.02)
 
 
-def test_nobody_is_left_out_for_a_little_noise() -> None:
+def test_no_camera_is_left_out_for_a_little_noise() -> None:
     before = cameras(1, 6)
     w2c = before.w2c.clone()
     w2c[:, :3, 3] += 0.01 * torch.from_numpy(np.random.default_rng(0).normal(size=(6, 3)))
@@ -127,7 +91,7 @@ def test_nobody_is_left_out_for_a_little_noise() -> None:
     assert all(abs(everybody.scale - each.scale) > 1e-9 for each in alone)
 
 
-def test_cameras_that_disagree_altogether_are_refused() -> None:
+def test_cameras_without_a_positive_scale_are_refused() -> None:
     before = cameras(5, 2)
     after = before.w2c.clone()
     after[:, :3, 3] = after[[1, 0], :3, 3]
@@ -136,10 +100,3 @@ def test_cameras_that_disagree_altogether_are_refused() -> None:
     same[:, :3, :3] = torch.eye(3, dtype=torch.float64)
     with pytest.raises(DegenerateAlignment, match="no positive scale"):
         align_cameras(same, after)
-
-
-@pytest.mark.parametrize("degrees", [0, 1e-6, 1e-3, 1, 90, 179.999, 180])
-def test_angles_near_their_ends(degrees: float) -> None:
-    turn = Rotation.from_rotvec(np.radians(degrees) * np.array([0.6, 0, 0.8])).as_matrix()
-    assert float(rotation_angles(torch.from_numpy(turn))) == pytest.approx(degrees, abs=1e-9)
-    assert rotation_angles(torch.from_numpy(turn).expand(2, 1, 3, 3)).shape == (2, 1)

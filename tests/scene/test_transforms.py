@@ -104,7 +104,7 @@ def test_missing_centre_and_second_focal_length(tmp_path: Path) -> None:
     assert (found.focal, found.principal) == ((500.0, 500.0), (320.0, 240.0))
 
 
-def test_frames_of_one_name_are_told_apart_by_their_folder(tmp_path: Path) -> None:
+def test_frames_of_one_name_get_their_folder_in_the_name(tmp_path: Path) -> None:
     path = write(tmp_path / "transforms.json", frame("./left/1.png"), frame("./right/1.png"), frame("right/2.png"))
     assert list(read_transforms(path)) == ["left/1.png", "right/1.png", "2.png"]
 
@@ -135,7 +135,7 @@ def test_a_matrix_that_is_no_motion_is_left_to_the_encoder_but_not_rendered(tmp_
         (json.dumps({**LENS, "k3": 0.1, "frames": [frame()]}), "lens of 1.png"),
     ],
 )
-def test_files_that_cannot_be_used_say_why(tmp_path: Path, content: str, message: str) -> None:
+def test_files_that_cannot_be_used_are_refused_with_the_reason(tmp_path: Path, content: str, message: str) -> None:
     path = tmp_path / "transforms.json"
     path.write_text(content)
     with pytest.raises(QuerySplatError, match=message):

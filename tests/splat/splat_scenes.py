@@ -10,6 +10,8 @@ from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.splat.render import Rendering, RenderSettings, render
 from scenes import FIELDS
 
+BACKENDS = ("reference", "cpu")
+
 
 @dataclass(frozen=True)
 class Outcome:
@@ -27,8 +29,8 @@ def outcome(
 ) -> Outcome:
     """Picture and gradients of a random linear functional of colour, alpha and, if asked for, depth.
 
-    A lone Gaussian has the depth z whatever its α, so that its depth's gradient is a difference of equal
-    numbers: no float32 arithmetic gets it right, and scenes of one Gaussian leave it out.
+    The depth of a single Gaussian is z whatever its α, so that the gradient of depth is a difference of equal numbers.
+    No float32 arithmetic computes it well, and scenes of one Gaussian leave it out.
     """
     dtype = torch.float64 if backend == "reference" else torch.float32
     leaves = gaussians.detach().map(lambda field: field.to(dtype).clone().requires_grad_())
@@ -90,3 +92,20 @@ def close_gradients(found: Tensor, exact: Tensor, tolerance: float, name: str) -
     assert float((found * exact).sum() / (found.norm() * size)) >= 1 - tolerance, name
     worst = float((found - exact).abs().max() / exact.abs().max())
     assert worst <= 100 * tolerance, f"{name}: worst element {worst:.2e} of the largest"
+
+
+def all_finite(gaussians: Gaussians, cameras: Cameras, backend: str) -> Tensor:
+    """The colour, after checking that it and every gradient are finite."""
+    found = outcome(gaussians, cameras, backend)
+    for picture in (found.rendering.colour, found.rendering.alpha, found.rendering.depth):
+        assert picture.isfinite().all()
+    for name, gradient in found.gradients.items():
+        assert gradient.isfinite().all(), name
+    return found.rendering.colour
+
+
+def assert_culled(gaussians: Gaussians, cameras: Cameras, backend: str) -> None:
+    found = outcome(gaussians, cameras, backend)
+    assert found.rendering.alpha.max() == 0
+    for name, gradient in found.gradients.items():
+        assert gradient.abs().max() == 0, name

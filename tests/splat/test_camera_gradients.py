@@ -10,18 +10,18 @@ from torch.nn import functional as F
 
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.scene.sim3 import skew
+from querysplat_cli.scene.rotations import skew
 from querysplat_cli.splat.render import RenderSettings, render
 from scenes import camera, cloud
 
 SMOOTH = RenderSettings(alpha_min=1e-30, transmittance_min=0.0, alpha_max=1.0)
 
 
-def changed(cameras: Cameras, twists: Tensor, lenses: Tensor) -> Cameras:
+def changed(cameras: Cameras, twists: Tensor, intrinsics: Tensor) -> Cameras:
     """The cameras after a rigid motion [views, 6] in their own frames, and with fx, fy, cx, cy [views, 4] added."""
     generators = F.pad(torch.cat([skew(twists[:, :3]), twists[:, 3:, None]], 2), (0, 0, 0, 1))
     K = cameras.K.clone()
-    K[:, [0, 1, 0, 1], [0, 1, 2, 2]] += lenses
+    K[:, [0, 1, 0, 1], [0, 1, 2, 2]] += intrinsics
     return replace(cameras, w2c=torch.linalg.matrix_exp(generators) @ cameras.w2c, K=K)
 
 
@@ -52,7 +52,7 @@ def test_the_reference_has_the_gradients_of_finite_differences(degree: int) -> N
 
 @pytest.mark.parametrize(("degree", "zoom", "pixels"), [(0, 1.0, 2.5), (1, 1.0, 2.5), (3, 1.0, 2.5), (1, 4.0, 8.0)])
 def test_the_kernel_has_the_gradients_of_the_reference(degree: int, zoom: float, pixels: float) -> None:
-    """With zoom, most centres are outside the picture, and the Jacobian of some is held at its border."""
+    """With zoom, most centres are outside the picture, and the Jacobian of some is clamped."""
     cameras = off_centre(40, 52, zoom)
     scene = as_kernel_sees(cloud(degree, 250, camera(40, 52), degree=degree, pixels=pixels))
     found = {}

@@ -1,4 +1,4 @@
-"""What is compiled ahead is what a picture and its loss need, and loading it from a cache changes nothing."""
+"""All functions that rendering and its loss use are compiled ahead, and a cached copy gives the same bits."""
 
 import os
 import subprocess

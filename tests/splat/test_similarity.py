@@ -54,7 +54,7 @@ def test_metric_is_scikit_images(shape: tuple[int, ...]) -> None:
 @pytest.mark.parametrize("shape", [(1, 3, 24, 33), (4, 3, 17, 12), (1, 3, 3, 40), (2, 3, 1, 1), (1, 3, 11, 5)])
 @pytest.mark.parametrize("share", [1.0, 0.6, 0.0])
 def test_compiled_loss_and_gradient_are_plain_torchs(shape: tuple[int, ...], share: float) -> None:
-    """Pictures smaller than the window included (stability row 30)."""
+    """Pictures smaller than the window included (row 30 of docs/reference/stability-cases.md)."""
     image, target = pictures(1, *shape)
     mask = torch.rand(shape[0], *shape[2:], generator=torch.Generator().manual_seed(2)) < share
     leaf = image.clone().requires_grad_()
@@ -95,7 +95,7 @@ def test_no_mask_is_everything_and_the_target_gets_no_gradient() -> None:
 
 @pytest.mark.parametrize("level", [0.0, 0.4, 1.0])
 def test_constant_and_identical_pictures(level: float) -> None:
-    """Stability row 30."""
+    """Row 30 of docs/reference/stability-cases.md: SSIM of constant pictures is its closed form."""
     flat = torch.full((1, 3, 30, 30), level)
     other = torch.full((1, 3, 30, 30), 0.2)
     inside = (..., slice(RADIUS, -RADIUS), slice(RADIUS, -RADIUS))

@@ -35,7 +35,7 @@ def project(point: np.ndarray, w2c: np.ndarray, K: np.ndarray) -> np.ndarray:
 def splats(
     gaussians: Gaussians, w2c: np.ndarray, K: np.ndarray
 ) -> list[tuple[float, np.ndarray, np.ndarray, float, list[float]]]:
-    """Depth, centre, 2D covariance, opacity and colour of what stands before the camera, nearest first."""
+    """Depth, centre, 2D covariance, opacity and colour of what is in front of the camera, nearest first."""
     found = []
     centre = -w2c[:3, :3].T @ w2c[:3, 3]
     for i in range(len(gaussians)):

@@ -14,7 +14,7 @@ from querysplat_cli.scene.formats.transforms import read_cameras
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["fortress", "kermit"])
 def test_kernel_agrees_on_a_real_scene(name: str, real_photos: Path, tmp_path: Path) -> None:
-    """A window of 32 × 24 pixels in the middle of the second photo, and every gradient of what is seen there."""
+    """A window of 32 × 24 pixels in the middle of the second photo, and the gradients of all visible Gaussians."""
     ply = tmp_path / "scene.ply"
     photos = str(real_photos / name / "images")
     assert run(["reconstruct", photos, "-o", str(ply), "--tto", "10", "--max-size", "240", "-q"]) == 0

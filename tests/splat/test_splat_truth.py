@@ -12,12 +12,13 @@ from splat_scenes import as_kernel_sees, assert_agree, outcome
 from querysplat_cli.runtime.errors import MissingPart, QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.splat.blending_weights import blending_weights
 from querysplat_cli.splat.projection import colours
-from querysplat_cli.splat.render import RenderSettings, contributions, render
+from querysplat_cli.splat.render import RenderSettings, render
 from scenes import FIELDS, camera, cloud
 
 SMOOTH = RenderSettings(alpha_min=1e-30, transmittance_min=0.0, alpha_max=1.0)
-"""No steps within reach, so that finite differences tell the truth."""
+"""No cut-off is reached, so that finite differences are exact."""
 
 
 @pytest.mark.parametrize("degree", [0, 1, 3])
@@ -61,7 +62,7 @@ def test_one_round_gaussian_has_its_closed_form(backend: str) -> None:
 
 
 def test_spherical_harmonics_are_orthonormal_but_for_the_sign() -> None:
-    """∫ basis_i·basis_j over the sphere is δ_ij: holds every constant of degree 0 to 3."""
+    """∫ basis_i·basis_j over the sphere is δ_ij: checks every constant of degree 0 to 3."""
     cos, weight = (torch.from_numpy(a) for a in np.polynomial.legendre.leggauss(8))
     turn = torch.arange(16, dtype=torch.float64) * (2 * math.pi / 16)
     sin = (1 - cos**2).sqrt()
@@ -137,7 +138,7 @@ def test_contributions_are_the_blending_weights(backend: str) -> None:
     scene = cloud(3, 80, cameras)
     scene = scene if backend == "reference" else scene.to(torch.float32)
     with torch.no_grad():
-        weights = contributions(scene, cameras)
+        weights = blending_weights(scene, cameras)
     alpha = render(scene, cameras, backend=backend).alpha
     assert weights.min() >= 0
     torch.testing.assert_close(weights.sum(), alpha.sum(), rtol=1e-4, atol=0)
@@ -153,18 +154,18 @@ def test_auto_takes_the_reference_for_float64_and_the_kernel_otherwise() -> None
 
 
 def test_an_unknown_backend_is_refused() -> None:
-    with pytest.raises(QuerySplatError, match="no splatter called vulkan"):
+    with pytest.raises(QuerySplatError, match="no splatter named 'vulkan'"):
         render(cloud(0, 5, camera(8, 8)), camera(8, 8), backend="vulkan")
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="tells what happens without CUDA")
-def test_gsplat_says_what_is_missing() -> None:
+def test_gsplat_names_what_is_missing() -> None:
     with pytest.raises(MissingPart):
         render(cloud(0, 5, camera(8, 8)).to(torch.float32), camera(8, 8), backend="gsplat")
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
-def test_gsplat_paints_the_same_picture() -> None:
+def test_gsplat_renders_the_same_picture() -> None:
     pytest.importorskip("gsplat")
     cameras = camera(40, 52, views=2)
     scene = as_kernel_sees(cloud(1, 400, cameras))
@@ -180,7 +181,7 @@ def test_fields_of_different_lengths_are_refused() -> None:
         render(scene, camera(8, 8))
 
 
-def test_a_camera_of_another_precision_is_no_obstacle() -> None:
+def test_cameras_may_have_another_precision() -> None:
     cameras: Cameras = camera(12, 12)
     scene = cloud(0, 20, cameras)
     torch.testing.assert_close(

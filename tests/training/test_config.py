@@ -89,7 +89,7 @@ def test_a_file_changes_a_preset_and_set_changes_both(tmp_path: Path) -> None:
         "model.branches=one",
     ],
 )
-def test_wrong_changes_are_refused_in_words(change: str) -> None:
+def test_wrong_changes_are_refused_with_a_clear_message(change: str) -> None:
     with pytest.raises(QuerySplatError) as error:
         load_config("paper", [change])
     assert error.value.hint
@@ -108,7 +108,7 @@ def test_wrong_changes_are_refused_in_words(change: str) -> None:
         'stages = [{lr = 1.0}]\nbase = "paper"',
     ],
 )
-def test_wrong_files_are_refused_in_words(tmp_path: Path, text: str) -> None:
+def test_wrong_files_are_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / "wrong.toml"
     path.write_text(text)
     with pytest.raises(QuerySplatError):

@@ -1,4 +1,8 @@
-"""Training losses against closed forms, float64 and their limits (stability cases 28 to 31)."""
+"""Training losses against closed forms and float64, and at their limits.
+
+The limits are coincident points, opacities of 0, constant pictures, and points behind a camera: cases 28 to 31 in
+docs/reference/stability-cases.md.
+"""
 
 import math
 
@@ -12,7 +16,7 @@ from querysplat_cli.training.losses import (
     EPSILON,
     chamfer,
     depth_points,
-    drawn,
+    draw_indices,
     nearest,
     opacity_floor,
     picture_loss,
@@ -50,7 +54,7 @@ def test_neighbours_are_the_same_by_chunks(monkeypatch: pytest.MonkeyPatch) -> N
     generator = torch.Generator().manual_seed(1)
     a, b = (torch.randn(n, 3, generator=generator) for n in (200, 130))
     whole = nearest(a, b)
-    monkeypatch.setattr("querysplat_cli.training.losses.PAIRS", 7 * 130)
+    monkeypatch.setattr("querysplat_cli.training.losses.CHAMFER_PAIRS", 7 * 130)
     torch.testing.assert_close(nearest(a, b), whole)
 
 
@@ -71,7 +75,7 @@ def test_chamfer_stays_finite(a: Tensor, b: Tensor) -> None:
     assert slope(loss, a).isfinite().all()
 
 
-def test_far_from_the_origin_neighbours_are_still_told_apart() -> None:
+def test_far_from_the_origin_the_nearest_neighbour_is_still_right() -> None:
     a = torch.tensor([[1e6, 0.0, 0.0]])
     b = torch.tensor([[1e6 + 0.5, 0, 0], [1e6 + 0.25, 0, 0]])
     assert nearest(a, b).tolist() == [1]
@@ -148,4 +152,4 @@ def test_depth_points_lie_at_the_depth_and_inside_the_masks() -> None:
     assert (points[:, 2] == 2).all()
     assert (points[:, 0] < 2 * (10 - 15) / 25).all()
     assert len(points.unique(dim=0)) == 50
-    assert len(drawn(7, 50, torch.Generator())) == 7
+    assert len(draw_indices(7, 50, torch.Generator())) == 7

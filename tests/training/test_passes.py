@@ -1,5 +1,6 @@
-"""Samples: two isolated passes joined by a similarity, kept on disk as they are, and drawn by the step's number."""
+"""Samples: two passes joined by a similarity, their files, and the draw of each step's samples."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -7,20 +8,20 @@ import numpy as np
 import pytest
 import torch
 
-from querysplat_cli.encoders.base import Geometry, PosedViews
+from querysplat_cli.encoders.base import CameraRequest, Geometry, PosedViews
 from querysplat_cli.runtime.errors import ImpossibleScene, QuerySplatError
 from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.sim3 import Sim3
 from querysplat_cli.scene.views import Photo, Views
 from querysplat_cli.training.config import DataSettings, SourceSettings
-from querysplat_cli.training.data import Kept, Samples, cache_folder, prepare_samples
+from querysplat_cli.training.data import RecentResults, Samples, cache_folder, prepare_samples
 from querysplat_cli.training.passes import make_sample, read_sample, write_sample
 from training_scenes import sample, training
 
 
 class Surveyor:
-    """An encoder that knows every camera, but measures each pass in another frame: what it locates first is the origin,
+    """An encoder with true cameras whose frame differs from pass to pass: the first camera is the origin,
     and its unit grows with the number of photos."""
 
     name, size, own_frame = "surveyor", 64, True
@@ -29,7 +30,7 @@ class Surveyor:
         self._loses = loses
         self.passes: list[tuple[str, ...]] = []
 
-    def estimate_cameras(self, photos, *, max_size: int, seed: int, progress: Progress, known=None) -> PosedViews:  # type: ignore[no-untyped-def]
+    def estimate_cameras(self, photos: Sequence[Photo], request: CameraRequest, progress: Progress) -> PosedViews:
         photos = [photo for photo in photos if photo.name != self._loses]
         self.passes.append(tuple(photo.name for photo in photos))
         true = places()
@@ -125,7 +126,7 @@ def test_what_is_prepared_once_is_not_prepared_again(tmp_path: Path) -> None:
     asked = 0
 
     class Failing(Surveyor):
-        def estimate_cameras(self, photos, **rest) -> PosedViews:  # type: ignore[no-untyped-def]
+        def estimate_cameras(self, photos: Sequence[Photo], request: CameraRequest, progress: Progress) -> PosedViews:
             raise ImpossibleScene("nothing overlaps")
 
     def encoder() -> Surveyor:
@@ -162,7 +163,7 @@ def test_what_a_step_sees_depends_on_seed_step_and_process_alone(tmp_path: Path)
 
 
 def test_the_latest_results_are_kept() -> None:
-    kept: Kept[int] = Kept(2)
+    kept: RecentResults[int] = RecentResults(2)
     made: list[str] = []
 
     def get(name: str) -> int:

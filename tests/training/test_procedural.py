@@ -1,4 +1,4 @@
-"""Ray-cast rooms: exact depth, colours that views agree on, and a photographer who sees the furniture."""
+"""Ray-cast rooms: exact depth, colours that agree between views, and cameras that face the furniture."""
 
 import math
 from dataclasses import replace
@@ -8,8 +8,10 @@ import pytest
 import torch
 
 from querysplat_cli.scene.cameras import Cameras
-from querysplat_cli.training.procedural import Scene, Solid, cast, make_scene, walk
+from querysplat_cli.training.photographer import cast, walk
 from querysplat_cli.training.raycast import BALL, BOX, CYLINDER
+from querysplat_cli.training.rooms import make_room
+from querysplat_cli.training.solids import Scene, Solid
 from querysplat_cli.training.textures import PAINTS
 
 SEEDS = (0, 1, 42)
@@ -35,7 +37,7 @@ def small(cameras: Cameras) -> Cameras:
 
 
 def points(cameras: Cameras, depth: torch.Tensor) -> np.ndarray:
-    """World points [views, height, width, 3] of the pixels' middles."""
+    """World points [views, height, width, 3] of the pixel centres."""
     v, u = np.mgrid[: cameras.height, : cameras.width] + 0.5
     K, c2w = cameras.K.double().numpy(), cameras.to(torch.float64).c2w.numpy()
     x = (u - K[:, 0, 2, None, None]) / K[:, 0, 0, None, None]
@@ -80,7 +82,7 @@ def test_depth_of_a_ball_and_of_a_pole() -> None:
 
 @pytest.mark.parametrize("shape", [BOX, BALL, CYLINDER])
 def test_every_ray_ends_on_a_surface_and_not_behind_one(shape: int) -> None:
-    """Turned, stretched, overlapping solids, checked by what is inside of them and nothing else."""
+    """Turned, stretched and overlapping solids, checked by an independent test for points inside them."""
     chance = np.random.default_rng(shape)
     solids = [
         solid(
@@ -108,7 +110,7 @@ def test_a_camera_inside_a_box_sees_its_walls() -> None:
 
 
 def test_light_falls_off_into_shadow() -> None:
-    """A plate between the lamp and the floor darkens what is under it, and only that."""
+    """A plate between the lamp and the floor darkens the floor under it, and nothing else."""
     floor = solid(BOX, (0, 5, -1.1), (20, 20, 0.1), casts_shadow=False)
     plate = solid(BOX, (0, 5, 1), (0.4, 0.4, 0.05))
     lit, shaded = (
@@ -130,7 +132,7 @@ def test_every_paint_has_detail_and_stays_in_range(paint: str) -> None:
 
 
 def test_the_same_seed_gives_the_same_bits_and_another_seed_another_room() -> None:
-    rooms = [make_scene(seed) for seed in (*SEEDS, 42)]
+    rooms = [make_room(seed) for seed in (*SEEDS, 42)]
     views = [small(walk(room, 2, seed)) for room, seed in zip(rooms, (*SEEDS, 42), strict=True)]
     images = [cast(room, view)[0] for room, view in zip(rooms, views, strict=True)]
     assert torch.equal(images[2], images[3])
@@ -143,7 +145,7 @@ def test_the_same_seed_gives_the_same_bits_and_another_seed_another_room() -> No
 @pytest.mark.parametrize("seed", SEEDS)
 def test_views_agree_on_the_colour_of_what_they_both_see(seed: int) -> None:
     """Points of one view, projected into the next, have the depth and the colour found there."""
-    room = make_scene(seed)
+    room = make_room(seed)
     views = walk(room, 12, seed)[[5, 6]].resized(240, 320)
     images, depth = cast(room, views)
     place = points(views, depth)[0].reshape(-1, 3)
@@ -163,7 +165,7 @@ def test_views_agree_on_the_colour_of_what_they_both_see(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(8))
 @pytest.mark.parametrize("count", [1, 3, 12, 40])
 def test_the_photographer_walks_among_the_furniture_not_through_it(seed: int, count: int) -> None:
-    room = make_scene(seed)
+    room = make_room(seed)
     views = walk(room, count, seed)
     assert (len(views), views.height, views.width) == (count, 480, 640)
     eyes = views.to(torch.float64).centres.numpy()

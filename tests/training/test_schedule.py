@@ -1,4 +1,4 @@
-"""Rates, weights, growing queries, the loss-rank filter, the average."""
+"""Learning rates, loss weights, growing queries, the loss-rank filter, and the average of the weights."""
 
 import math
 from itertools import pairwise

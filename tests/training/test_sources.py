@@ -1,4 +1,4 @@
-"""Captures: the same for the same draw, inputs and targets apart; scenes, films and made-up places."""
+"""Captures of procedural scenes, photos and videos: reproducible, with separate inputs and targets."""
 
 import zipfile
 from pathlib import Path
@@ -13,9 +13,12 @@ from hypothesis import strategies as st
 
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.training.config import SourceSettings
-from querysplat_cli.training.outdoors import CLEARANCE, _distance, make_outdoors, wander
-from querysplat_cli.training.procedural import Solid, make_scene
+from querysplat_cli.training.outdoors import make_outdoors
+from querysplat_cli.training.photographer import wander
+from querysplat_cli.training.policy import TRAINING_POLICY
 from querysplat_cli.training.raycast import BALL, BOX, CYLINDER
+from querysplat_cli.training.rooms import make_room
+from querysplat_cli.training.solids import Solid, distance_to
 from querysplat_cli.training.sources import drawn_views, open_source
 
 WHITE = (1.0, 1.0, 1.0)
@@ -68,13 +71,13 @@ def test_a_procedural_capture_depends_on_seed_scene_and_draw_alone() -> None:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_no_photographer_stands_in_a_solid(seed: int) -> None:
-    made = make_outdoors(seed) if seed % 2 else make_scene(seed)
+    made = make_outdoors(seed) if seed % 2 else make_room(seed)
     try:
         cameras = wander(made, 9, seed, 60, 80)
     except ValueError:
         pytest.skip("this scene has no room")
     eyes = cameras.to(torch.float64).centres.numpy()
-    assert min(_distance(solid, eyes).min() for solid in made.solids) > CLEARANCE
+    assert min(distance_to(solid, eyes).min() for solid in made.solids) > TRAINING_POLICY.clearance
     rotation = cameras.w2c[:, :3, :3]
     torch.testing.assert_close(rotation @ rotation.mT, torch.eye(3).expand(9, 3, 3), rtol=0, atol=1e-5)
     assert (rotation[:, 1, 2] < 0.2).all(), "the world's up is the picture's up"
@@ -84,7 +87,7 @@ def test_no_photographer_stands_in_a_solid(seed: int) -> None:
 def test_distances_are_zero_on_surfaces_and_negative_inside(shape: int) -> None:
     solid = Solid(shape, (1, 2, 3), (0.5, 0.5, 0.5), "plain", WHITE, WHITE, turn=0.4)
     points = np.array([[1.0, 2, 3.5], [1, 2, 3], [1, 2, 4.5]])
-    np.testing.assert_allclose(_distance(solid, points), [0, -0.5, 1], atol=1e-12)
+    np.testing.assert_allclose(distance_to(solid, points), [0, -0.5, 1], atol=1e-12)
 
 
 @pytest.fixture

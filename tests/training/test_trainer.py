@@ -1,4 +1,4 @@
-"""A training goes on exactly where it was killed, alone and on two processes, and survives what is not finite."""
+"""A killed training resumes exactly, on one process and on two, and a batch that is not finite does no harm."""
 
 import json
 import math
@@ -21,7 +21,7 @@ from querysplat_cli.training.data import Samples
 from querysplat_cli.training.journal import Journal
 from querysplat_cli.training.processes import Processes
 from querysplat_cli.training.schedule import weights
-from querysplat_cli.training.step import add_gradient, anchored, decoded
+from querysplat_cli.training.step import StepSettings, add_gradient, anchored, decoded
 from querysplat_cli.training.trainer import MODEL, STATE, Trainer, TrainReport, starting_model
 from training_scenes import TINY, sample, toml, training
 
@@ -139,10 +139,8 @@ def test_views_a_few_at_once_give_the_gradient_of_all_at_once(tmp_path: Path) ->
         torch.manual_seed(0)
         model = starting_model(config)
         some = replace(config, optimiser=replace(config.optimiser, views_at_once=at_once))
-        told = add_gradient(
-            model, scene, anchored(scene), weights(0, config.losses), some, share=0.5, generator=torch.Generator()
-        )
-        assert not told.skipped
+        step = StepSettings(some, weights(0, config.losses), share=0.5)
+        assert not add_gradient(model, scene, anchored(scene), step, torch.Generator()).skipped
         gradients.append(torch.cat([p.grad.flatten() for p in model.parameters() if p.grad is not None]))
     assert gradients[0].abs().max() > 0
     torch.testing.assert_close(gradients[1], gradients[0], rtol=1e-4, atol=1e-7)
@@ -230,7 +228,7 @@ def test_two_processes_resume_exactly(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_smoke_training_lowers_the_loss(tmp_path: Path) -> None:
-    """A minute or two of a small model: its targets look better than at the start, on average over the scenes."""
+    """A small model for a minute or two: the loss of its targets falls, on average over the scenes."""
     config = training(
         tmp_path / "cache",
         scenes=8,

@@ -1,4 +1,4 @@
-"""Cameras that are corrected beside the scene."""
+"""Camera refinement during optimisation."""
 
 from dataclasses import replace
 
@@ -13,14 +13,14 @@ from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.render import render
 from querysplat_cli.tto.cameras import RefinedCameras, refinable, with_refined_focal
 from querysplat_cli.tto.gaussians import optimise_gaussians
-from querysplat_cli.tto.optimise import TtoSettings
+from querysplat_cli.tto.options import TtoSettings
 from querysplat_cli.tto.rendering_loss import RenderingLoss
 
 SIZE = 64
 
 
 def scene() -> tuple[Gaussians, Views, Cameras]:
-    """A scene, its photos, and the cameras that these were taken with, on an arc."""
+    """A scene, its photos, and the cameras of the photos, on an arc."""
     random = torch.Generator().manual_seed(0)
     count = 120
     gaussians = Gaussians(
@@ -41,7 +41,7 @@ def scene() -> tuple[Gaussians, Views, Cameras]:
 
 
 def turned(cameras: Cameras, pixels: float) -> Cameras:
-    """Each camera turned at random by about so many pixels about each axis."""
+    """Each camera rotated at random, by about so many pixels about each axis."""
     turns = torch.randn(len(cameras), 3, generator=torch.Generator().manual_seed(1)) * pixels / cameras.K[0, 0, 0]
     skew = torch.linalg.cross(turns[:, None].expand(-1, 3, 3), torch.eye(3).expand(len(cameras), 3, 3), dim=2)
     w2c = cameras.w2c.clone()
@@ -50,7 +50,7 @@ def turned(cameras: Cameras, pixels: float) -> Cameras:
 
 
 def pixels_off(cameras: Cameras, true: Cameras, gaussians: Gaussians) -> float:
-    """Mean distance of the centres in the pictures, with the world brought to that of `true`."""
+    """Mean distance in pixels of the projected centres, after a similarity to the cameras `true`."""
     same = cameras.transformed(align_cameras(cameras.w2c, true.w2c))
 
     def seen(some: Cameras) -> torch.Tensor:
@@ -126,7 +126,7 @@ def test_an_undone_step_takes_the_cameras_back() -> None:
         target.value_and_gradient(leaves, seen).send_back(leaves, before)
         refined.step(1.0)
     moved = (refined.current().w2c - before.w2c).abs().amax((1, 2))
-    # The gauge may shift those that the step did not see, but less.
+    # The gauge may move cameras whose views the step did not render, but less.
     assert moved[[0, 2]].min() > 2 * moved[[1, 3]].max()
     refined.undo()
     torch.testing.assert_close(refined.current().w2c, before.w2c, atol=0, rtol=0)

@@ -8,12 +8,13 @@ import torch
 
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
+from querysplat_cli.scene.rotations import quaternion_to_matrix
 from querysplat_cli.scene.views import Views
-from querysplat_cli.splat.projection import rotation_matrices
 from querysplat_cli.splat.render import render
 from querysplat_cli.tto.densify import densify, disagreement, split
 from querysplat_cli.tto.gaussians import optimise_gaussians
-from querysplat_cli.tto.optimise import TtoResult, TtoSettings
+from querysplat_cli.tto.optimise import TtoResult
+from querysplat_cli.tto.options import Callbacks, TtoSettings
 from querysplat_cli.tto.rendering_loss import RenderingLoss, tensors
 
 SIZE = 48
@@ -58,7 +59,7 @@ def ellipsoids(count: int, opacity: float) -> Gaussians:
 
 
 def covariance(some: Gaussians) -> torch.Tensor:
-    axes = rotation_matrices(some.quats) * some.scales[:, None]
+    axes = quaternion_to_matrix(some.quats) * some.scales[:, None]
     return axes @ axes.mT
 
 
@@ -103,7 +104,7 @@ def test_splitting_hardly_changes_the_picture(opacity: float, most: float) -> No
 
 
 def test_disagreement_is_the_error_under_each_gaussian() -> None:
-    """Of one Gaussian alone: Σ α·|picture − photo|, where α is what the renderer says."""
+    """Of one Gaussian alone: Σ α·|picture − photo|, where α is the renderer's."""
     one = Gaussians(
         means=torch.tensor([[0.0, 0.0, 2.0]]),
         quats=torch.tensor([[1.0, 0, 0, 0]]),
@@ -117,7 +118,7 @@ def test_disagreement_is_the_error_under_each_gaussian() -> None:
     torch.testing.assert_close(disagreement(one, target), expected[None], rtol=1e-4, atol=0)
 
 
-def test_those_that_are_wrong_are_split() -> None:
+def test_gaussians_of_a_wrong_colour_are_split() -> None:
     some = wall(6)
     target = RenderingLoss(views(render(some, cameras(3)).colour), cameras(3))
     wrong = torch.tensor([8, 21])
@@ -147,7 +148,7 @@ def optimised(densify_to: int | None, steps: int = 90, lr: float = 0.1, **option
     )
 
 
-def test_a_coarse_scene_gains_where_nobody_looked() -> None:
+def test_a_coarse_scene_gains_in_views_that_were_not_optimised() -> None:
     """Coarse Gaussians on fine photos: with splitting, a view between the photos comes out better."""
     between = cameras(4, shift=0.05)
     truth = render(wall(12), between).colour.clamp(0, 1)
@@ -177,7 +178,7 @@ def test_interrupting_after_a_split_keeps_it() -> None:
         if getattr(step, "step", 0) == 40:
             raise KeyboardInterrupt
 
-    result = optimised(100, progress=interrupt)
+    result = optimised(100, callbacks=Callbacks(progress=interrupt))
     assert result.interrupted
     assert result.loss_after < result.loss_before
     assert 16 < len(result.gaussians) < 100

@@ -5,6 +5,7 @@ import math
 import pytest
 import torch
 
+from querysplat_cli.encoders.base import Geometry
 from querysplat_cli.model.anchors import Anchors
 from querysplat_cli.model.config import preset
 from querysplat_cli.model.initialise import initial_model
@@ -16,8 +17,8 @@ from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.render import render
 from querysplat_cli.splat.similarity import photometric_loss
-from querysplat_cli.tto.features import optimise_memories
-from querysplat_cli.tto.optimise import TtoSettings
+from querysplat_cli.tto.features import Start, optimise_memories
+from querysplat_cli.tto.options import TtoSettings
 from querysplat_cli.tto.rendering_loss import RenderingLoss
 
 SIZE = 48
@@ -46,7 +47,7 @@ def wall() -> tuple[Views, Cameras]:
 def scene(wall: tuple[Views, Cameras]) -> tuple[QuerySplat, Memories, Anchors]:
     views, cameras = wall
     depth = torch.ones(len(views), SIZE, SIZE)
-    anchors = with_rendering_error(build_anchors(views, cameras, depth, depth, patch=6)[0], views, cameras)
+    anchors = with_rendering_error(build_anchors(views, cameras, Geometry(depth, depth, (), 6))[0], views, cameras)
     model = initial_model(preset("compact"), seed=0).requires_grad_(False)
     features = torch.randn(len(views), (SIZE // 6) ** 2, 12, generator=torch.Generator().manual_seed(0))
     with torch.no_grad():
@@ -75,7 +76,7 @@ def test_the_loss_falls_and_the_network_stays_frozen(
     weights = [parameter.clone() for parameter in model.parameters()]
     settings = TtoSettings(steps=12, lr=0.02, views_per_step=2)
     result = optimise_memories(
-        model, memories, anchors, RenderingLoss(*wall), settings, generator=torch.Generator().manual_seed(1)
+        model, Start(memories, anchors), RenderingLoss(*wall), settings, generator=torch.Generator().manual_seed(1)
     )
     assert result.loss_after < 0.8 * result.loss_before
     assert len(result.history) == 12
@@ -85,9 +86,12 @@ def test_the_loss_falls_and_the_network_stays_frozen(
 def test_the_same_seed_gives_the_same_memories(
     wall: tuple[Views, Cameras], scene: tuple[QuerySplat, Memories, Anchors]
 ) -> None:
+    model, memories, anchors = scene
+
     def run() -> Memories:
         generator = torch.Generator().manual_seed(3)
-        return optimise_memories(*scene, RenderingLoss(*wall), TtoSettings(3, 0.02, 2), generator=generator).variables
+        start, settings = Start(memories, anchors), TtoSettings(3, 0.02, 2)
+        return optimise_memories(model, start, RenderingLoss(*wall), settings, generator=generator).variables
 
     one, two = run(), run()
     assert torch.equal(one.geometry_values, two.geometry_values)
@@ -98,8 +102,8 @@ def test_the_same_seed_gives_the_same_memories(
 def test_a_rate_that_is_far_too_large_does_no_harm(
     rate: float, wall: tuple[Views, Cameras], scene: tuple[QuerySplat, Memories, Anchors]
 ) -> None:
-    result = optimise_memories(
-        *scene, RenderingLoss(*wall), TtoSettings(5, rate), generator=torch.Generator().manual_seed(0)
-    )
+    model, memories, anchors = scene
+    target, generator = RenderingLoss(*wall), torch.Generator().manual_seed(0)
+    result = optimise_memories(model, Start(memories, anchors), target, TtoSettings(5, rate), generator=generator)
     assert math.isfinite(result.loss_after)
     assert result.loss_after <= result.loss_before

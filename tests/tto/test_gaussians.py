@@ -11,14 +11,14 @@ from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.render import render
 from querysplat_cli.tto.gaussians import Changes, changed, optimise_gaussians
-from querysplat_cli.tto.optimise import TtoSettings
+from querysplat_cli.tto.options import Callbacks, TtoSettings
 from querysplat_cli.tto.rendering_loss import RenderingLoss
 
 SIZE = 40
 
 
 def cloud(count: int = 60, stretch: float = 1.0) -> Gaussians:
-    """Gaussians before the cameras; their first axis is `stretch` times as long as the others."""
+    """Gaussians in front of the cameras; their first axis is `stretch` times as long as the others."""
     random = torch.Generator().manual_seed(0)
     scales = torch.full((count, 3), 0.06) * torch.tensor([1.0, 1.0 / stretch, 1.0 / stretch])
     return Gaussians(
@@ -114,7 +114,7 @@ def test_interrupting_keeps_what_was_reached() -> None:
         RenderingLoss(views, cameras),
         TtoSettings(1000, 0.03),
         generator=torch.Generator().manual_seed(0),
-        progress=interrupt,
+        callbacks=Callbacks(progress=interrupt),
     )
     assert result.interrupted
     assert len(result.history) == 21
@@ -132,6 +132,6 @@ def test_a_run_ends_with_its_time(monkeypatch: pytest.MonkeyPatch) -> None:
         generator=torch.Generator().manual_seed(0),
     )
     assert result.loss_after < result.loss_before
-    # The clock is read twice a step, and a step that would not end in time is not begun.
+    # The clock is read twice a step, and a step that would not end in time is not started.
     assert len(result.history) in (9, 10)
     assert result.history[-1].seconds <= 20

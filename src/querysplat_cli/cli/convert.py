@@ -1,63 +1,30 @@
 """`querysplat convert`: Gaussians and cameras from one kind of file to another."""
 
-from enum import StrEnum
-from pathlib import Path
-from typing import Annotated
+from typing import Any
 
-import typer
-
-from querysplat_cli.cli.options import Force, Json, Quiet
-from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.cli.verb import Printing
+from querysplat_cli.commands.requests import Conversion
 
 
-class Axis(StrEnum):
-    x = "x"
-    y = "y"
-    z = "z"
-    minus_x = "-x"
-    minus_y = "-y"
-    minus_z = "-z"
+def convert(request: Conversion, printing: Printing) -> None:
+    """Convert Gaussians, or cameras, from one kind of file to another.
 
-
-def convert(
-    source: Annotated[
-        Path, typer.Argument(help="A .ply, .spz or .sog; or cameras: transforms.json, COLMAP model, scene folder.")
-    ],
-    target: Annotated[Path, typer.Argument(help="A .ply or .spz; or a .json, or a folder for a COLMAP model.")],
-    photos: Annotated[
-        Path | None, typer.Option(help="The folder of the cameras' photos: TARGET becomes a scene folder of both.")
-    ] = None,
-    text: Annotated[bool, typer.Option(help="Write the COLMAP model as text.")] = False,
-    up: Annotated[Axis | None, typer.Option(help="The axis that points up in the source; becomes -y.")] = None,
-    scale: Annotated[float, typer.Option(help="Multiply all lengths.")] = 1.0,
-    crop: Annotated[
-        str | None, typer.Option(metavar="X0,Y0,Z0,X1,Y1,Z1", help="Keep centres in this box of the result.")
-    ] = None,
-    force: Force = False,
-    quiet: Quiet = False,
-    json: Json = False,
-) -> None:
-    """Convert Gaussians (.ply, .spz, from .sog; turned, scaled, cropped), or cameras between all that hold them."""
-    box = _box(crop)
-    if not scale > 0:
-        raise QuerySplatError(f"--scale {scale}: lengths must stay positive", "Give a number above 0.")
-    from querysplat_cli.cli.console import print_conversion
-    from querysplat_cli.commands.convert import Conversion
+    Gaussians can be turned, scaled and cropped on the way.
+    """
+    from querysplat_cli.cli.terminal import print_json, say
     from querysplat_cli.commands.convert import convert as run
 
-    request = Conversion(
-        source, target, text=text, photos=photos, up=up and up.value, scale=scale, crop=box, force=force
-    )
-    print_conversion(run(request), quiet=quiet, as_json=json)
+    result = run(request)
+    print_json(result, printing)
+    for line in _lines(result):
+        say(line, printing)
 
 
-def _box(text: str | None) -> tuple[float, ...] | None:
-    if text is None:
-        return None
-    try:
-        box = tuple(float(part) for part in text.split(","))
-    except ValueError:
-        box = ()
-    if len(box) != 6 or not all(low < high for low, high in zip(box[:3], box[3:], strict=True)):
-        raise QuerySplatError(f"--crop {text}: not a box", "Write x0,y0,z0,x1,y1,z1 with x0 < x1 and so on.")
-    return box
+def _lines(result: dict[str, Any]) -> list[str]:
+    if "cameras" in result:
+        left_out = [f"left out: {each['name']}, {each['why']}" for each in result.get("left_out", ())]
+        return [f"{result['cameras']} cameras: {result['target']}", *left_out]
+    sizes = result["bytes"]
+    left = f", {result['left_out']:,} left out" if result["left_out"] else ""
+    written, read = (sizes[part] / 2**20 for part in ("target", "source"))
+    return [f"{result['gaussians']:,} Gaussians{left}, {written:.2f} MiB (source {read:.2f} MiB): {result['target']}"]

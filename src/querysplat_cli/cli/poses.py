@@ -1,45 +1,40 @@
 """`querysplat poses`: two sets of cameras of the same photos."""
 
-from pathlib import Path
-from typing import Annotated
+from typing import Any
 
-import typer
-
-from querysplat_cli.cli.options import Force, Json, Quiet, Seed
-from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.cli.verb import Printing
+from querysplat_cli.commands.requests import PosesRequest
 
 
-def poses(
-    first: Annotated[
-        Path,
-        typer.Argument(metavar="A", help="Scene folder, transforms.json or COLMAP model, by its photos for --colmap."),
-    ],
-    second: Annotated[Path | None, typer.Argument(metavar="[B]", help="What A is measured against.")] = None,
-    colmap: Annotated[bool, typer.Option(help="Measure A's cameras against COLMAP's own, run on A's photos.")] = False,
-    plot: Annotated[Path | None, typer.Option(help="Draw both trajectories to a .png, .svg or .pdf.")] = None,
-    seed: Seed = 42,
-    force: Force = False,
-    quiet: Quiet = False,
-    json: Json = False,
-) -> None:
-    """Compare cameras after the similarity that joins them: rotation, centre, RRA, RTA, AUC, ATE, focal length."""
-    if (second is None) != colmap:
-        raise QuerySplatError("give two sets of cameras, or one and --colmap", "See `querysplat poses --help`.")
-    from querysplat_cli.cli.console import print_poses
-    from querysplat_cli.evaluation.colmap_reference import estimate_with_colmap
-    from querysplat_cli.evaluation.poses import compare_cameras, draw_trajectories
-    from querysplat_cli.scene.files import refuse_existing
-    from querysplat_cli.scene.formats.known import read_known_cameras
-    from querysplat_cli.scene.photos import find_photos, load_photos
+def poses(request: PosesRequest, printing: Printing) -> None:
+    """Compare two sets of cameras of the same photos.
 
-    if plot:
-        refuse_existing([plot], force=force)
-    mine = read_known_cameras(first)
-    if second:
-        theirs, title = read_known_cameras(second), str(second)
-    else:
-        theirs, title = estimate_with_colmap(load_photos(find_photos([first]))[0], seed=seed), "COLMAP"
-    errors = compare_cameras(mine, theirs)
-    if plot:
-        draw_trajectories(errors, plot, (str(first), title))
-    print_poses(errors.summary(), str(first), title, quiet=quiet, as_json=json)
+    A similarity first joins them. The errors are those of rotation, centre and focal length, with RRA, RTA, AUC and
+    ATE.
+    """
+    from querysplat_cli.cli.terminal import print_json, say
+    from querysplat_cli.commands.poses import compare
+
+    summary, second = compare(request)
+    print_json(summary, printing)
+    say(_table(summary, str(request.first), second), printing)
+
+
+def _table(summary: dict[str, Any], first: str, second: str) -> Any:
+    from querysplat_cli.cli.terminal import rows_table
+
+    rows = [("photos in both", f"{summary['photos']}")]
+    for side, names in ((first, summary["only_a"]), (second, summary["only_b"])):
+        if names:
+            rows.append((f"only in {side}", f"{len(names)}: {', '.join(names[:3])}{', …' if names[3:] else ''}"))
+    rotation, centre, focal = (summary[key] for key in ("rotation_degrees", "centre", "focal_error"))
+    rows += [
+        ("rotation", f"median {rotation['median']:.3f}°, worst {rotation['max']:.3f}°"),
+        ("centre", f"median {centre['median']:.4g}, worst {centre['max']:.4g} units of {second}"),
+        ("ATE", f"{summary['ate']:.4g}, {100 * summary['ate_of_extent']:.2f} % of the extent"),
+    ]
+    for name in ("rra", "rta", "auc"):
+        cells = (f"{summary[f'{name}_{t}']:.1f} %" for t in (5, 15, 30))
+        rows.append((f"{name.upper()} at 5, 15, 30°", ", ".join(cells)))
+    rows.append(("focal length", f"median {100 * focal['median']:+.2f} %, worst {100 * focal['max_abs']:.2f} %"))
+    return rows_table(f"{first} against {second}", rows)

@@ -1,55 +1,64 @@
 """`querysplat train`: the model's weights from scenes."""
 
 import os
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
-from querysplat_cli.cli.options import Device, Force, Json, Quiet
+from querysplat_cli.cli.verb import Printing
 from querysplat_cli.runtime.errors import MissingPart
+from querysplat_cli.runtime.options import Device, Force, LpipsWeights, Option
 
 
-def train(
+@dataclass(frozen=True)
+class TrainOptions:
+    """The options of `querysplat train`; the training itself is described by its TOML file."""
+
     config: Annotated[
-        str, typer.Option(metavar="FILE.toml|NAME", help="The training: a file, or one that comes with the package.")
-    ] = "compact",
+        str, Option("The training: a TOML file, or one that comes with the package.", metavar="FILE.toml|NAME")
+    ] = "compact"
     changes: Annotated[
-        list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Change a setting; may be repeated.")
-    ] = None,
-    output: Annotated[Path, typer.Option("--output", "-o", help="A folder for weights, state, log and curves.")] = Path(
-        "training"
-    ),
-    resume: Annotated[bool, typer.Option("--resume", help="Go on with the training in the folder.")] = False,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what it takes, and stop.")] = False,
-    lpips: Annotated[Path | None, typer.Option(help="A folder with LPIPS weights; see docs/cli.md.")] = None,
-    tensorboard: Annotated[bool, typer.Option("--tensorboard", help="Write TensorBoard's files as well.")] = False,
-    device: Device = "auto",
-    force: Force = False,
-    quiet: Quiet = False,
-    json: Json = False,
-) -> None:
+        tuple[str, ...],
+        Option("Change one setting. May be repeated.", ("--set",), "NAME=VALUE", default="no change", repeated=True),
+    ] = ()
+    output: Annotated[
+        Path, Option("A folder for weights, state, log and curves.", ("--output", "-o"), metavar="DIR")
+    ] = Path("training")
+    resume: Annotated[bool, Option("Go on with the training in the folder.")] = False
+    dry_run: Annotated[bool, Option("Measure the memory and time that the training would take, and write nothing.")] = (
+        False
+    )
+    lpips: LpipsWeights = None
+    tensorboard: Annotated[bool, Option("Write TensorBoard's files, too.")] = False
+    device: Device = "auto"
+    force: Force = False
+
+
+def train(options: TrainOptions, printing: Printing) -> None:
     """Train a model on procedural or captured scenes, alone or under torchrun."""
-    from querysplat_cli.cli.console import showing_stages
-    from querysplat_cli.cli.train_console import print_training, print_training_plan
+    from querysplat_cli.cli.print_training import print_training, print_training_plan
+    from querysplat_cli.cli.terminal import showing_stages
     from querysplat_cli.evaluation.lpips import find_lpips, load_lpips
     from querysplat_cli.training.config import load_config
     from querysplat_cli.training.run import TrainRequest, plan
     from querysplat_cli.training.run import train as run
 
-    settings = load_config(config, changes or ())
+    config = load_config(options.config, options.changes)
     perceptual = None
-    if settings.needs_lpips and not dry_run:
-        found = find_lpips(lpips)
+    if config.needs_lpips and not options.dry_run:
+        found = find_lpips(options.lpips)
         if isinstance(found, str):
             raise MissingPart(found, "Give --lpips DIR, or leave it out with --set losses.lpips=0.")
         perceptual = load_lpips(found)
-    request = TrainRequest(settings, output, resume, force, device, tensorboard, perceptual)
-    # Under torchrun one process speaks for all.
-    with showing_stages(quiet=quiet or os.environ.get("RANK", "0") != "0") as stages:
-        if dry_run:
-            print_training_plan(plan(request, stages), quiet=quiet, as_json=json)
+    request = TrainRequest(
+        config, options.output, options.resume, options.force, options.device, options.tensorboard, perceptual
+    )
+    # torchrun starts several processes; the first one reports for all.
+    is_first = os.environ.get("RANK", "0") == "0"
+    with showing_stages(replace(printing, quiet=printing.quiet or not is_first)) as stages:
+        if options.dry_run:
+            print_training_plan(plan(request, stages), printing)
             return
         report = run(request, stages)
     if report:
-        print_training(report, quiet=quiet, as_json=json)
+        print_training(report, printing)

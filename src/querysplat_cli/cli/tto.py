@@ -1,59 +1,19 @@
-"""`querysplat tto`: take a scene up again and optimise it further."""
+"""`querysplat tto`: optimise a stored scene further."""
 
-from pathlib import Path
-from typing import Annotated
-
-import typer
-
-from querysplat_cli.cli.options import Device, Json, Prune, Quiet, RefineCameras, Seed, TtoSpace, amount, number_or_auto
+from querysplat_cli.cli.verb import Printing
+from querysplat_cli.pipeline.settings import ResumeSettings
 
 
-def tto(
-    scene: Annotated[Path, typer.Argument(help="The folder that `reconstruct` wrote, or the .ply beside it.")],
-    steps: Annotated[str, typer.Option(metavar="STEPS|auto", help="Optimisation steps.")] = "auto",
-    lr: Annotated[
-        float | None,
-        typer.Option(min=1e-8, help="Learning rate; 0.02, or 0.005 for a scene that was optimised before."),
-    ] = None,
-    space: Annotated[
-        TtoSpace | None,
-        typer.Option(help="Optimise the memories, the Gaussians themselves, or both in turn; as last time by default."),
-    ] = None,
-    prune: Prune = "off",
-    densify: Annotated[
-        int | None,
-        typer.Option(
-            min=1, metavar="N", help="In Gaussian space: split Gaussians where photos and renders differ, up to N."
-        ),
-    ] = None,
-    refine_cameras: RefineCameras = False,
-    weights: Annotated[Path | None, typer.Option(help="The folder of downloaded weights, if not where it was.")] = None,
-    device: Device = "auto",
-    seed: Seed = 42,
-    quiet: Quiet = False,
-    json: Json = False,
-) -> None:
-    """Optimise a scene further on its photos, and update the .ply, the folder and the report.
+def tto(settings: ResumeSettings, printing: Printing) -> None:
+    """Optimise a stored scene further on its photos, and update its .ply, folder and report.
 
-    Ctrl-C ends the optimisation and keeps what it reached.
+    Ctrl-C ends the optimisation and keeps what it has reached.
     """
-    count = number_or_auto(0)(steps)
-    from querysplat_cli.cli.console import exit_if_interrupted, print_report, showing_stages
-    from querysplat_cli.pipeline.reconstruct import optimise_scene
+    from querysplat_cli.cli.print_report import exit_if_interrupted, print_report
+    from querysplat_cli.cli.terminal import showing_stages
+    from querysplat_cli.pipeline.resume import optimise_scene
 
-    with showing_stages(quiet=quiet) as stages:
-        report = optimise_scene(
-            scene,
-            steps=count,
-            lr=lr,
-            device=device,
-            seed=seed,
-            stages=stages,
-            space=None if space is None else space.value,
-            amount=amount(prune),
-            densify_to=densify,
-            refine_cameras=bool(refine_cameras),
-            weights=weights,
-        )
-    print_report(report, quiet=quiet, as_json=json)
+    with showing_stages(printing) as stages:
+        report = optimise_scene(settings, stages)
+    print_report(report, printing)
     exit_if_interrupted(report)

@@ -1,12 +1,12 @@
-"""The story of `convert`: Gaussians from one kind of file to another, and cameras from one kind to another."""
+"""What `convert` does: Gaussians from one kind of file to another, and cameras from one kind to another."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import torch
 
+from querysplat_cli.commands.requests import Conversion
 from querysplat_cli.pipeline.scene_folder import write_images
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import PhotoCamera
@@ -20,7 +20,8 @@ from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.match_cameras import match_cameras
 from querysplat_cli.scene.photos import WHOLE, find_photos, load_photo, short_names
 from querysplat_cli.scene.pictures import stored_name
-from querysplat_cli.scene.sim3 import Sim3, skew
+from querysplat_cli.scene.rotations import skew
+from querysplat_cli.scene.sim3 import Sim3
 from querysplat_cli.scene.undistort import undistorted
 from querysplat_cli.scene.views import LeftOut
 from querysplat_cli.splat.transform import transform_gaussians
@@ -28,33 +29,19 @@ from querysplat_cli.splat.transform import transform_gaussians
 READERS: dict[str, Callable[[Path], Gaussians]] = {".ply": read_ply, ".spz": read_spz, ".sog": read_sog}
 WRITERS: dict[str, Callable[[Path, Gaussians], int]] = {".ply": write_ply, ".spz": write_spz}
 FLIPPED = Sim3(1.0, torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64)), torch.zeros(3).double())
-"""Between the y-down axes of .ply files and the y-up axes that SPZ specifies; its own inverse."""
+"""From the y-down axes of .ply files to the y-up axes that SPZ specifies. It is its own inverse."""
 UP = {
     axis: torch.tensor([float(axis[-1] == letter) for letter in "xyz"]).double() * (-1 if axis[0] == "-" else 1)
     for axis in ("x", "y", "z", "-x", "-y", "-z")
 }
 
 
-@dataclass(frozen=True)
-class Conversion:
-    """What `querysplat convert` can be asked for; see docs/cli.md.
-
-    `up` is the axis that points up in the source, and becomes −y; `scale` multiplies lengths after that; `crop` is
-    x0, y0, z0, x1, y1, z1 in the result. With `photos`, cameras and photos become a scene folder.
-    """
-
-    source: Path
-    target: Path
-    text: bool = False
-    photos: Path | None = None
-    up: str | None = None
-    scale: float = 1.0
-    crop: tuple[float, ...] | None = None
-    force: bool = False
-
-
 def convert(request: Conversion) -> dict[str, Any]:
-    """Write `request.target`, and return what was written. Raises QuerySplatError, and writes nothing, on bad input."""
+    """Write `request.target`, and return what was written, as the dict that --json prints.
+
+    `up` becomes −y first; `scale` then multiplies lengths; `crop` is in the units and axes of the result. With
+    `photos`, cameras and photos become a scene folder. Raises QuerySplatError, and writes nothing, on bad input.
+    """
     refuse_existing([request.target], force=request.force)
     given = [path.resolve() for path in (request.source, request.photos) if path]
     if request.target.is_dir() and any(path.is_relative_to(request.target.resolve()) for path in given):
@@ -118,7 +105,7 @@ def _convert_cameras(request: Conversion) -> dict[str, Any]:
 
 
 def _make_scene_folder(target: Path, cameras: Mapping[str, PhotoCamera], place: Path) -> dict[str, Any]:
-    """The cameras, in their own frame, and the photos, undistorted at their own size, as `store` writes them."""
+    """Write a scene folder: the cameras in their own frame, and the photos, undistorted at their own size."""
     files = find_photos([place])
     kept: dict[str, PhotoCamera] = {}
     left_out: list[LeftOut] = []
@@ -146,7 +133,7 @@ def _make_scene_folder(target: Path, cameras: Mapping[str, PhotoCamera], place: 
 
 
 def _upright(axis: str | None) -> torch.Tensor:
-    """The smallest rotation that takes `axis` to −y; half a turn about x for the opposite."""
+    """The smallest rotation that takes `axis` to −y. From y it is half a turn about x."""
     if axis is None:
         return torch.eye(3, dtype=torch.float64)
     up, target = UP[axis], UP["-y"]

@@ -1,6 +1,5 @@
-"""The story of `inspect`: what a scene's queries look at, and what its Gaussians are like."""
+"""What `inspect` does: draw the attention of a query, and the opacity, scale and place of the Gaussians."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,31 +9,37 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from querysplat_cli.commands.requests import InspectRequest
 from querysplat_cli.model.attention_maps import attention_of
-from querysplat_cli.pipeline.reconstruct import load_again
+from querysplat_cli.pipeline.resume import load_again
 from querysplat_cli.pipeline.scene_folder import StoredScene, read_scene
 from querysplat_cli.queries.prepare import MemoryMap
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.figures import new_figure, save_figure
 from querysplat_cli.runtime.progress import Stages
-from querysplat_cli.scene.cameras import Cameras, project
+from querysplat_cli.scene.cameras import Cameras, project_points
 from querysplat_cli.scene.files import atomic_folder, refuse_existing
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
 from querysplat_cli.scene.pictures import write_picture
 from querysplat_cli.scene.views import Views
 
-COLUMNS = 4
-RING = 12
+TILE_COLUMNS = 4
+"""Photos side by side in a picture of attention."""
+RING_RADIUS = 12
+"""In pixels, of the ring around a query's Gaussians."""
 QUANTILES = (0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0)
-POINTS = 20_000
-"""At most so many in a drawing."""
-SEEN = 0.05
+DRAWN_POINTS = 20_000
+"""The most points of a drawing."""
+DRAWN_OPACITY = 0.05
 """Gaussians of less opacity are not drawn as points."""
 
 
 @dataclass(frozen=True)
 class Inspected:
-    """`attention` is, for each branch, the share of a query's attention by view, and by "special" tokens."""
+    """What was drawn. `attention` has, for each branch, the share of the query's attention that each view gets.
+
+    "special" is the share of tokens that belong to no patch. `opacity` and `scale` have quantiles.
+    """
 
     output: str
     query: int
@@ -43,30 +48,28 @@ class Inspected:
     scale: dict[str, float]
     depth: bool
 
-    def json(self) -> str:
-        return json.dumps(vars(self), indent=2)
 
-
-def inspect_scene(
-    path: Path, output: Path, *, query: int | None, weights: Path | None, force: bool, stages: Stages
-) -> Inspected:
-    """Draw the attention of `query` (None: the most opaque one), histograms and points of a stored scene.
+def inspect_scene(request: InspectRequest, stages: Stages) -> Inspected:
+    """Draw the attention of a query (the most opaque one by default), histograms and points of a stored scene.
 
     Raises QuerySplatError when the scene has no such query, or was stored without what the drawings need.
     """
-    refuse_existing([output], force=force)
+    output = request.target
+    refuse_existing([output], force=request.force)
     with stages("read"):
-        scene, report = read_scene(path)
-        model = load_again(scene.model, report["settings"], weights, torch.device("cpu"))
+        scene, report = read_scene(request.scene)
+        model = load_again(scene.model, report["settings"], request.weights, torch.device("cpu"))
         if scene.map is None:
-            raise QuerySplatError(f"{path} was made by an earlier version", "Run `querysplat reconstruct` again.")
+            raise QuerySplatError(
+                f"{request.scene} was made by an earlier version", "Run `querysplat reconstruct` again."
+            )
     with stages("attention"):
         with torch.no_grad():
             gaussians = model.decode(scene.memories, scene.anchors)
         kept = torch.ones(len(gaussians), dtype=torch.bool) if scene.kept is None else scene.kept
         count = len(gaussians) // model.config.gaussians_per_query
         by_query = (gaussians.opacities * kept).view(count, -1)
-        chosen = int(by_query.sum(1).argmax()) if query is None else query
+        chosen = int(by_query.sum(1).argmax()) if request.query is None else request.query
         if not 0 <= chosen < count:
             raise QuerySplatError(f"--query {chosen}: there are queries 0 to {count - 1}", "Choose one of them.")
         geometry, appearance = attention_of(model, scene.memories, scene.anchors, chosen)
@@ -95,7 +98,7 @@ def inspect_scene(
 
 
 def on_patches(weights: Tensor, rows: Tensor, views: int, layout: tuple[int, int, int]) -> Tensor:
-    """[views, rows, columns] of the patches' weights; those of special tokens are left out.
+    """The weights of patches, [views, rows, columns], without those of special tokens.
 
     `rows` says which row of the whole memory each weight is of; `layout` is (special tokens, rows, columns)
     of a view's tokens.
@@ -116,7 +119,7 @@ def _quantiles(values: Tensor) -> dict[str, float]:
 
 
 def _overlays(views: Views, cameras: Cameras, weight: Tensor, own: Gaussians) -> np.ndarray:
-    """Photos with the weights laid over them, brightest where they are largest, and a ring where the query is."""
+    """Photos, darkened and coloured by the weights, with a ring around the query's Gaussians, in rows of tiles."""
     heat = F.interpolate(weight[:, None], views.images.shape[-2:], mode="bilinear")[:, 0] / weight.max().clamp_min(
         1e-12
     )
@@ -129,17 +132,17 @@ def _overlays(views: Views, cameras: Cameras, weight: Tensor, own: Gaussians) ->
         centres = _projected(own, cameras, i)
         if centres:
             x, y = np.median(centres, 0)
-            cv2.circle(tile, (round(x), round(y)), RING, (0, 255, 120), 1, cv2.LINE_AA)
+            cv2.circle(tile, (round(x), round(y)), RING_RADIUS, (0, 255, 120), 1, cv2.LINE_AA)
         tile[height:], tile[:, width:] = 255, 255
         tiles.append(tile)
-    tiles += [np.full_like(tiles[0], 255)] * (-len(tiles) % min(COLUMNS, len(tiles)))
-    across = min(COLUMNS, len(tiles))
+    tiles += [np.full_like(tiles[0], 255)] * (-len(tiles) % min(TILE_COLUMNS, len(tiles)))
+    across = min(TILE_COLUMNS, len(tiles))
     return np.vstack([np.hstack(tiles[start : start + across]) for start in range(0, len(tiles), across)])
 
 
 def _projected(own: Gaussians, cameras: Cameras, view: int) -> list[tuple[float, float]]:
-    """Pixels of the centres before the camera and in the picture."""
-    pixels = project(own.means[cameras.sees(own.means, view)], cameras.w2c[view], cameras.K[view])
+    """Pixels of the centres that lie in front of the camera and in the picture."""
+    pixels = project_points(own.means[cameras.sees(own.means, view)], cameras.w2c[view], cameras.K[view])
     return [(float(x), float(y)) for x, y in pixels]
 
 
@@ -157,8 +160,8 @@ def _histograms(path: Path, gaussians: Gaussians) -> None:
 
 
 def _points(path: Path, scene: StoredScene, found: MemoryMap, gaussians: Gaussians) -> None:
-    """Points of the VGM's depth, where it was found, beside the Gaussians' centres, seen from the same place."""
-    shown = gaussians[gaussians.opacities >= min(SEEN, float(gaussians.opacities.max()))]
+    """The points of the VGM's depth, if it was estimated, beside the Gaussians' centres, from one viewpoint."""
+    shown = gaussians[gaussians.opacities >= min(DRAWN_OPACITY, float(gaussians.opacities.max()))]
     colours = (shown.sh[:, 0] * SH_0 + 0.5).clamp(0, 1)
     panels = [("centres of Gaussians", shown.means, colours)]
     if found.depth.numel():
@@ -170,7 +173,7 @@ def _points(path: Path, scene: StoredScene, found: MemoryMap, gaussians: Gaussia
     # Outliers would make everything else small.
     low, high = (np.quantile(panels[0][1].numpy(), level, 0).tolist() for level in (0.02, 0.98))
     for i, (name, points, colour) in enumerate(panels):
-        some = torch.randperm(len(points), generator=torch.Generator().manual_seed(0))[:POINTS]
+        some = torch.randperm(len(points), generator=torch.Generator().manual_seed(0))[:DRAWN_POINTS]
         axes = figure.add_subplot(1, len(panels), i + 1, projection="3d")
         x, y, z = points[some].T.numpy()
         axes.scatter(x, z, -y, c=colour[some].numpy(), s=1)

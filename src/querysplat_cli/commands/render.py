@@ -1,4 +1,4 @@
-"""The story of `render`: a .ply and cameras in, pictures or a film out."""
+"""What `render` does: a .ply and cameras become pictures or a film."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -9,6 +9,7 @@ import av
 import numpy as np
 import torch
 
+from querysplat_cli.commands.requests import RenderRequest
 from querysplat_cli.pipeline.scene_folder import scene_folder
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Stages
@@ -22,30 +23,14 @@ from querysplat_cli.scene.pictures import eight_bit, write_picture
 from querysplat_cli.splat.render import Rendering, render
 
 FOREIGN_SIZE = (720, 960)
-"""Height and width of frames where neither the user nor a camera says."""
+"""Height and width of the frames of a scene without cameras, unless the user gives a size."""
 DEPTH_UNITS = 1000
-"""Steps of a 16-bit depth PNG in one scene unit; 0 where nothing was hit, 65,535 at and beyond its range."""
-
-
-@dataclass(frozen=True)
-class RenderRequest:
-    """What `querysplat render` can be asked for; see docs/cli.md. `size` is (height, width)."""
-
-    scene: Path
-    output: Path
-    cameras: str
-    frames: int
-    fps: int
-    size: tuple[int, int] | None
-    background: tuple[float, float, float]
-    depth: bool
-    alpha: bool
-    force: bool
+"""Steps of a 16-bit depth PNG in one scene unit. 0 is a pixel without Gaussians, 65,535 the greatest depth."""
 
 
 @dataclass(frozen=True)
 class Rendered:
-    """What was written, and how long it took."""
+    """What was written, and the seconds of each stage."""
 
     output: str
     frames: int
@@ -57,24 +42,24 @@ class Rendered:
 
 
 def render_file(request: RenderRequest, stages: Stages) -> Rendered:
-    """Render `request.scene` to a folder of PNG frames, or to one .mp4 when the output ends so."""
-    refuse_existing([request.output], force=request.force)
+    """Render `request.scene` to a folder of PNG frames, or to a film if the target ends in .mp4."""
+    refuse_existing([request.target], force=request.force)
     with stages("read"):
         gaussians = read_ply(request.scene)
         names, cameras, sizes = _cameras(request, gaussians)
-    film = request.output.suffix.lower() == ".mp4"
+    film = request.target.suffix.lower() == ".mp4"
     if film and (request.depth or request.alpha):
         raise QuerySplatError("--depth and --alpha are pictures, not films", "Write to a folder instead of an .mp4.")
     with stages("render") as progress:
         pictures = _render_each(gaussians, cameras, sizes, request, progress)
         if film:
-            with atomic_path(request.output) as draft:
+            with atomic_path(request.target) as draft:
                 _write_film(draft, pictures, request.fps)
         else:
-            with atomic_folder(request.output) as draft:
+            with atomic_folder(request.target) as draft:
                 for name, picture in zip(names, pictures, strict=True):
                     _write_frame(draft / name, picture, request)
-    return Rendered(str(request.output), len(cameras), len(gaussians), stages.seconds)
+    return Rendered(str(request.target), len(cameras), len(gaussians), stages.seconds)
 
 
 def _cameras(request: RenderRequest, gaussians: Gaussians) -> tuple[list[str], Cameras, list[tuple[int, int]]]:
@@ -128,12 +113,12 @@ def _write_frame(path: Path, picture: Rendering, request: RenderRequest) -> None
 
 
 def _write_film(path: Path, pictures: Iterator[Rendering], fps: int) -> None:
-    """H.264, which every browser and player shows."""
+    """Write an H.264 film, which every browser and player shows."""
     with av.open(str(path), "w") as film:
         stream = None
         for picture in pictures:
             frame = eight_bit(picture.colour[0].clamp(0, 1))
-            frame = frame[: frame.shape[0] // 2 * 2, : frame.shape[1] // 2 * 2]  # the codec wants even sizes
+            frame = frame[: frame.shape[0] // 2 * 2, : frame.shape[1] // 2 * 2]  # H.264 needs even sizes
             if stream is None:
                 stream = film.add_stream("libx264", rate=fps, options={"crf": "18"})
                 stream.height, stream.width, stream.pix_fmt = frame.shape[0], frame.shape[1], "yuv420p"

@@ -1,4 +1,4 @@
-"""What the catalogue promises, compared with the files that are here."""
+"""What `weights` does: compare the registry of weight files with the files that are here."""
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -22,9 +22,9 @@ NEEDED_BY = {
 
 @dataclass(frozen=True)
 class Found:
-    """A file of the catalogue and what became of it. `sha256` only where the file was read.
+    """A file of the registry, and where it is. `sha256` is None unless the file was read.
 
-    `absent` says why there is no file; `fault`, why the one that is there cannot be used.
+    `absent` is the reason why there is no file, and `fault` the reason why the file cannot be used.
     """
 
     wanted: WeightFile
@@ -41,7 +41,7 @@ class Found:
 
 
 def survey(folder: Path | None, *, verify: bool, stages: Stages) -> list[Found]:
-    """Every file of the catalogue; with `verify`, those that are here are read whole."""
+    """Every file of the registry. With `verify`, the files that are here are read whole."""
     return [_look(part, folder, verify=verify, stages=stages) for part in WEIGHTS]
 
 
@@ -66,7 +66,7 @@ def _look(part: str, folder: Path | None, *, verify: bool, stages: Stages) -> Fo
 
 
 def _load(part: str, folder: Path | None) -> None:
-    """Strictly, as a scene would; mapped, so that this takes little memory."""
+    """Load as `reconstruct` does, every tensor checked. The file is mapped, which takes little memory."""
     if part in preset_names():
         load(part, folder)
     else:

@@ -1,4 +1,7 @@
-"""The vision geometric model (VGM): photos in; cameras, depth and features out. Always frozen."""
+"""What every encoder offers: photos in; cameras, depth and features out.
+
+An encoder is a vision geometric model (VGM). Its weights, where it has any, are never trained here.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -9,19 +12,19 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from querysplat_cli.runtime.precision import Precision
+from querysplat_cli.runtime.choices import Fit, Precision
 from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera
-from querysplat_cli.scene.fit import Fit
 from querysplat_cli.scene.views import LeftOut, Photo, Views
 
 
 @dataclass(frozen=True)
 class EncoderOptions:
-    """How an encoder is to work; those without weights need none of it.
+    """How a learned encoder works. The classical encoder ignores all of it.
 
-    `weights` is the folder of their files (None: the Hugging Face cache). With a `mixture`, a weight for each
-    layer, features are the layers' sum alone. `depth` False leaves the depth out where that saves work.
+    `weights` is the folder of the checkpoints (None: the Hugging Face cache). `mixture` holds a weight for each
+    cached layer: the features are then the weighted sum of the layers alone. With `depth` False, no depth map is
+    computed.
     """
 
     weights: Path | None = None
@@ -33,14 +36,37 @@ class EncoderOptions:
 
 
 @dataclass(frozen=True)
-class PosedViews:
-    """Photos with cameras.
+class CameraRequest:
+    """How cameras are estimated.
 
-    The first camera is the origin. `points` are sparse scene points [n, 3] (may be empty), `visibility`
-    is for each view the row numbers of the points that it saw. `warnings` are sentences that say why the
-    cameras may be wrong; empty when nothing speaks against them. `photo_cameras` are the photos' own cameras, as
-    they were taken, in the same frame; None where the views' masks hold the photos as they are. `epipolar_error_px` is
-    the median distance in pixels of matches from their epipolar lines, None where it was not measured.
+    `max_size` is the largest longer side of the undistorted photos, in pixels. `seed` makes the result
+    repeatable. `known` gives cameras by photo name: then none is estimated, and photos without one are left out.
+    """
+
+    max_size: int
+    seed: int
+    known: Mapping[str, PhotoCamera] | None = None
+
+
+@dataclass(frozen=True)
+class PosedViews:
+    """Undistorted photos with cameras, all in one frame.
+
+    The encoder chooses the frame and its unit:
+
+    - `classical`: the camera of the first photo is the origin, exactly. The median depth of the points, over all
+      views that observe them, is 1. Without points the unit means nothing.
+    - `vggt`, `vggt_omega`: the frame and unit of the network's pass, unchanged. The network predicts the first
+      camera like every other one, so it is the origin only approximately.
+
+    A selection of the views (`holdout.select_views`) keeps the frame of the whole: its first camera may stand
+    anywhere.
+
+    `points` are sparse scene points [n, 3], and n may be 0. `visibility` holds, for each view, the row numbers of
+    the points that the view observes. Each of `warnings` is a sentence that says why the cameras may be wrong.
+    `photo_cameras` are the cameras of the photos before undistortion, in the same frame; None where the views show
+    the photos without resampling. `epipolar_error_px` is the median distance of the matches from their epipolar
+    lines, in pixels of the views; None where it was not measured.
     """
 
     views: Views
@@ -55,12 +81,12 @@ class PosedViews:
 
 @dataclass(frozen=True)
 class Geometry:
-    """What the VGM knows of each view.
+    """Depth and features of the views, in the frame of their `PosedViews`.
 
-    `depth` is camera z in scene units, positive everywhere inside the view's mask; `confidence` in [0, 1]
-    (0: filled in, a guess); both None where they were not asked for. `features` holds one tensor for each
-    cached layer, a row for each token of each view; for patch-only encoders the tokens are the patches, row
-    by row, `patch` pixels square.
+    `depth` is camera z in scene units, positive everywhere inside the view's mask. `confidence` is in [0, 1]; 0
+    marks a depth that was filled in. Both are None where no depth was asked for. `features` holds one tensor for
+    each cached layer, with a row for each token of each view. In a patch-only encoder the tokens are the patches,
+    row by row. A patch is `patch` pixels square.
     """
 
     depth: Float[Tensor, "views height width"] | None
@@ -72,43 +98,39 @@ class Geometry:
 
 @runtime_checkable
 class Encoder(Protocol):
-    """A frozen VGM. `estimate_cameras` finds cameras, `estimate_geometry` finds depth and features for known cameras.
+    """A frozen VGM.
 
-    `size` is the longer side, in pixels, that it works best at. With `own_frame`, features are tied to the
-    frame of their own pass, and cameras of another pass fit them only after a similarity.
+    `size` is the longer side, in pixels, at which the encoder works best. With `own_frame`, the features belong to
+    the frame of their own pass: cameras of another pass fit them only after a similarity.
     """
 
     name: str
     size: int
     own_frame: bool
 
-    def estimate_cameras(
-        self,
-        photos: Sequence[Photo],
-        *,
-        max_size: int,
-        seed: int,
-        progress: Progress,
-        known: Mapping[str, PhotoCamera] | None = None,
-    ) -> PosedViews:
-        """Cameras of the photos, and the photos undistorted at a longer side of at most `max_size` pixels.
+    def estimate_cameras(self, photos: Sequence[Photo], request: CameraRequest, progress: Progress) -> PosedViews:
+        """Cameras of the photos, and the photos undistorted. `PosedViews` says in which frame.
 
-        `known` gives cameras by photo name: then none is estimated, and photos without one are left out.
-        Raises ImpossibleScene when no two photos can be related.
+        Raises ImpossibleScene when no two photos can be related, and QuerySplatError when the encoder cannot take
+        known cameras.
         """
         ...
 
     def estimate_geometry(self, posed: PosedViews, *, seed: int, progress: Progress) -> Geometry:
-        """Depth, confidence and features of every view."""
+        """Depth, confidence and features of every view.
+
+        An encoder with `own_frame` returns those of the pass that found the cameras. It recognises that pass by the
+        object `posed.views`; other views, even equal ones, cost another pass.
+        """
         ...
 
     def free(self) -> None:
-        """Give back what memory can be: it will not be asked again."""
+        """Release what memory can be released. The encoder is not used afterwards."""
         ...
 
     def bytes_needed(self, views: int, size: int) -> int | None:
         """About the most memory that so many views of `size` × `size` pixels take, weights included.
 
-        None where it is not known, and too little to matter.
+        None where it is unknown, and too little to matter.
         """
         ...

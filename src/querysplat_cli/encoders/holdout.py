@@ -1,35 +1,41 @@
-"""Photos left out of the scene, and where they were taken from."""
+"""Held-out photos, and their cameras in the frame of the inputs.
+
+Held-out photos are scored but make no part of the scene. There are two protocols:
+
+- *isolated* (the paper's comparisons): the cameras of the inputs come from a pass over the inputs alone. A second pass
+  over all photos finds the held-out cameras. The similarity between the two passes' input cameras joins them.
+- *joint*: all cameras come from one pass over all photos.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import torch
 
 from querysplat_cli.encoders.base import PosedViews
+from querysplat_cli.runtime.choices import HoldoutProtocol
 from querysplat_cli.runtime.errors import QuerySplatError
-from querysplat_cli.scene.cameras import Cameras, project
-from querysplat_cli.scene.sim3 import DegenerateAlignment, align_cameras, rotation_angles
+from querysplat_cli.scene.cameras import Cameras, project_points
+from querysplat_cli.scene.rotations import rotation_angles
+from querysplat_cli.scene.sim3 import DegenerateAlignment, align_cameras
 from querysplat_cli.scene.views import LeftOut, Photo, Views
-
-CameraSource = Literal["isolated", "joint"]
 
 
 @dataclass(frozen=True)
-class CameraPass:
+class PosedSplit:
     """The inputs of a scene, and the held-out views in the same frame (None when there are none)."""
 
-    source: CameraSource
+    protocol: HoldoutProtocol
     inputs: PosedViews
     heldout: tuple[Views, Cameras] | None
 
 
 @dataclass(frozen=True)
 class PoseDifference:
-    """How far the input cameras of the two passes lie apart after alignment.
+    """How far the input cameras of two passes lie apart after alignment.
 
-    Mean rotation in degrees, and mean displacement in pixels of the scene points that each camera sees (None
-    where there are no points).
+    `degrees` is the mean rotation. `pixels` is the mean over the views of the median displacement of the scene points
+    that each view observes; None where there are no points.
     """
 
     degrees: float
@@ -37,18 +43,25 @@ class PoseDifference:
 
 
 @dataclass(frozen=True)
-class Passes:
-    """`chosen` makes the scene that is kept; `other` a second one, only to be scored."""
+class HoldoutCameras:
+    """Inputs and held-out views by the chosen protocol, and by the other one where it is scored too.
 
-    chosen: CameraPass
-    other: CameraPass | None
+    The scene that is written is made from `chosen`. A scene from `other` is only scored. `difference` compares the
+    input cameras of the two passes; None where there was one pass, or where they cannot be aligned.
+    """
+
+    chosen: PosedSplit
+    other: PosedSplit | None
     difference: PoseDifference | None
     left_out: tuple[LeftOut, ...]
     warnings: tuple[str, ...]
 
 
 def split_photos(photos: Sequence[Photo], every: int | None) -> tuple[list[Photo], list[Photo]]:
-    """Inputs and held-out photos: photos 0, N, 2N, … are held out (the LLFF convention)."""
+    """Inputs and held-out photos. Photos 0, N, 2N, … are held out for `every` = N (the LLFF convention).
+
+    Raises QuerySplatError when fewer than two inputs are left.
+    """
     if every is None:
         return list(photos), []
     inputs = [photo for i, photo in enumerate(photos) if i % every]
@@ -61,49 +74,50 @@ def split_photos(photos: Sequence[Photo], every: int | None) -> tuple[list[Photo
     return inputs, heldout
 
 
-def camera_passes(
+def estimate_holdout_cameras(
     photos: Sequence[Photo],
     every: int | None,
-    source: CameraSource,
+    protocol: HoldoutProtocol,
     estimate_cameras: Callable[[Sequence[Photo]], PosedViews],
     *,
     poses_known: bool,
     own_frame: bool = False,
-) -> Passes:
-    """Cameras for the inputs and the held-out photos, in the one or two passes that the protocol asks for.
+) -> HoldoutCameras:
+    """Cameras of the inputs and of the held-out photos, in the one or two passes that the protocol needs.
 
-    `estimate_cameras(photos)` is one pass. The *isolated* protocol (paper, Comparisons) locates the inputs by
-    themselves, locates everything a second time, and joins the two by the similarity of the shared input
-    cameras; the *joint* one takes all cameras from the pass over everything. Known poses need one pass. With
-    `own_frame`, a scene fits the cameras of its own pass alone: there is no joint protocol then, and
-    QuerySplatError is raised where it is asked for.
+    `estimate_cameras(photos)` is one pass. Known poses need one pass, since both protocols are then the same. With
+    `own_frame` (see `Encoder`) a scene fits the cameras of its own pass only, so there is no joint protocol: raises
+    QuerySplatError when it is chosen.
     """
-    if own_frame and source == "joint" and every is not None:
+    if own_frame and protocol == "joint" and every is not None:
         raise QuerySplatError(
-            "--holdout-cameras joint: this encoder's features belong to the cameras of their own pass",
+            "--holdout-cameras joint: the features of this encoder fit only the cameras of their own pass",
             "Use --holdout-cameras isolated.",
         )
     inputs, heldout = split_photos(photos, every)
     names = [photo.name for photo in inputs]
     if not heldout:
         posed = estimate_cameras(inputs)
-        return Passes(CameraPass("isolated", posed, None), None, None, posed.left_out, posed.warnings)
+        return HoldoutCameras(PosedSplit("isolated", posed, None), None, None, posed.left_out, posed.warnings)
     everything = estimate_cameras(photos)
-    joint = _joint_pass(everything, names)
+    joint = _joint_split(everything, names)
     if poses_known:
-        return Passes(joint, None, None, everything.left_out, everything.warnings)
+        return HoldoutCameras(joint, None, None, everything.left_out, everything.warnings)
+    # The inputs come last: a learned encoder keeps its last pass for depth and features.
     own = estimate_cameras(inputs)
-    isolated, difference, warnings = isolated_pass(own, everything, names)
-    chosen, other = (isolated, joint) if source == "isolated" else (joint, isolated)
-    second = None if own_frame else other
-    left_out = tuple(dict.fromkeys((*own.left_out, *everything.left_out)))
-    return Passes(
-        chosen, second, difference, left_out, tuple(dict.fromkeys((*own.warnings, *everything.warnings, *warnings)))
+    isolated, difference, warnings = isolated_split(own, everything, names)
+    chosen, other = (isolated, joint) if protocol == "isolated" else (joint, isolated)
+    return HoldoutCameras(
+        chosen,
+        None if own_frame else other,
+        difference,
+        left_out=tuple(dict.fromkeys((*own.left_out, *everything.left_out))),
+        warnings=tuple(dict.fromkeys((*own.warnings, *everything.warnings, *warnings))),
     )
 
 
-def take(posed: PosedViews, rows: Sequence[int]) -> PosedViews:
-    """The same cameras and points, with only some of the views."""
+def select_views(posed: PosedViews, rows: Sequence[int]) -> PosedViews:
+    """The views of these row numbers, in the same frame and with the same points."""
     return replace(
         posed,
         views=posed.views[rows],
@@ -113,27 +127,13 @@ def take(posed: PosedViews, rows: Sequence[int]) -> PosedViews:
     )
 
 
-def _rows(posed: PosedViews, names: Sequence[str], *, inside: bool) -> list[int]:
-    wanted = set(names)
-    return [row for row, name in enumerate(posed.views.names) if (name in wanted) == inside]
-
-
-def _heldout(everything: PosedViews, cameras: Cameras, names: Sequence[str]) -> tuple[Views, Cameras] | None:
-    rows = _rows(everything, names, inside=False)
-    return (everything.views[rows], cameras[rows]) if rows else None
-
-
-def _joint_pass(everything: PosedViews, names: Sequence[str]) -> CameraPass:
-    rows = _rows(everything, names, inside=True)
-    return CameraPass("joint", take(everything, rows), _heldout(everything, everything.cameras, names))
-
-
-def isolated_pass(
+def isolated_split(
     own: PosedViews, everything: PosedViews, names: Sequence[str]
-) -> tuple[CameraPass, PoseDifference | None, tuple[str, ...]]:
-    """The scene of the pass `own` over the photos `names` alone, with the other views of `everything` brought to it.
+) -> tuple[PosedSplit, PoseDifference | None, tuple[str, ...]]:
+    """The inputs by the pass `own`, and the other views of the pass `everything` moved to its frame.
 
-    Where no similarity joins the two there are no held-out views, and a sentence says why.
+    `names` are the inputs. Where no similarity joins the two passes there are no held-out views, and a warning says
+    why.
     """
     shared = [name for name in own.views.names if name in everything.views.names]
     mine = [own.views.names.index(name) for name in shared]
@@ -141,18 +141,37 @@ def isolated_pass(
     try:
         similarity = align_cameras(everything.cameras.w2c[theirs], own.cameras.w2c[mine])
     except DegenerateAlignment as error:
-        return CameraPass("isolated", own, None), None, (f"held-out photos cannot be scored in isolation: {error}",)
+        warning = f"held-out photos cannot be scored in isolation: {error}"
+        return PosedSplit("isolated", own, None), None, (warning,)
     cameras = everything.cameras.transformed(similarity)
     difference = _pose_difference(own, mine, cameras[theirs])
-    return CameraPass("isolated", own, _heldout(everything, cameras, names)), difference, ()
+    return PosedSplit("isolated", own, _heldout(everything, cameras, names)), difference, ()
+
+
+def _joint_split(everything: PosedViews, names: Sequence[str]) -> PosedSplit:
+    rows = _rows(everything, names, inside=True)
+    return PosedSplit("joint", select_views(everything, rows), _heldout(everything, everything.cameras, names))
+
+
+def _heldout(everything: PosedViews, cameras: Cameras, names: Sequence[str]) -> tuple[Views, Cameras] | None:
+    rows = _rows(everything, names, inside=False)
+    return (everything.views[rows], cameras[rows]) if rows else None
+
+
+def _rows(posed: PosedViews, names: Sequence[str], *, inside: bool) -> list[int]:
+    """Row numbers of the views whose names are among `names`, or of those whose names are not."""
+    wanted = set(names)
+    return [row for row, name in enumerate(posed.views.names) if (name in wanted) == inside]
 
 
 def _pose_difference(own: PosedViews, rows: Sequence[int], others: Cameras) -> PoseDifference:
+    """Between the cameras of `own` in these rows and `others`, which are in the same frame."""
     degrees, pixels = [], []
-    for row, w2c, K in zip(rows, others.w2c.double(), others.K.double(), strict=True):
-        mine, lens = own.cameras.w2c[row].double(), own.cameras.K[row].double()
-        degrees.append(rotation_angles(w2c[:3, :3] @ mine[:3, :3].T))
+    for row, other_w2c, other_K in zip(rows, others.w2c.double(), others.K.double(), strict=True):
+        own_w2c, own_K = own.cameras.w2c[row].double(), own.cameras.K[row].double()
+        degrees.append(rotation_angles(other_w2c[:3, :3] @ own_w2c[:3, :3].T))
         points = own.points[own.visibility[row]].double()
         if len(points):
-            pixels.append((project(points, mine, lens) - project(points, w2c, K)).norm(dim=1).median())
+            shift = project_points(points, own_w2c, own_K) - project_points(points, other_w2c, other_K)
+            pixels.append(shift.norm(dim=1).median())
     return PoseDifference(float(torch.stack(degrees).mean()), float(torch.stack(pixels).mean()) if pixels else None)

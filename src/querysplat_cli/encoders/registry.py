@@ -1,4 +1,4 @@
-"""Encoders by name. Each one is imported when it is first asked for."""
+"""Encoders by name. An encoder is imported when it is first asked for."""
 
 import signal
 import threading
@@ -8,20 +8,18 @@ from querysplat_cli.encoders.base import Encoder, EncoderOptions
 from querysplat_cli.runtime.errors import QuerySplatError
 
 ENCODERS = ("classical", "vggt", "vggt_omega")
-"""Packages beside this file, each with a function `make` in its module `encoder`."""
+"""Packages beside this file. Each has a module `encoder` with a function `make(options)`."""
+DEFAULT_OPTIONS = EncoderOptions()
 
 
-DEFAULTS = EncoderOptions()
+def find_encoder(name: str, options: EncoderOptions = DEFAULT_OPTIONS) -> Encoder:
+    """The encoder called `name`.
 
-
-def find_encoder(name: str, options: EncoderOptions = DEFAULTS) -> Encoder:
-    """The encoder called `name`; raises QuerySplatError, listing the names, when there is none.
-
-    Raises MissingPart when its weights are not here.
+    Raises QuerySplatError, which lists the names, when there is none, and MissingPart when its weights are missing.
     """
     if name not in ENCODERS:
         raise QuerySplatError(f"there is no encoder named '{name}'", f"Choose one of: {', '.join(ENCODERS)}.")
-    # pycolmap takes SIGTERM when it is imported, and dies of it with a dump of the stack.
+    # When pycolmap is imported it installs a SIGTERM handler that prints a stack dump. The old handler comes back.
     before = signal.getsignal(signal.SIGTERM)
     encoder: Encoder = import_module(f"querysplat_cli.encoders.{name}.encoder").make(options)
     if threading.current_thread() is threading.main_thread():

@@ -1,4 +1,4 @@
-"""The plain alternative: splat the VGM's depth as it is."""
+"""The baseline: one Gaussian for each small block of pixels, at the VGM's depth."""
 
 import torch
 from jaxtyping import Float

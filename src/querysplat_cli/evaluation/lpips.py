@@ -1,4 +1,4 @@
-"""LPIPS (Zhang et al. 2018, version 0.1), with the weights that the user has; none are bundled or downloaded.
+"""LPIPS (Zhang et al. 2018, version 0.1). Its weights are the user's: none are bundled or downloaded.
 
 Two files make it: a backbone as torchvision publishes it (vgg16-*.pth, alexnet-*.pth) and the linear layers as the
 `lpips` package ships them (vgg.pth, alex.pth).

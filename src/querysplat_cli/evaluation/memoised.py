@@ -1,67 +1,76 @@
-"""An encoder whose answers several rows share, without sharing what they cost."""
+"""An encoder whose results several rows of an evaluation share, each with the cost of finding it."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
-from querysplat_cli.encoders.base import Encoder, Geometry, PosedViews
+from querysplat_cli.encoders.base import CameraRequest, Encoder, Geometry, PosedViews
 from querysplat_cli.evaluation.costs import Cost, measured
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Progress
-from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.views import Photo
 
 
+class _Same:
+    """A key that is equal for one and the same object.
+
+    It holds the object. Without that, an object could be freed, and a later one could get its `id`.
+    """
+
+    def __init__(self, held: object) -> None:
+        self._held = held
+
+    def __hash__(self) -> int:
+        return id(self._held)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Same) and self._held is other._held
+
+
 class MemoisedEncoder:
-    """An encoder that answers what it was asked before at once, and knows what each answer cost."""
+    """An encoder that computes each result once, and measures what that costs.
+
+    It serves the photos of one case: photos of one name are the same photo, and have the same known camera.
+    Depth is found once for each `PosedViews` object; an equal copy of one counts as another.
+    """
 
     def __init__(self, encoder: Encoder) -> None:
         self.name, self.size, self.own_frame = encoder.name, encoder.size, encoder.own_frame
         self._encoder = encoder
-        self._answers: dict[Any, Any] = {}
-        self._costs: dict[int, Cost] = {}
+        self._results: dict[Any, Any] = {}
+        self._costs: dict[_Same, Cost] = {}
 
-    def estimate_cameras(
-        self,
-        photos: Sequence[Photo],
-        *,
-        max_size: int,
-        seed: int,
-        progress: Progress,
-        known: Mapping[str, PhotoCamera] | None = None,
-    ) -> PosedViews:
-        key = ("estimate_cameras", tuple(photo.name for photo in photos), max_size, seed, known is not None)
+    def estimate_cameras(self, photos: Sequence[Photo], request: CameraRequest, progress: Progress) -> PosedViews:
+        names = tuple(photo.name for photo in photos)
         return self._once(
-            key,
-            lambda: self._encoder.estimate_cameras(
-                photos, max_size=max_size, seed=seed, progress=progress, known=known
-            ),
+            ("estimate_cameras", names, request.max_size, request.seed, request.known is not None),
+            lambda: self._encoder.estimate_cameras(photos, request, progress),
         )
 
     def estimate_geometry(self, posed: PosedViews, *, seed: int, progress: Progress) -> Geometry:
         return self._once(
-            ("estimate_geometry", id(posed), seed),
+            ("estimate_geometry", _Same(posed), seed),
             lambda: self._encoder.estimate_geometry(posed, seed=seed, progress=progress),
         )
 
     def free(self) -> None:
-        """Nothing: the next case asks again."""
+        """Nothing is freed: the next case needs the encoder again."""
 
     def bytes_needed(self, views: int, size: int) -> int | None:
         return self._encoder.bytes_needed(views, size)
 
-    def cost_of(self, answer: PosedViews | Geometry) -> Cost:
-        """What it cost to find an answer of this encoder."""
-        return self._costs[id(answer)]
+    def cost_of(self, result: PosedViews | Geometry) -> Cost:
+        """What it cost to find a result of this encoder."""
+        return self._costs[_Same(result)]
 
-    def _once(self, key: Any, ask: Callable[[], Any]) -> Any:
-        if key not in self._answers:
+    def _once(self, key: Any, compute: Callable[[], Any]) -> Any:
+        if key not in self._results:
             try:
-                answer, cost = measured(ask)
+                result, cost = measured(compute)
             except QuerySplatError as error:
-                self._answers[key] = error
+                self._results[key] = error
             else:
-                self._answers[key], self._costs[id(answer)] = answer, cost
-        answer = self._answers[key]
-        if isinstance(answer, QuerySplatError):
-            raise answer
-        return answer
+                self._results[key], self._costs[_Same(result)] = result, cost
+        result = self._results[key]
+        if isinstance(result, QuerySplatError):
+            raise result
+        return result

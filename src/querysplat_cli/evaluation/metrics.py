@@ -7,16 +7,15 @@ from jaxtyping import Float
 from torch import Tensor
 
 from querysplat_cli.evaluation.lpips import Lpips
+from querysplat_cli.evaluation.policy import EVALUATION_POLICY
 from querysplat_cli.splat.similarity import psnr, ssim_metric
 
 METRICS = ("psnr", "ssim", "lpips")
-EQUAL = 100.0
-"""PSNR in dB that stands for equal pictures, and for anything closer than float32 tells."""
 
 
 @dataclass(frozen=True)
 class Scores:
-    """PSNR in dB; SSIM as scikit-image has it, with an 11-pixel Gaussian window; LPIPS None without its weights."""
+    """PSNR in dB; SSIM as in scikit-image, with an 11-pixel Gaussian window; LPIPS is None without its weights."""
 
     psnr: float
     ssim: float
@@ -29,4 +28,4 @@ def compare(
     """Scores of `picture` against `truth`, both in [0, 1]; every pixel counts."""
     with torch.no_grad():
         distance = float(lpips(picture[None], truth[None])) if lpips else None
-    return Scores(min(psnr(picture, truth), EQUAL), ssim_metric(picture, truth), distance)
+    return Scores(min(psnr(picture, truth), EVALUATION_POLICY.psnr_limit), ssim_metric(picture, truth), distance)

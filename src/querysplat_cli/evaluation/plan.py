@@ -1,55 +1,27 @@
-"""What `eval` is to do: splits, rows, and the cases that are still open."""
+"""The plan of an evaluation: splits, rows, and the cases that are not done yet."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from querysplat_cli.evaluation.case import CameraSource, Row, parts, same_parts
+from querysplat_cli.evaluation.axes import FIXED
+from querysplat_cli.evaluation.case import Row, parts, same_parts
 from querysplat_cli.evaluation.generate import generate
-from querysplat_cli.evaluation.grid import FIXED, Axis, rows
+from querysplat_cli.evaluation.grid import rows
 from querysplat_cli.evaluation.lpips import LpipsFiles
-from querysplat_cli.evaluation.protocol import Protocol
-from querysplat_cli.evaluation.results import Place, checkpoint_sha256, prepare, run_config, write_failure
+from querysplat_cli.evaluation.policy import EVALUATION_POLICY
+from querysplat_cli.evaluation.request import EvalRequest
+from querysplat_cli.evaluation.results import RowFolder, checkpoint_sha256, open_row_folder, run_config, write_failure
 from querysplat_cli.evaluation.splits import Case, Split, read_splits, resolve
-from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.runtime.errors import ImpossibleScene, QuerySplatError
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.formats.dataset import CapturedScene, Frame
 
-GENERATED_CASES = 300
-"""Cases of a generated split, as many as the authors' have."""
-
-
-@dataclass(frozen=True)
-class EvalRequest:
-    """What `querysplat eval` can be asked for; see docs/cli.md. `cases` None means all, or 300 of a generated split."""
-
-    scenes: tuple[Path, ...]
-    out: Path
-    splits: tuple[Path, ...]
-    views: tuple[int, ...]
-    scales: tuple[str, ...]
-    cases: int | None
-    protocol: Protocol
-    cameras: tuple[CameraSource, ...]
-    axes: tuple[Axis, ...]
-    settings: ReconstructSettings
-    predictions: Path | None
-    name: str | None
-    lpips: Path | None
-    lpips_net: str
-    pictures: str
-    save_pictures: bool
-    shard: tuple[int, int]
-    workers: int
-    splits_only: bool
-    force: bool
-
 
 @dataclass(frozen=True)
 class Job:
-    """One case and the rows that are still to be worked out for it."""
+    """One case and the rows that have no scores of it yet."""
 
     split: str
     case: Case
@@ -59,7 +31,7 @@ class Job:
 
 
 def plan_splits(request: EvalRequest, scenes: Sequence[CapturedScene], say: Callable[[str], None]) -> list[Split]:
-    """The splits that are given, or generated ones; `say` is told which of those cannot be made."""
+    """The given splits, or generated ones. `say` gets the reason for each that cannot be generated."""
     if request.splits:
         splits = [split for path in request.splits for split in read_splits(path)]
         names = [split.name for split in splits]
@@ -72,7 +44,7 @@ def plan_splits(request: EvalRequest, scenes: Sequence[CapturedScene], say: Call
     for views in request.views:
         for scale in request.scales:
             try:
-                cases = request.cases or GENERATED_CASES
+                cases = request.cases or EVALUATION_POLICY.generated_cases
                 splits.append(generate(scenes, dataset, views, scale, cases=cases, seed=request.settings.seed))
             except ImpossibleScene as error:
                 say(error.message)
@@ -85,7 +57,10 @@ def plan_splits(request: EvalRequest, scenes: Sequence[CapturedScene], say: Call
 def plan_rows(
     request: EvalRequest, scenes: Iterable[CapturedScene], say: Callable[[str], None]
 ) -> list[tuple[Row, dict[str, Any]]]:
-    """The rows, and what is to be known of each one's settings. Fails before any work where a part is missing."""
+    """The rows, each with the settings that its run_config.json lists.
+
+    Raises MissingPart, before any case is run, when weights or a package are missing.
+    """
     if request.predictions:
         if not request.predictions.is_dir():
             raise QuerySplatError(f"{request.predictions}: no such folder", "Give the folder of a method's outputs.")
@@ -122,17 +97,19 @@ def plan_jobs(
     table: Sequence[tuple[Row, dict[str, Any]]],
     lpips: LpipsFiles | str,
 ) -> list[Job]:
-    """The cases of this shard that some row has no scores of."""
+    """The cases of this shard that are not done in every row."""
     about_lpips = {"net": lpips.net} if isinstance(lpips, LpipsFiles) else {"missing": lpips}
     for split in splits:
         for row, settings in table:
-            config = run_config(settings, split, request.protocol.name, about_lpips)
-            prepare(Place(request.out, row.name, split.name), config, force=request.force)
-    number, of = request.shard
+            config = run_config(settings, split, request.protocol, about_lpips)
+            open_row_folder(RowFolder(request.out, row.name, split.name), config, force=request.force)
+    number, of = request.shard or (1, 1)
     jobs = []
     every = [(split, case) for split in splits for case in split.cases]
     for split, case in every[number - 1 :: of]:
-        open_rows = tuple(row for row, _ in table if not Place(request.out, row.name, split.name).is_done(case.name))
+        open_rows = tuple(
+            row for row, _ in table if not RowFolder(request.out, row.name, split.name).is_done(case.name)
+        )
         if not open_rows:
             continue
         try:
@@ -142,7 +119,7 @@ def plan_jobs(
             groups = resolve(case, scene)
         except QuerySplatError as error:
             for row in open_rows:
-                write_failure(Place(request.out, row.name, split.name).case(case.name), case.scene, error.message)
+                write_failure(RowFolder(request.out, row.name, split.name).case(case.name), case.scene, error.message)
             continue
         wanted = {frame.name for frames in groups.values() for frame in frames}
         cameras = {name: camera for name, camera in scene.cameras.items() if name in wanted}

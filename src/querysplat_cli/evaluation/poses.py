@@ -1,4 +1,4 @@
-"""Two sets of cameras of the same photos, compared after the similarity that joins them."""
+"""Errors between two sets of cameras of the same photos, after a similarity alignment."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -9,14 +9,13 @@ from typing import Any
 import numpy as np
 import torch
 
+from querysplat_cli.evaluation.policy import EVALUATION_POLICY
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.figures import new_figure, save_figure
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.files import atomic_path
-from querysplat_cli.scene.sim3 import Sim3, align_cameras, rotation_angles
-
-THRESHOLDS = (5, 15, 30)
-"""Degrees of RRA, RTA and AUC."""
+from querysplat_cli.scene.rotations import rotation_angles
+from querysplat_cli.scene.sim3 import Sim3, align_cameras
 
 
 @dataclass(frozen=True)
@@ -47,9 +46,9 @@ class PoseErrors:
     def summary(self) -> dict[str, Any]:
         """Medians, means and rates, for a report. Rates are per cent of pairs."""
         worse = np.maximum(self.pair_rotation, self.pair_translation)
-        rates = {f"rra_{t}": _recall(self.pair_rotation, float(t)) for t in THRESHOLDS}
-        rates |= {f"rta_{t}": _recall(self.pair_translation, float(t)) for t in THRESHOLDS}
-        rates |= {f"auc_{t}": area_under_recall(worse, float(t)) for t in THRESHOLDS}
+        rates = {f"rra_{t}": _recall(self.pair_rotation, float(t)) for t in EVALUATION_POLICY.pose_thresholds}
+        rates |= {f"rta_{t}": _recall(self.pair_translation, float(t)) for t in EVALUATION_POLICY.pose_thresholds}
+        rates |= {f"auc_{t}": area_under_recall(worse, float(t)) for t in EVALUATION_POLICY.pose_thresholds}
         return {
             "photos": len(self.names),
             "only_a": list(self.only_a),
@@ -84,7 +83,7 @@ def compare_cameras(a: Mapping[str, PhotoCamera], b: Mapping[str, PhotoCamera]) 
     mine, theirs = [a[names_a[stem]] for stem in shared], [b[names_b[stem]] for stem in shared]
     w2c_a, w2c_b = (np.stack([camera.w2c for camera in side]) for side in (mine, theirs))
     similarity = align_cameras(torch.from_numpy(w2c_a), torch.from_numpy(w2c_b))
-    centres_a, centres_b = _moved(_centres(w2c_a), similarity), _centres(w2c_b)
+    centres_a, centres_b = _transformed(_centres(w2c_a), similarity), _centres(w2c_b)
     turned = w2c_a[:, :3, :3] @ similarity.rotation.numpy().T
     distance = np.linalg.norm(centres_a - centres_b, axis=1)
     apart = np.linalg.norm(centres_b[:, None] - centres_b[None], axis=2)
@@ -146,7 +145,7 @@ def _centres(w2c: np.ndarray) -> np.ndarray:
     return -np.einsum("nji,nj->ni", w2c[:, :3, :3], w2c[:, :3, 3])
 
 
-def _moved(points: np.ndarray, similarity: Sim3) -> np.ndarray:
+def _transformed(points: np.ndarray, similarity: Sim3) -> np.ndarray:
     return np.asarray(similarity.apply(torch.from_numpy(points)).numpy())
 
 

@@ -1,10 +1,10 @@
-"""Other methods' outputs on the same scale: a .ply with cameras, or pictures.
+"""Scores of other methods' outputs: a .ply with cameras, or pictures.
 
-DIR/<split>/<case>/, or DIR/<case>/, holds either of
-  a .ply, and a cameras.json or transforms.json in its frame, of the shown or of the whole photos, by their names.
-  Targets that are not in that file are placed through the dataset's cameras; without the file all views are;
-  pictures of the views, anywhere below, called as the photo or by its number in the dataset's list. One picture may
-  serve several groups; where names repeat, that in a folder of the group's name counts.
+DIR/<split>/<case>/, or DIR/<case>/, holds one of these:
+- A .ply, and a cameras.json or transforms.json in its frame, with cameras of the shown or of the whole photos by their
+  names. Views that are not in that file, or all views without it, get the dataset's cameras.
+- Pictures of the views in any folder below, named like the photo or by its number in the dataset's list. One picture
+  may serve several groups. Of several pictures with one name, that in a folder of the group's name counts.
 """
 
 from collections.abc import Mapping
@@ -12,7 +12,8 @@ from pathlib import Path
 
 import torch
 
-from querysplat_cli.evaluation.case import CaseRunner, RowResult, joined
+from querysplat_cli.evaluation.cameras import to_frame_of
+from querysplat_cli.evaluation.judge import Judge, RowResult
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import PhotoCamera, same_shape
 from querysplat_cli.scene.fit import resized
@@ -24,47 +25,47 @@ from querysplat_cli.scene.photos import SUFFIXES, WHOLE, load_photo
 from querysplat_cli.scene.views import LeftOut
 
 
-def score_prediction(runner: CaseRunner, root: Path, split: str, case: str) -> RowResult:
-    """Score what another method made of the case; raises QuerySplatError when it made nothing that can be scored."""
+def score_prediction(judge: Judge, root: Path, split: str, case: str) -> RowResult:
+    """Scores of another method's output for a case. Raises QuerySplatError when there is none that can be scored."""
     folder = next((place for place in (root / split / case, root / case) if place.is_dir()), None)
     if folder is None:
         raise QuerySplatError(f"{root}: nothing for {split}, {case}", f"Expected {root / split / case}.")
     scenes = sorted(folder.rglob("*.ply"))
     if scenes:
         gaussians = read_ply(scenes[0])
-        return runner.judge(gaussians, _cameras(runner, folder), "no camera of it is given, nor one by the dataset")
+        return judge.score_scene(gaussians, _cameras(judge, folder), "no camera of it is given, nor one by the dataset")
     files = [file for file in sorted(folder.rglob("*")) if file.suffix.lower() in SUFFIXES]
     if not files:
         raise QuerySplatError(f"{folder}: neither a .ply nor pictures in it", "See docs/cli.md on --predictions.")
     pictures = {
         group: {frame.name: file for frame in frames if (file := _picture_file(files, group, frame))}
-        for group, frames in runner.groups.items()
+        for group, frames in judge.groups.items()
     }
-    return runner.judge_pictures(
-        lambda group, frame: _read(pictures[group].get(frame.name), runner.truth(frame)), "no picture of it is there"
+    return judge.score_pictures(
+        lambda group, frame: _read(pictures[group].get(frame.name), judge.truth(frame)), "no picture of it is there"
     )
 
 
-def _cameras(runner: CaseRunner, folder: Path) -> dict[str, PhotoCamera]:
+def _cameras(judge: Judge, folder: Path) -> dict[str, PhotoCamera]:
     """Cameras of the shown photos in the .ply's frame."""
     file = next((folder / name for name in JSON_NAMES if (folder / name).is_file()), None)
     if file is None:
-        return dict(runner.known)
+        return dict(judge.known)
     by_stem = {Path(name).stem: camera for name, camera in read_transforms(file).items()}
     given: dict[str, PhotoCamera] = {}
-    for name, (photo, shown) in runner.photos.items():
+    for name, (photo, shown) in judge.photos.items():
         camera = by_stem.get(Path(name).stem)
         if camera is None:
             continue
         of_shown = same_shape((camera.height, camera.width), (shown.height, shown.width))
-        given[name] = camera if of_shown else runner.protocol.shown_camera(camera, photo)
-    return _completed(given, runner.known)
+        given[name] = camera if of_shown else judge.protocol.shown_camera(camera, photo)
+    return _completed(given, judge.known)
 
 
 def _completed(given: dict[str, PhotoCamera], known: Mapping[str, PhotoCamera]) -> dict[str, PhotoCamera]:
     if known.keys() <= given.keys() or len(given.keys() & known.keys()) < 2:
         return given
-    return {**joined(known, {name: camera for name, camera in given.items() if name in known}), **given}
+    return {**to_frame_of({name: camera for name, camera in given.items() if name in known}, known), **given}
 
 
 def _picture_file(files: list[Path], group: str, frame: Frame) -> Path | None:

@@ -1,4 +1,4 @@
-"""What a method is shown and what its renders are held against: the two published procedures.
+"""The inputs of a method and the targets of its renders, in the two published protocols.
 
 `release` (the authors' evaluation script): inputs are the largest centred square at 512 × 512, renders are made at
 256 × 256, and the truth is that square, reduced to 256 × 256 with an antialiased bilinear filter. `text` (paper,
@@ -7,7 +7,6 @@ Photos are never enlarged before they are shown.
 """
 
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import cv2
 import numpy as np
@@ -15,6 +14,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from querysplat_cli.evaluation.policy import EVALUATION_POLICY
+from querysplat_cli.runtime.choices import ProtocolName
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera, rescaled, same_shape
 from querysplat_cli.scene.fit import resized
@@ -23,25 +24,26 @@ from querysplat_cli.scene.pictures import eight_bit
 from querysplat_cli.scene.views import Photo
 from querysplat_cli.splat.render import render
 
-ProtocolName = Literal["release", "text"]
-RELEASE_SIDE, RELEASE_SCORED, TEXT_SIDE = 512, 256, 256
-
 
 @dataclass(frozen=True)
 class Protocol:
-    """One of the two procedures."""
+    """One of the two protocols."""
 
     name: ProtocolName
 
+    @property
+    def _shorter_side(self) -> int:
+        policy = EVALUATION_POLICY
+        return policy.release_input_side if self.name == "release" else policy.text_input_side
+
     def shown(self, photo: Photo) -> Photo:
-        """The photo as a method gets it."""
+        """The photo as an input of a method."""
         pixels = photo.pixels
         if self.name == "release":
             side = min(photo.height, photo.width)
             top, left = (photo.height - side) // 2, (photo.width - side) // 2
             pixels = pixels[top : top + side, left : left + side]
-        limit = RELEASE_SIDE if self.name == "release" else TEXT_SIDE
-        scale = min(1.0, limit / min(pixels.shape[:2]))
+        scale = min(1.0, self._shorter_side / min(pixels.shape[:2]))
         height, width = (round(size * scale) for size in pixels.shape[:2])
         if scale < 1:
             pixels = eight_bit(resized(_tensor(pixels), (height, width)))
@@ -64,39 +66,40 @@ class Protocol:
             top, left = (photo.height - side) // 2, (photo.width - side) // 2
             principal = fitted.principal[0] - left, fitted.principal[1] - top
             fitted = replace(fitted, principal=principal, height=side, width=side)
-        limit = RELEASE_SIDE if self.name == "release" else TEXT_SIDE
-        scale = min(1.0, limit / min(fitted.height, fitted.width))
+        scale = min(1.0, self._shorter_side / min(fitted.height, fitted.width))
         return rescaled(fitted, round(fitted.height * scale), round(fitted.width * scale))
 
     def truth(self, photo: Photo) -> Float[Tensor, "3 height width"]:
-        """What renders are held against, in [0, 1]."""
+        """The target that a render is compared with, in [0, 1]."""
         if self.name == "text":
             return _tensor(photo.pixels)
-        return resized(_tensor(self.shown(photo).pixels), (RELEASE_SCORED, RELEASE_SCORED))
+        side = EVALUATION_POLICY.release_target_side
+        return resized(_tensor(self.shown(photo).pixels), (side, side))
 
     def picture(self, gaussians: Gaussians, camera: PhotoCamera, photo: Photo) -> Float[Tensor, "3 height width"]:
         """The render that `truth(photo)` is compared with; `camera` is that of `shown(photo)`, in the scene's frame."""
         if self.name == "text":
             return resized(photograph(gaussians, camera), (photo.height, photo.width))
-        return photograph(gaussians, rescaled(camera, RELEASE_SCORED, RELEASE_SCORED))
+        side = EVALUATION_POLICY.release_target_side
+        return photograph(gaussians, rescaled(camera, side, side))
 
 
 def photograph(gaussians: Gaussians, camera: PhotoCamera) -> Float[Tensor, "3 height width"]:
     """The picture in [0, 1], on black, that `camera` takes with its lens.
 
-    A distorting lens sees a pinhole's render that covers it, resampled (bicubic).
+    For a distorting lens, a larger pinhole render is resampled (bicubic).
     """
     K = np.array([[camera.focal[0], 0, camera.principal[0]], [0, camera.focal[1], camera.principal[1]], [0, 0, 1.0]])
     if not any(camera.distortion):
         return _render(gaussians, camera.w2c, K, camera.height, camera.width)
-    # OpenCV counts pixels from their centres, so its principal point lies half a pixel lower.
+    # OpenCV has pixel centres at whole numbers, so its principal point is smaller by half a pixel.
     x, y = np.meshgrid(np.arange(camera.width, dtype=np.float64), np.arange(camera.height, dtype=np.float64))
     half = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
     pixels = np.stack([x, y], -1).reshape(-1, 1, 2)
     straight = cv2.undistortPoints(pixels, K - half, np.array(camera.distortion), None, None, K - half, criteria)
     straight = straight.reshape(camera.height, camera.width, 2)
-    border = 3  # what the bicubic filter reaches beyond the outermost pixel
+    border = 3  # the bicubic filter's support beyond the outermost pixel
     corner = np.floor(straight.min((0, 1))).astype(int) - border
     width, height = (np.ceil(straight.max((0, 1))).astype(int) + border + 1 - corner).tolist()
     shifted = K - np.array([[0, 0, corner[0]], [0, 0, corner[1]], [0, 0, 0]])

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from querysplat_cli.evaluation.case import RowResult, ViewScore
+from querysplat_cli.evaluation.judge import RowResult, ViewScore
 from querysplat_cli.evaluation.metrics import METRICS
 from querysplat_cli.evaluation.splits import GROUPS, Split
 from querysplat_cli.reporting.report import machine
@@ -33,11 +33,11 @@ from querysplat_cli.scene.files import atomic_folder, atomic_path
 from querysplat_cli.scene.pictures import eight_bit, write_picture
 
 NOT_COMPARED = ("machine", "torch", "querysplat")
-"""What may differ between shards of one run."""
+"""Entries that may differ between shards of one run."""
 
 
 @dataclass(frozen=True)
-class Place:
+class RowFolder:
     """The folder of one row's results on one split."""
 
     out: Path
@@ -45,30 +45,30 @@ class Place:
     split: str
 
     @property
-    def folder(self) -> Path:
+    def path(self) -> Path:
         return self.out / self.row / self.split
 
     def case(self, name: str) -> Path:
-        return self.folder / name
+        return self.path / name
 
     def is_done(self, name: str) -> bool:
         return (self.case(name) / "metrics.json").is_file()
 
 
-def prepare(place: Place, config: dict[str, Any], *, force: bool) -> None:
-    """Write `config` where nothing is yet, or go on where the same was run before.
+def open_row_folder(row_folder: RowFolder, config: dict[str, Any], *, force: bool) -> None:
+    """Write `config` into a new folder, or check that an existing folder has the same.
 
-    Raises QuerySplatError when something else was run there; `force` removes that instead.
+    Raises QuerySplatError when the folder has results of other settings; `force` removes these instead.
     """
-    file = place.folder / "run_config.json"
-    if place.folder.exists() and force:
-        shutil.rmtree(place.folder)
+    file = row_folder.path / "run_config.json"
+    if row_folder.path.exists() and force:
+        shutil.rmtree(row_folder.path)
     if file.is_file():
         before = read_json(file)
         changed = [key for key in config if key not in NOT_COMPARED and config[key] != before.get(key)]
         if changed:
             raise QuerySplatError(
-                f"{place.folder} was made with other settings ({', '.join(changed)})",
+                f"{row_folder.path} was made with other settings ({', '.join(changed)})",
                 "Choose another output, or add --force to begin again.",
             )
         return
@@ -76,7 +76,7 @@ def prepare(place: Place, config: dict[str, Any], *, force: bool) -> None:
 
 
 def run_config(settings: dict[str, Any], split: Split, protocol: str, lpips: dict[str, str]) -> dict[str, Any]:
-    """What tells one run from another, and what a reader wants to know of it. `settings` has the row's own."""
+    """The content of run_config.json. `settings` are those of the row."""
     content = json.dumps(
         [[case.name, *[[vars(ref) for ref in case.groups[g]] for g in GROUPS]] for case in split.cases]
     )
@@ -98,7 +98,7 @@ def run_config(settings: dict[str, Any], split: Split, protocol: str, lpips: dic
 
 
 def checkpoint_sha256(preset: str) -> str | None:
-    """Of the weights' file: the bundled one of a preset, or the file that `preset` names."""
+    """SHA-256 of a bundled preset's weights, or of the file `preset`; None where there is neither."""
     bundled = files("querysplat_cli") / "weights" / f"{preset}.safetensors"
     file = bundled if bundled.is_file() else Path(preset)
     if not file.is_file():
@@ -139,28 +139,28 @@ def write_failure(folder: Path, scene: str, message: str, hint: str = "") -> Non
         write_json(draft / "failure.json", {"scene_id": scene, "error": message, "hint": hint})
 
 
-def places(out: Path) -> list[Place]:
-    """Every row and split that `out` has results of."""
+def row_folders(out: Path) -> list[RowFolder]:
+    """The folders of all rows and splits with results in `out`."""
     found = sorted(out.glob("*/*/run_config.json"))
-    return [Place(out, file.parent.parent.name, file.parent.name) for file in found]
+    return [RowFolder(out, file.parent.parent.name, file.parent.name) for file in found]
 
 
 def merge(parts: Sequence[Path], out: Path) -> None:
-    """Put the results of several runs, for instance the shards of one, into `out`.
+    """Copy the results of several runs, for instance the shards of one, into `out`.
 
     A case that several parts have is taken from the first that scored it. Raises QuerySplatError when a part has
-    no results, or two parts have run different things under one name.
+    no results, or two parts have different settings for one row and split.
     """
     for part in parts:
-        found = places(part)
+        found = row_folders(part)
         if not found:
             raise QuerySplatError(f"{part}: no results of `querysplat eval` in it", "Give the folders of the shards.")
-        for place in found:
-            mine = Place(out, place.row, place.split)
-            prepare(mine, read_json(place.folder / "run_config.json"), force=False)
-            for case in sorted(entry for entry in place.folder.iterdir() if entry.is_dir()):
-                if not case.name.startswith(".") and not mine.is_done(case.name):
-                    with atomic_folder(mine.case(case.name)) as draft:
+        for row_folder in found:
+            merged = RowFolder(out, row_folder.row, row_folder.split)
+            open_row_folder(merged, read_json(row_folder.path / "run_config.json"), force=False)
+            for case in sorted(entry for entry in row_folder.path.iterdir() if entry.is_dir()):
+                if not case.name.startswith(".") and not merged.is_done(case.name):
+                    with atomic_folder(merged.case(case.name)) as draft:
                         shutil.copytree(case, draft, dirs_exist_ok=True)
 
 
@@ -183,7 +183,7 @@ def _mean(views: Sequence[ViewScore]) -> dict[str, float | None]:
 
 
 def mean(values: Iterable[float | None]) -> float | None:
-    """None where there is nothing to take the mean of."""
+    """The mean of the values that are not None; None where all are."""
     numbers = [value for value in values if value is not None]
     return sum(numbers) / len(numbers) if numbers else None
 
@@ -200,14 +200,14 @@ def _timing(result: RowResult) -> dict[str, Any]:
 
 def _write_cameras(path: Path, result: RowResult) -> None:
     views = [(group, view) for group, views in result.views.items() for view in views if view.camera]
-    lenses = [view.camera for _, view in views if view.camera]
+    cameras = [view.camera for _, view in views if view.camera]
     np.savez(
         path,
         names=np.array([view.frame.name for _, view in views]),
         groups=np.array([group for group, _ in views]),
-        w2c=np.array([lens.w2c for lens in lenses]).reshape(-1, 4, 4),
-        focal=np.array([lens.focal for lens in lenses]).reshape(-1, 2),
-        principal=np.array([lens.principal for lens in lenses]).reshape(-1, 2),
-        distortion=np.array([lens.distortion for lens in lenses]).reshape(-1, 4),
-        size=np.array([(lens.height, lens.width) for lens in lenses]).reshape(-1, 2),
+        w2c=np.array([camera.w2c for camera in cameras]).reshape(-1, 4, 4),
+        focal=np.array([camera.focal for camera in cameras]).reshape(-1, 2),
+        principal=np.array([camera.principal for camera in cameras]).reshape(-1, 2),
+        distortion=np.array([camera.distortion for camera in cameras]).reshape(-1, 4),
+        size=np.array([(camera.height, camera.width) for camera in cameras]).reshape(-1, 2),
     )

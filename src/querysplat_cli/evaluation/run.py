@@ -1,4 +1,4 @@
-"""The story of `eval`: scenes and splits in, scores of every row on one scale out."""
+"""`querysplat eval`: the scores of every row on every case of every split."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -8,11 +8,13 @@ from traceback import format_exc
 from typing import Any
 
 from querysplat_cli.evaluation.case import CaseRunner
+from querysplat_cli.evaluation.judge import Judge
 from querysplat_cli.evaluation.lpips import LpipsFiles, find_lpips, load_lpips
-from querysplat_cli.evaluation.plan import EvalRequest, Job, plan_jobs, plan_rows, plan_splits
+from querysplat_cli.evaluation.plan import Job, plan_jobs, plan_rows, plan_splits
 from querysplat_cli.evaluation.predictions import score_prediction
 from querysplat_cli.evaluation.protocol import Protocol
-from querysplat_cli.evaluation.results import Place, write_case, write_failure
+from querysplat_cli.evaluation.request import EvalRequest
+from querysplat_cli.evaluation.results import RowFolder, write_case, write_failure
 from querysplat_cli.evaluation.splits import Split, spacing, write_index, write_split
 from querysplat_cli.evaluation.summary import summarise
 from querysplat_cli.evaluation.workers import Workers
@@ -38,7 +40,7 @@ class Setup:
 
 
 def evaluate(request: EvalRequest, stages: Stages, say: Callable[[str], None]) -> dict[str, Any]:
-    """Run what is not done yet, and summarise all that `request.out` holds; `say` is told what is worth knowing.
+    """Run the cases that are not done yet, and summarise all results in `request.out`. `say` gets the messages.
 
     Raises QuerySplatError on bad input. A case that fails is listed in the summary.
     """
@@ -65,7 +67,7 @@ def evaluate(request: EvalRequest, stages: Stages, say: Callable[[str], None]) -
     _write_splits(request.out, splits)
     setup = Setup(
         request.out,
-        request.protocol,
+        Protocol(request.protocol),
         request.settings,
         lpips if isinstance(lpips, LpipsFiles) else None,
         request.save_pictures,
@@ -80,9 +82,9 @@ def evaluate(request: EvalRequest, stages: Stages, say: Callable[[str], None]) -
             if died:
                 say(f"{job.split}, {job.case.name}: {died}")
                 for row in job.rows:
-                    place = Place(request.out, row.name, job.split)
-                    if not place.is_done(job.case.name):
-                        write_failure(place.case(job.case.name), job.case.scene, died)
+                    row_folder = RowFolder(request.out, row.name, job.split)
+                    if not row_folder.is_done(job.case.name):
+                        write_failure(row_folder.case(job.case.name), job.case.scene, died)
             progress(f"{finished} of {len(jobs)}: {job.split}, {job.case.name}", finished / len(jobs))
 
         if jobs:
@@ -92,22 +94,24 @@ def evaluate(request: EvalRequest, stages: Stages, say: Callable[[str], None]) -
 
 
 def handler(setup: Setup) -> Callable[[Job], None]:
-    """What a worker does with each job."""
+    """The function that runs one job in a worker."""
     lpips = load_lpips(setup.lpips) if setup.lpips else None
     if find_device(setup.settings.device).type == "cpu" and not setup.predictions:
-        compile_ahead().join()  # or the first case's seconds would hold it
+        compile_ahead().join()  # otherwise the first case's seconds would include it
     return partial(_work, setup, lpips)
 
 
 def _work(setup: Setup, lpips: Any, job: Job) -> None:
+    judge: Judge | None = None
     runner: CaseRunner | None = None
     for row in job.rows:
-        folder = Place(setup.out, row.name, job.split).case(job.case.name)
+        folder = RowFolder(setup.out, row.name, job.split).case(job.case.name)
         try:
-            runner = runner or CaseRunner(job.groups, job.cameras, setup.protocol, setup.settings, lpips)
+            judge = judge or Judge(job.groups, job.cameras, setup.protocol, lpips)
             if setup.predictions:
-                result = score_prediction(runner, setup.predictions, job.split, job.case.name)
+                result = score_prediction(judge, setup.predictions, job.split, job.case.name)
             else:
+                runner = runner or CaseRunner(judge, setup.settings)
                 result = runner.run(row)
             write_case(folder, job.case.scene, result, pictures=setup.save_pictures)
         except QuerySplatError as error:

@@ -3,7 +3,7 @@
 The release's file is {dataset_path, total_samples, num_input_views, scale, samples: [{scene_id, input_views,
 interp_views, extrap_views}]}, each view {path, frame_index}. An index file, as TokenGS and DepthSplat
 use it, is {scene: {context: [...], target: [...]}} of positions in the scene's list of frames; its targets hold
-the inputs and frames beyond them, which are told apart here.
+the inputs and frames beyond them, which are separated here.
 """
 
 import json
@@ -18,11 +18,12 @@ from querysplat_cli.scene.files import atomic_path
 from querysplat_cli.scene.formats.dataset import CapturedScene, Frame
 
 GROUPS = ("input", "interp", "extrap")
+"""Input views, interpolation targets and extrapolation targets of a case."""
 
 
 @dataclass(frozen=True)
 class FrameRef:
-    """A frame as a split names it: a path below the dataset's parent, "" in index files, and its number."""
+    """A frame in a split: its path below the dataset's parent folder ("" in index files) and its number."""
 
     path: str
     frame_index: int

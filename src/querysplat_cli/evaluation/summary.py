@@ -1,4 +1,4 @@
-"""What a run's folder adds up to: one table for each number of views, for people, spreadsheets and programs."""
+"""The summary of a run's folder as Markdown, CSV and JSON, with a table for each number of views."""
 
 import csv
 import json
@@ -10,16 +10,16 @@ from typing import Any
 
 from querysplat_cli.evaluation.generate import SCALES
 from querysplat_cli.evaluation.metrics import METRICS
-from querysplat_cli.evaluation.results import Place, mean, places, read_json, write_json
+from querysplat_cli.evaluation.results import RowFolder, mean, read_json, row_folders, write_json
 from querysplat_cli.evaluation.splits import GROUPS
 from querysplat_cli.scene.files import atomic_path
 
-COLUMNS = (
+SUMMARY_COLUMNS = (
     "row", "split", "views", "scale", "group", *METRICS, "scored", "asked", "cases", "failed",
     "seconds_median", "seconds_low", "seconds_high", "gaussians_median", "peak_memory_gib",
 )  # fmt: skip
 TITLES = {"input": "input views", "interp": "interpolation", "extrap": "extrapolation"}
-DIGITS = {"psnr": 2, "ssim": 3, "lpips": 3}
+SCORE_DIGITS = {"psnr": 2, "ssim": 3, "lpips": 3}
 
 
 def summarise(out: Path) -> dict[str, Any]:
@@ -28,7 +28,7 @@ def summarise(out: Path) -> dict[str, Any]:
     A split's figure is the mean over all scored views of all its cases; the average over splits of one number of
     views is the mean of their figures (as in the release).
     """
-    found = [summarise_place(place) for place in places(out)]
+    found = [summarise_row(row_folder) for row_folder in row_folders(out)]
     rows = [row for entry in found for row in entry["groups"]]
     summary = {
         "rows": rows,
@@ -40,22 +40,24 @@ def summarise(out: Path) -> dict[str, Any]:
         "quoted": published(),
     }
     write_json(out / "summary.json", summary)
-    write_table(out / "summary.csv", COLUMNS, rows)
+    write_table(out / "summary.csv", SUMMARY_COLUMNS, rows)
     with atomic_path(out / "summary.md") as draft:
         draft.write_text(markdown(summary))
     return summary
 
 
-def summarise_place(place: Place) -> dict[str, Any]:
+def summarise_row(row_folder: RowFolder) -> dict[str, Any]:
     """One row's figures on one split, group by group, and the cases that failed."""
-    config = read_json(place.folder / "run_config.json")
+    config = read_json(row_folder.path / "run_config.json")
     split = config["split"]
     scores: dict[str, dict[str, list[float]]] = {group: {metric: [] for metric in METRICS} for group in GROUPS}
     asked, timings, failures, cases = dict.fromkeys(GROUPS, 0), [], [], 0
-    for folder in sorted(entry for entry in place.folder.iterdir() if entry.is_dir() and entry.name[0] != "."):
+    for folder in sorted(entry for entry in row_folder.path.iterdir() if entry.is_dir() and entry.name[0] != "."):
         if (folder / "failure.json").is_file():
             failure = read_json(folder / "failure.json")
-            failures.append({"row": place.row, "split": place.split, "case": folder.name, "error": failure["error"]})
+            failures.append(
+                {"row": row_folder.row, "split": row_folder.split, "case": folder.name, "error": failure["error"]}
+            )
             continue
         metrics = read_json(folder / "metrics.json")
         timings.append(read_json(folder / "timing.json"))
@@ -69,8 +71,8 @@ def summarise_place(place: Place) -> dict[str, Any]:
     seconds = [timing["seconds"]["total"] for timing in timings if len(timing["seconds"]) > 1]
     low, middle, high = spread(seconds)
     common = {
-        "row": place.row,
-        "split": place.split,
+        "row": row_folder.row,
+        "split": row_folder.split,
         "views": split["num_input_views"],
         "scale": split["scale"],
         "cases": cases,
@@ -78,8 +80,8 @@ def summarise_place(place: Place) -> dict[str, Any]:
         "seconds_median": middle,
         "seconds_low": low,
         "seconds_high": high,
-        "gaussians_median": spread(known(timing["gaussians"] for timing in timings))[1],
-        "peak_memory_gib": max(known(timing["peak_memory_gib"] for timing in timings), default=None),
+        "gaussians_median": spread(not_none(timing["gaussians"] for timing in timings))[1],
+        "peak_memory_gib": max(not_none(timing["peak_memory_gib"] for timing in timings), default=None),
     }
     groups = [
         {
@@ -110,7 +112,7 @@ def averages(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
             **{key: sum(part[key] for part in parts) for key in ("scored", "asked", "cases", "failed")},
             "seconds_median": mean(part["seconds_median"] for part in parts),
             "gaussians_median": mean(part["gaussians_median"] for part in parts),
-            "peak_memory_gib": max(known(part["peak_memory_gib"] for part in parts), default=None),
+            "peak_memory_gib": max(not_none(part["peak_memory_gib"] for part in parts), default=None),
         }
         for (name, views, group), parts in together.items()
     ]
@@ -147,7 +149,7 @@ def markdown(summary: dict[str, Any]) -> str:
 
 def cell(row: dict[str, Any]) -> str:
     """PSNR / SSIM / LPIPS, a dash for what there is not."""
-    return " / ".join("–" if row[metric] is None else f"{row[metric]:.{DIGITS[metric]}f}" for metric in METRICS)
+    return " / ".join("–" if row[metric] is None else f"{row[metric]:.{SCORE_DIGITS[metric]}f}" for metric in METRICS)
 
 
 def spread(values: Sequence[float]) -> tuple[float | None, float | None, float | None]:
@@ -202,8 +204,8 @@ def _rank(scale: str) -> int:
     return SCALES.index(scale) if scale in SCALES else len(SCALES)
 
 
-def known(values: Iterable[float | None]) -> list[float]:
-    """The values that are there."""
+def not_none(values: Iterable[float | None]) -> list[float]:
+    """The values that are not None."""
     return [float(value) for value in values if value is not None]
 
 

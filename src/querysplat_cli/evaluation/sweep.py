@@ -1,4 +1,4 @@
-"""Error against run time: what each row of a run costs, what it brings, and which rows nothing else beats."""
+"""Quality against cost of each row of a run, and the rows that no other row beats."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from querysplat_cli.evaluation.metrics import METRICS
-from querysplat_cli.evaluation.results import Place, places, read_json, write_json
-from querysplat_cli.evaluation.summary import TITLES, known, spread, write_table
+from querysplat_cli.evaluation.results import RowFolder, read_json, row_folders, write_json
+from querysplat_cli.evaluation.summary import TITLES, not_none, spread, write_table
 from querysplat_cli.runtime.figures import new_figure, save_figure
 from querysplat_cli.scene.files import atomic_path
 
@@ -44,7 +44,7 @@ class Point:
 
 def write_curves(out: Path, group: str = "interp") -> list[Point]:
     """Write sweep.json, .csv, .md, .png and .svg of all results below `out`, and return the points."""
-    points = frontier(collect(places(out), group))
+    points = frontier(collect(row_folders(out), group))
     write_json(out / "sweep.json", [_flat(point) for point in points])
     flat = [_flat(point) for point in points]
     write_table(out / "sweep.csv", list(flat[0]) if flat else ["row"], flat)
@@ -54,12 +54,12 @@ def write_curves(out: Path, group: str = "interp") -> list[Point]:
     return points
 
 
-def collect(found: Sequence[Place], group: str) -> list[Point]:
+def collect(found: Sequence[RowFolder], group: str) -> list[Point]:
     """One point for each row and number of views."""
     together: dict[tuple[int, str], list[dict[str, float | None]]] = {}
-    for place in found:
-        views = read_json(place.folder / "run_config.json")["split"]["num_input_views"]
-        for file in sorted(place.folder.glob("*/metrics.json")):
+    for row_folder in found:
+        views = read_json(row_folder.path / "run_config.json")["split"]["num_input_views"]
+        for file in sorted(row_folder.path.glob("*/metrics.json")):
             scores = read_json(file)["mean"].get(group, {})
             if scores.get("psnr") is None:
                 continue
@@ -67,14 +67,14 @@ def collect(found: Sequence[Place], group: str) -> list[Point]:
             case = {metric: scores[metric] for metric in METRICS}
             case |= {"gaussians": timing["gaussians"], "peak_memory_gib": timing["peak_memory_gib"]}
             case["seconds"] = timing["seconds"]["total"] or None
-            together.setdefault((views, place.row), []).append(case)
+            together.setdefault((views, row_folder.row), []).append(case)
     return [
         Point(
             row,
             views,
             group,
             len(cases),
-            {key: Spread(*spread(known(case[key] for case in cases))) for key in (*METRICS, *COSTS)},
+            {key: Spread(*spread(not_none(case[key] for case in cases))) for key in (*METRICS, *COSTS)},
         )
         for (views, row), cases in sorted(together.items())
     ]
@@ -92,7 +92,7 @@ def frontier(points: Sequence[Point]) -> list[Point]:
 
 
 def markdown(points: Sequence[Point]) -> str:
-    """A table with medians and quartiles; bold where nothing else is as good in as little time."""
+    """A table with medians and quartiles; bold where no other row is as good in as little time."""
     lines = []
     for views in sorted({point.views for point in points}):
         chosen = [point for point in points if point.views == views]
@@ -114,11 +114,11 @@ def draw(points: Sequence[Point], files: Sequence[Path]) -> None:
     figure = new_figure(4.2 * len(COSTS), 3.2 * max(1, len(metrics)))
     axes = figure.subplots(max(1, len(metrics)), len(COSTS), squeeze=False)
     for line, metric in zip(axes, metrics, strict=False):
-        for place, cost in zip(line, COSTS, strict=True):
-            _curve(place, points, metric, cost)
-            place.set_xlabel(COSTS[cost])
-            place.set_ylabel(NAMES[metric])
-            place.grid(alpha=0.3)
+        for axis, cost in zip(line, COSTS, strict=True):
+            _curve(axis, points, metric, cost)
+            axis.set_xlabel(COSTS[cost])
+            axis.set_ylabel(NAMES[metric])
+            axis.grid(alpha=0.3)
     if points:
         axes[0][0].legend(fontsize=7)
         rows = [f"{number}  {row}" for row, number in _numbers(points).items()]
@@ -144,7 +144,7 @@ def _curve(axes: Any, points: Sequence[Point], metric: str, cost: str) -> None:
 
 
 def _numbers(points: Sequence[Point]) -> dict[str, int]:
-    """What rows are called in the figure."""
+    """The number of each row in the figure."""
     return {row: number for number, row in enumerate(sorted({point.row for point in points}), start=1)}
 
 

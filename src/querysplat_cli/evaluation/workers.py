@@ -1,4 +1,4 @@
-"""Cases in worker processes: they run side by side, and a case that brings its process down takes no other with it."""
+"""Cases in parallel worker processes. A case that crashes its process does not affect the others."""
 
 import os
 import queue
@@ -12,14 +12,14 @@ from typing import Any, Generic, TypeVar
 
 Job = TypeVar("Job")
 THREAD_LIMITS = ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "MKL_NUM_THREADS")
-GRACE = 5.0
-"""Seconds that a stopped worker has to put its files away."""
+STOP_SECONDS = 5.0
+"""How long a stopped worker may take to remove its unfinished files."""
 
 
 class Workers(Generic[Job]):
     """`count` processes that call `handler(setup)(job)`; `setup` and jobs are pickled.
 
-    Each process is used for many jobs and started anew after a crash. The machine's cores are shared out
+    Each process runs many jobs, and is restarted after a crash. The machine's cores are shared out
     among them, unless the user has set a limit of threads.
     """
 
@@ -30,7 +30,7 @@ class Workers(Generic[Job]):
         self._starting = threading.Lock()
 
     def run(self, jobs: Sequence[Job], done: Callable[[Job, str | None], None]) -> None:
-        """Work through `jobs`; `done(job, why)` is called for each, `why` saying how its process came to an end.
+        """Work through `jobs`; `done(job, why)` is called for each, `why` is the reason when its process ended.
 
         `done` is never called twice at a time. On an exception, all processes are stopped; Ctrl-C and a scheduler's
         SIGTERM are one. Call it from the main thread.
@@ -101,14 +101,14 @@ class Workers(Generic[Job]):
             if process.is_alive():
                 process.terminate()
         for process in self._running:
-            process.join(GRACE)
+            process.join(STOP_SECONDS)
             if process.is_alive():
                 process.kill()
                 process.join()
 
 
 def _serve(pipe: Connection, handler: Callable[[Any], Callable[[Any], None]], setup: Any) -> None:
-    # Ctrl-C reaches every process of a terminal; the first one decides, and files are put away on its word.
+    # Ctrl-C reaches every process of a terminal. The main process stops the workers, so they ignore it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     handle = handler(setup)
@@ -134,7 +134,7 @@ def _last_words(code: int | None) -> str:
 
 
 class _shared_cores:
-    """While it lasts, processes that are started take their share of the cores."""
+    """Inside this context, new processes are limited to their share of the cores."""
 
     def __init__(self, workers: int) -> None:
         cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

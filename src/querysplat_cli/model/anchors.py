@@ -1,4 +1,4 @@
-"""Anchors: what an anchored query starts from, and what it may attend to."""
+"""Anchors: the prior that an anchored query starts from, and what it may attend to."""
 
 from dataclasses import dataclass
 
@@ -21,10 +21,10 @@ class Neighbours:
 class Anchors:
     """Q anchored queries of G Gaussians each, in world coordinates.
 
-    The prior (`means`, `scales`, `quats` w x y z, `opacities`, `colours` in [0, 1]) is the scene before any
-    decoder has spoken; heads predict changes to it, lengths in units of `spacing`. `features` feed the query
-    embedding; none of them depends on the scene's frame. `geometry`, `appearance` and `queries` say which rows
-    of the two memories, and which other queries, each query attends to.
+    The prior (`means`, `scales`, `quats` w x y z, `opacities`, `colours` in [0, 1]) is the scene without any
+    decoder. Heads predict changes to it, lengths in units of `spacing`, which is in scene units. `features` are the
+    input of the query embedding and do not depend on the scene's frame. `geometry`, `appearance` and `queries` are
+    the rows of the two memories, and the other queries, that each query attends to.
     """
 
     means: Float[Tensor, "queries gaussians 3"]

@@ -1,5 +1,7 @@
 """Attention over a memory or among queries, one scene at a time: [tokens, width], no batch."""
 
+from dataclasses import replace
+
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -7,6 +9,7 @@ from torch.nn import functional as F
 
 from querysplat_cli.model.anchors import Neighbours
 from querysplat_cli.model.local_attention import attend_near
+from querysplat_cli.model.memories import Memory
 from querysplat_cli.runtime.precision import LayerNorm, Linear
 
 
@@ -19,7 +22,7 @@ class LayerScale(nn.Module):
 
     @property
     def is_inactive(self) -> bool:
-        """Whether the branch adds exactly nothing and will not learn to: it can then be left out."""
+        """Whether the branch adds exactly nothing and is frozen, so that it can be skipped."""
         return not self.gamma.requires_grad and not bool(self.gamma.any())
 
     def forward(self, update: Float[Tensor, "tokens width"]) -> Float[Tensor, "tokens width"]:
@@ -27,7 +30,7 @@ class LayerScale(nn.Module):
 
 
 class CrossAttention(nn.Module):
-    """Queries read a memory whose keys are already normed (spec, section 4, step 1)."""
+    """Queries read a memory whose keys are already normed, so only queries are normed here (paper, section 3.3)."""
 
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()
@@ -37,19 +40,13 @@ class CrossAttention(nn.Module):
         self.q_norm = LayerNorm(width // heads)
         self.out_proj = Linear(width, width)
 
-    def forward(
-        self,
-        tokens: Float[Tensor, "queries width"],
-        keys: Float[Tensor, "memory heads channels"],
-        values: Float[Tensor, "memory heads channels"],
-        near: Neighbours | None = None,
-    ) -> Float[Tensor, "queries width"]:
+    def forward(self, tokens: Float[Tensor, "queries width"], memory: Memory) -> Float[Tensor, "queries width"]:
         query = self.q_norm(self.q_proj(self.norm(tokens)).unflatten(-1, (self.heads, -1)))
-        return self.out_proj(attend(query, keys, values, near, self.out_proj.weight.dtype))
+        return self.out_proj(attend(query, memory, self.out_proj.weight.dtype))
 
 
 class SelfAttention(nn.Module):
-    """Queries read one another (spec, section 4, step 2)."""
+    """Queries read one another; queries and keys are normed by head (paper, section 3.3)."""
 
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()
@@ -64,22 +61,20 @@ class SelfAttention(nn.Module):
         self, tokens: Float[Tensor, "queries width"], near: Neighbours | None = None
     ) -> Float[Tensor, "queries width"]:
         query, key, value = self.qkv(self.norm(tokens)).unflatten(-1, (3, self.heads, -1)).unbind(1)
-        return self.out_proj(attend(self.q_norm(query), self.k_norm(key), value, near, value.dtype))
+        return self.out_proj(attend(self.q_norm(query), Memory(self.k_norm(key), value, near), value.dtype))
 
 
 def attend(
-    query: Float[Tensor, "queries heads channels"],
-    keys: Float[Tensor, "memory heads channels"],
-    values: Float[Tensor, "memory heads channels"],
-    near: Neighbours | None = None,
-    dtype: torch.dtype | None = None,
+    query: Float[Tensor, "queries heads channels"], memory: Memory, dtype: torch.dtype | None = None
 ) -> Float[Tensor, "queries width"]:
     """softmax(q·kᵀ/√channels + bias)·v by head, heads concatenated.
 
-    With `near`, query i sees only the memory rows near.index[i], whose logits get near.bias[i]; without, all,
-    and the products are taken in `dtype` (by default the queries').
+    With neighbours, query i reads only the rows neighbours.index[i], to whose logits neighbours.bias[i] is added.
+    Without, it reads all rows, and the products are taken in `dtype` (by default the queries').
     """
-    if near is None:
+    keys, values = memory.keys, memory.values
+    if memory.neighbours is None:
         q, k, v = (part.to(dtype or query.dtype).transpose(0, 1)[None] for part in (query, keys, values))
         return F.scaled_dot_product_attention(q, k, v)[0].transpose(0, 1).flatten(1)
-    return attend_near(query, keys.to(query.dtype), values.to(query.dtype), near).flatten(1)
+    same = replace(memory, keys=keys.to(query.dtype), values=values.to(query.dtype))
+    return attend_near(query, same).flatten(1)

@@ -1,4 +1,4 @@
-"""What one query looks at, in the geometry memory and in the appearance memory (the paper's attention figures)."""
+"""How much one query attends to each row of the geometry and the appearance memory (the paper's attention figures)."""
 
 import torch
 from jaxtyping import Float
@@ -7,7 +7,7 @@ from torch import Tensor
 from querysplat_cli.model.anchors import Anchors, Neighbours
 from querysplat_cli.model.attention import CrossAttention
 from querysplat_cli.model.decoders import Decoder, DecoderBlock
-from querysplat_cli.model.memories import Memories
+from querysplat_cli.model.memories import Memories, Memory
 from querysplat_cli.model.querysplat import QuerySplat
 
 
@@ -15,7 +15,7 @@ from querysplat_cli.model.querysplat import QuerySplat
 def attention_of(
     model: QuerySplat, memories: Memories, anchors: Anchors | None, query: int
 ) -> tuple[Float[Tensor, "geometry"], Float[Tensor, "appearance"]]:
-    """Cross-attention weights of a query over the rows of both memories; each sums to 1.
+    """Cross-attention weights of one query over the rows of both memories; each sums to 1.
 
     They are means over heads and over the blocks whose attention counts (γ not all zero).
     """
@@ -27,48 +27,33 @@ def attention_of(
     else:
         first = first + model.anchor_embedding(anchors.features)
         near = anchors.geometry, anchors.appearance, anchors.queries
-    geometry, tokens = _weights(
-        model.geometry_decoder, first, memories.geometry_keys, memories.geometry_values, near[0], near[2], query
-    )
+    geometry, tokens = _weights(model.geometry_decoder, first, memories.geometry(near[0]), near[2], query)
     if anchors is None:
         tokens, query = tokens[1:], query - 1
-    appearance, _ = _weights(
-        model.appearance_decoder,
-        tokens + model.appearance_queries,
-        memories.appearance_keys,
-        memories.appearance_values,
-        near[1],
-        near[2],
-        query,
-    )
+    start = tokens + model.appearance_queries
+    appearance, _ = _weights(model.appearance_decoder, start, memories.appearance(near[1]), near[2], query)
     return geometry, appearance
 
 
 def _weights(
-    decoder: Decoder,
-    tokens: Tensor,
-    keys: Tensor,
-    values: Tensor,
-    near_memory: Neighbours | None,
-    near_queries: Neighbours | None,
-    query: int,
+    decoder: Decoder, tokens: Tensor, memory: Memory, near_queries: Neighbours | None, query: int
 ) -> tuple[Tensor, Tensor]:
     """Mean weights, and the tokens after the decoder."""
     found = []
     for block in decoder.blocks:
         assert isinstance(block, DecoderBlock)
         if not block.cross_scale.is_inactive:
-            found.append(_cross_weights(block.cross, tokens[[query]], keys, near_memory, query))
-        tokens = block(tokens, keys, values, near_memory, near_queries)
-    return torch.stack(found).mean(0) if found else keys.new_full((len(keys),), 1 / len(keys)), tokens
+            found.append(_cross_weights(block.cross, tokens[[query]], memory, query))
+        tokens = block(tokens, memory, near_queries)
+    rows = len(memory.keys)
+    return torch.stack(found).mean(0) if found else memory.keys.new_full((rows,), 1 / rows), tokens
 
 
-def _cross_weights(
-    cross: CrossAttention, token: Tensor, keys: Tensor, near: Neighbours | None, query: int
-) -> Float[Tensor, "memory"]:
-    asked = cross.q_norm(cross.q_proj(cross.norm(token)).unflatten(-1, (cross.heads, -1)))[0]
+def _cross_weights(cross: CrossAttention, token: Tensor, memory: Memory, query: int) -> Float[Tensor, "memory"]:
+    keys, near = memory.keys, memory.neighbours
+    asking = cross.q_norm(cross.q_proj(cross.norm(token)).unflatten(-1, (cross.heads, -1)))[0]
     rows = torch.arange(len(keys), device=keys.device) if near is None else near.index[query]
-    logits = torch.einsum("hc,mhc->mh", asked, keys[rows].to(asked.dtype)) / asked.shape[-1] ** 0.5
+    logits = torch.einsum("hc,mhc->mh", asking, keys[rows].to(asking.dtype)) / asking.shape[-1] ** 0.5
     if near is not None:
         logits = logits + near.bias[query, :, None]
     return torch.zeros(len(keys), device=keys.device).index_add(0, rows, logits.softmax(0).mean(1).float())

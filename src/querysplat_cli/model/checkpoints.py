@@ -1,4 +1,4 @@
-"""Weights from files: ours, which carry their configuration, and the official ones under their own names."""
+"""Weights in files: ours, which include their configuration, and the official ones under their own names."""
 
 import json
 from collections.abc import Iterable
@@ -13,8 +13,9 @@ from torch import Tensor
 from querysplat_cli.model.config import ModelConfig, preset, preset_names
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.runtime.checkpoint_files import check_tensors, fill, read_tensors
+from querysplat_cli.runtime.choices import Precision
 from querysplat_cli.runtime.errors import QuerySplatError
-from querysplat_cli.runtime.precision import Precision, weight_dtypes
+from querysplat_cli.runtime.precision import weight_dtypes
 from querysplat_cli.runtime.weight_registry import WEIGHTS, find_weights
 from querysplat_cli.scene.files import atomic_path
 
@@ -41,7 +42,7 @@ OFFICIAL_NAMES = (
     ("patch_plucker_embed.norm.", "photo_embedding.rays_norm."),
     ("gs_tokens", "geometry_queries"),
 )
-"""Beginnings of official names and of ours; the first that fits counts."""
+"""Prefixes of official names and ours in their place. The first prefix that matches is replaced."""
 
 OFFICIAL_BLOCK_NAMES = (
     ("gs_self_attn.norm.", "self_attention.norm."),
@@ -53,7 +54,7 @@ OFFICIAL_BLOCK_NAMES = (
     ("gs_cross_attn_scale.", "cross_scale."),
     ("mlp.mlp.", "mlp."),
 )
-"""The same within a decoder block."""
+"""The same for the names within a decoder block."""
 
 
 def load(
@@ -61,9 +62,8 @@ def load(
 ) -> QuerySplat:
     """A frozen model from a preset or a checkpoint file, ready to decode on `device`.
 
-    The weights of a preset are bundled, or in the folder `weights`, or in the Hugging Face cache. Raises
-    MissingPart when they are not there, and QuerySplatError when a file is damaged or holds other tensors
-    than the model needs.
+    The weights of a preset are bundled, or in the folder `weights`, or in the Hugging Face cache. Raises MissingPart
+    when they are in none of these, and QuerySplatError when a file is damaged or has other tensors than the model.
     """
     if name in WEIGHTS and name in preset_names():
         return load_file(find_weights(name, weights), precision=precision, device=device)
@@ -79,7 +79,7 @@ def load(
 def load_file(path: Path, *, precision: Precision = "fp32", device: torch.device = CPU) -> QuerySplat:
     """A frozen model from a .safetensors or .pt file under our names or the official ones.
 
-    Its configuration is in the metadata; without, it is the official one with the SH degree of the head.
+    The configuration is read from the metadata. Without any, it is the official one with the SH degree of the head.
     """
     tensors, metadata = read_tensors(path)
     stored = {our_name(name): name for name in tensors}
@@ -93,7 +93,7 @@ def load_file(path: Path, *, precision: Precision = "fp32", device: torch.device
 
 
 def save(model: QuerySplat, path: Path) -> None:
-    """Half-precision weights with the configuration in the metadata, so that one file is enough."""
+    """Write half-precision weights, with the configuration in the metadata, so that one file is enough."""
     tensors = {name: tensor.half().contiguous() for name, tensor in model.state_dict().items()}
     with atomic_path(path) as draft:
         save_file(tensors, draft, metadata={"config": json.dumps(asdict(model.config))})

@@ -1,4 +1,4 @@
-"""What a QuerySplat model is made of."""
+"""The sizes and choices that define a QuerySplat model."""
 
 import tomllib
 from dataclasses import dataclass, fields
@@ -6,6 +6,7 @@ from importlib import resources
 from typing import Any, Literal
 
 from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.tables import STRICT, from_tables
 
 
 @dataclass(frozen=True)
@@ -15,9 +16,11 @@ class ModelConfig:
     `queries` "learned" takes `query_count` learned tokens and predicts positions in the VGM's frame;
     "anchored" makes a token for each anchor from its `anchor_features` numbers and predicts changes to the
     anchor's prior, whose colour was projected from the photos (`colour_prior`). With `branches` "one", a single
-    decoder reads both memories; it and `appearance_blocks` 0 are the paper's ablations. `special_tokens` are the
-    camera and register tokens before a view's patches; `vgm_width` is the width of the VGM's tokens.
+    decoder reads both memories. That, and `appearance_blocks` 0, are the paper's ablations. `special_tokens` are the
+    camera and register tokens in front of a view's patches; `vgm_width` is the width of the VGM's tokens.
     """
+
+    __pydantic_config__ = STRICT
 
     width: int = 2048
     heads: int = 16
@@ -59,10 +62,10 @@ class ModelConfig:
             "colour_prior": ("none", "projected"),
             "branches": ("two", "one"),
         }
-        for name, known in choices.items():
-            if getattr(self, name) not in known:
+        for name, allowed in choices.items():
+            if getattr(self, name) not in allowed:
                 raise QuerySplatError(
-                    f"{name} cannot be '{getattr(self, name)}'", f"Choose one of: {', '.join(known)}."
+                    f"{name} cannot be '{getattr(self, name)}'", f"Choose one of: {', '.join(allowed)}."
                 )
 
     @property
@@ -71,7 +74,7 @@ class ModelConfig:
 
     @property
     def has_eye(self) -> bool:
-        """Whether there is an eye token: it stands among learned queries, and weighs layers where there are several."""
+        """Whether there is an eye token. It is one more learned query, and gives the weights of several layers."""
         return self.queries == "learned" or self.mixed_layers > 1
 
     @property
@@ -81,11 +84,8 @@ class ModelConfig:
 
     @staticmethod
     def from_dict(values: dict[str, Any]) -> "ModelConfig":
-        """Raises QuerySplatError when a name is not a field."""
-        unknown = sorted(values.keys() - {field.name for field in fields(ModelConfig)})
-        if unknown:
-            raise QuerySplatError(f"unknown model setting: {', '.join(unknown)}", "See docs/method.md for the names.")
-        return ModelConfig(**values)
+        """Raises QuerySplatError when a name is not a field, or a value is of another type."""
+        return from_tables(ModelConfig, values, what="model", docs="docs/method.md")
 
 
 def preset(name: str) -> ModelConfig:

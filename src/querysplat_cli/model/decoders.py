@@ -1,4 +1,4 @@
-"""The decoder that both branches use: queries read a memory, then one another, then think."""
+"""The decoder that both branches use: queries read a memory, then one another, then pass an MLP."""
 
 from collections.abc import Iterator
 
@@ -10,6 +10,7 @@ from torch.utils.checkpoint import checkpoint
 
 from querysplat_cli.model.anchors import Neighbours
 from querysplat_cli.model.attention import CrossAttention, LayerScale, SelfAttention
+from querysplat_cli.model.memories import Memory
 from querysplat_cli.runtime.precision import LayerNorm, Linear
 
 
@@ -27,7 +28,7 @@ class Mlp(nn.Module):
 
 
 class DecoderBlock(nn.Module):
-    """Cross-attention, self-attention, MLP; each pre-normed, scaled, and added (paper, section 3.2).
+    """Cross-attention, self-attention, MLP; each pre-normed, scaled, and added (paper, section 3.3).
 
         t ─┬─ norm ─ cross(K, V) ─ γ ─(+)─┬─ norm ─ self ─ γ ─(+)─┬─ norm ─ MLP ─ γ ─(+)─ t
            └──────────────────────────────┘└─────────────────────┘└────────────────────┘
@@ -45,16 +46,11 @@ class DecoderBlock(nn.Module):
         self.mlp_scale = LayerScale(width)
 
     def steps(
-        self,
-        tokens: Float[Tensor, "queries width"],
-        keys: Float[Tensor, "memory heads channels"],
-        values: Float[Tensor, "memory heads channels"],
-        near_memory: Neighbours | None = None,
-        near_queries: Neighbours | None = None,
+        self, tokens: Float[Tensor, "queries width"], memory: Memory, near_queries: Neighbours | None = None
     ) -> Iterator[Float[Tensor, "queries width"]]:
         """The tokens after each of the three steps."""
         if not self.cross_scale.is_inactive:
-            tokens = tokens + self.cross_scale(self.cross(tokens, keys, values, near_memory))
+            tokens = tokens + self.cross_scale(self.cross(tokens, memory))
         yield tokens
         if not self.self_attention_scale.is_inactive:
             tokens = tokens + self.self_attention_scale(self.self_attention(tokens, near_queries))
@@ -64,14 +60,9 @@ class DecoderBlock(nn.Module):
         yield tokens
 
     def forward(
-        self,
-        tokens: Float[Tensor, "queries width"],
-        keys: Float[Tensor, "memory heads channels"],
-        values: Float[Tensor, "memory heads channels"],
-        near_memory: Neighbours | None = None,
-        near_queries: Neighbours | None = None,
+        self, tokens: Float[Tensor, "queries width"], memory: Memory, near_queries: Neighbours | None = None
     ) -> Float[Tensor, "queries width"]:
-        *_, tokens = self.steps(tokens, keys, values, near_memory, near_queries)
+        *_, tokens = self.steps(tokens, memory, near_queries)
         return tokens
 
 
@@ -83,33 +74,23 @@ class Decoder(nn.Module):
         self.blocks = nn.ModuleList(DecoderBlock(width, heads, mlp_ratio) for _ in range(blocks))
 
     def steps(
-        self,
-        tokens: Float[Tensor, "queries width"],
-        keys: Float[Tensor, "memory heads channels"],
-        values: Float[Tensor, "memory heads channels"],
-        near_memory: Neighbours | None = None,
-        near_queries: Neighbours | None = None,
+        self, tokens: Float[Tensor, "queries width"], memory: Memory, near_queries: Neighbours | None = None
     ) -> Iterator[Float[Tensor, "queries width"]]:
         """The tokens after each block.
 
-        For a gradient, blocks that see everything are run again backward instead of being prepared:
-        thousands of queries would take gigabytes for each.
+        For a gradient, a block whose queries read the whole memory is run a second time in the backward pass. To
+        store its intermediate results for thousands of queries would take gigabytes a block.
         """
         for block in self.blocks:
-            if near_memory is None and torch.is_grad_enabled():
-                tokens = checkpoint(block, tokens, keys, values, use_reentrant=False)
+            if memory.neighbours is None and torch.is_grad_enabled():
+                tokens = checkpoint(block, tokens, memory, use_reentrant=False)
             else:
-                tokens = block(tokens, keys, values, near_memory, near_queries)
+                tokens = block(tokens, memory, near_queries)
             yield tokens
 
     def forward(
-        self,
-        tokens: Float[Tensor, "queries width"],
-        keys: Float[Tensor, "memory heads channels"],
-        values: Float[Tensor, "memory heads channels"],
-        near_memory: Neighbours | None = None,
-        near_queries: Neighbours | None = None,
+        self, tokens: Float[Tensor, "queries width"], memory: Memory, near_queries: Neighbours | None = None
     ) -> Float[Tensor, "queries width"]:
-        for after in self.steps(tokens, keys, values, near_memory, near_queries):
+        for after in self.steps(tokens, memory, near_queries):
             tokens = after
         return tokens

@@ -10,12 +10,13 @@ from torch.nn import functional as F
 from querysplat_cli.model.anchors import Anchors
 from querysplat_cli.model.config import ModelConfig
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
+from querysplat_cli.scene.rotations import quaternion_product, rotate_vectors
 
 GEOMETRY_CHANNELS = 10
 """Centre 3, scale 3, quaternion 4."""
 OPACITY_BIAS = 2.0
 LARGEST_EXPONENT = 40.0
-"""exp is linear beyond this: a raw number of 1e4 stays finite, and so does the square of its gradient."""
+"""Beyond this exp continues as its tangent: for a raw number of 1e4, it and its squared gradient stay finite."""
 SHRINK, GROW = -4.0, 2.0
 """Bounds of the change of a prior's log-scale."""
 
@@ -23,19 +24,19 @@ SHRINK, GROW = -4.0, 2.0
 def signed_exponential(raw: Tensor) -> Tensor:
     """sign(x)·(e^|x| − 1), continued by its tangent beyond |x| = 40.
 
-    Its slope at 0 is 1. Written with |x| and sign(x), automatic differentiation would make it 0, and centres
-    that start at their prior would never move.
+    Its slope at 0 is 1. Written with |x| and sign(x), automatic differentiation would give 0 there, and centres that
+    start at their prior would never move.
     """
     inside = raw.clamp(-LARGEST_EXPONENT, LARGEST_EXPONENT)
     value = torch.where(raw > 0, torch.expm1(inside), -torch.expm1(-inside))
-    # A choice, not a sum: the tangent's slope of e^40 would swallow the other's in rounding.
+    # A choice, not a sum: in a sum, rounding to the tangent's slope of e^40 would lose the other slope.
     return torch.where(raw == inside, value, value + (raw - inside) * math.exp(LARGEST_EXPONENT))
 
 
 def activate_geometry(
     raw: Float[Tensor, "*n 10"], config: ModelConfig
 ) -> tuple[Float[Tensor, "*n 3"], Float[Tensor, "*n 3"], Float[Tensor, "*n 4"]]:
-    """Centre without its z offset, scale, quaternion (spec, section 5). A raw quaternion of 0 stays 0."""
+    """Centre without its z offset, scale, quaternion (paper, section 3.3). A raw quaternion of 0 stays 0."""
     cap = math.log(config.scale_cap)
     scale = torch.exp((raw[..., 3:6] - (1 - cap)).clamp_max(cap))
     return signed_exponential(raw[..., :3]), scale, F.normalize(raw[..., 6:], dim=-1)
@@ -44,7 +45,7 @@ def activate_geometry(
 def activate_appearance(
     raw: Float[Tensor, "*n channels"], config: ModelConfig
 ) -> tuple[Float[Tensor, "*n bands 3"], Float[Tensor, "*n"]]:
-    """SH and opacity (spec, section 6)."""
+    """SH coefficients and opacity (paper, section 3.3)."""
     bands = raw[..., :-1].unflatten(-1, (config.sh_bands, 3))
     first = 0.5 * torch.tanh(bands[..., :1, :]) / SH_0
     rest = config.sh_rest_scale * torch.tanh(bands[..., 1:, :])
@@ -79,31 +80,9 @@ def assemble_anchored(
     rest = torch.tanh(bands[:, 1:])
     quats = anchors.quats.flatten(0, 1)
     return Gaussians(
-        means=anchors.means.flatten(0, 1) + rotated(quats, spacing * signed_exponential(geometry[:, :3])),
+        means=anchors.means.flatten(0, 1) + rotate_vectors(quats, spacing * signed_exponential(geometry[:, :3])),
         quats=quaternion_product(quats, turn),
         scales=anchors.scales.flatten(0, 1) * torch.exp(geometry[:, 3:6].clamp(SHRINK, GROW)),
         opacities=torch.sigmoid(torch.logit(anchors.opacities.flatten(), eps=1e-6) + appearance[:, -1]),
         sh=torch.cat([first, rest], 1),
-    )
-
-
-def rotated(quats: Float[Tensor, "n 4"], vectors: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
-    """`vectors` turned by unit quaternions w, x, y, z."""
-    axis = quats[:, 1:]
-    cross = torch.linalg.cross(axis, vectors)
-    return vectors + 2 * (quats[:, :1] * cross + torch.linalg.cross(axis, cross))
-
-
-def quaternion_product(left: Float[Tensor, "n 4"], right: Float[Tensor, "n 4"]) -> Float[Tensor, "n 4"]:
-    """Hamilton product of quaternions w, x, y, z: first `right`, then `left`."""
-    w, x, y, z = left.unbind(1)
-    a, b, c, d = right.unbind(1)
-    return torch.stack(
-        [
-            w * a - x * b - y * c - z * d,
-            w * b + x * a + y * d - z * c,
-            w * c - x * d + y * a + z * b,
-            w * d + x * c - y * b + z * a,
-        ],
-        1,
     )

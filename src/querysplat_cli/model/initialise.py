@@ -2,10 +2,10 @@
 
     python -m querysplat_cli.model.initialise compact.safetensors --seed 0
 
-Values and the last layers of the MLPs start at zero, so the decoders add nothing. Attention, output projection
-and heads are laid out so that a value channel of a memory token drives one raw number of the Gaussians near
-that token. Test-time optimisation of the memories then starts well conditioned, and training, which leaves that
-layout alone, starts from a sensible scene.
+Values and the last layers of the MLPs start at zero, so the decoders add nothing. Attention, output projection and
+heads are set so that each value channel of a memory token controls one raw number of the Gaussians near that token.
+Test-time optimisation of the memories then starts well conditioned. Training does not change these parts, and starts
+from the prior's scene.
 """
 
 import argparse
@@ -18,14 +18,14 @@ from querysplat_cli.model.config import ModelConfig, preset
 from querysplat_cli.model.decoders import DecoderBlock
 from querysplat_cli.model.querysplat import QuerySplat
 
-GAINS = {"centre": 6.0, "scale": 3.0, "quaternion": 4.0, "sh_0": 1.0, "sh_rest": 0.25, "opacity": 2.0}
+INITIAL_GAINS = {"centre": 6.0, "scale": 3.0, "quaternion": 4.0, "sh_0": 1.0, "sh_rest": 0.25, "opacity": 2.0}
 """Change of each raw number for a unit change of its value channel.
 
-Chosen by the held-out photos of fortress, dtu106 and kermit after 60 steps of test-time optimisation: shape
-has to move faster than colour, or colours paint over what depth got wrong.
+Chosen by held-out photos of fortress, dtu106 and kermit after 60 steps of test-time optimisation. Shape has to
+change faster than colour, since otherwise colours adapt to wrong depth before depth is corrected.
 """
 KEY_GAIN = 0.1
-"""Size of normed keys: at first, distance decides what a query attends to."""
+"""Size of normed keys: so small that at first only distance decides what a query attends to."""
 
 
 def initial_model(config: ModelConfig, seed: int) -> QuerySplat:
@@ -41,8 +41,8 @@ def initial_model(config: ModelConfig, seed: int) -> QuerySplat:
         for decoder in (model.geometry_decoder, model.appearance_decoder):
             for i, block in enumerate(decoder.blocks):
                 assert isinstance(block, DecoderBlock)
-                # The last block reads the memory and the first one thinks: in a decoder of two, what is thought
-                # does not depend on the memory, and test-time optimisation need not go through it.
+                # Only the last block reads the memory, and only the first one has an active MLP. In a decoder of two
+                # blocks the MLP then does not depend on the memory, and test-time optimisation need not go through it.
                 block.cross_scale.gamma.fill_(1.0 if i == len(decoder.blocks) - 1 else 0.0)
                 block.self_attention_scale.gamma.zero_()
                 block.mlp_scale.gamma.fill_(1.0 if i == 0 else 0.0)
@@ -50,8 +50,9 @@ def initial_model(config: ModelConfig, seed: int) -> QuerySplat:
                 block.cross.out_proj.bias.zero_()
                 block.mlp.fc2.weight.zero_()
                 block.mlp.fc2.bias.zero_()
-        geometry = [GAINS["centre"]] * 3 + [GAINS["scale"]] * 3 + [GAINS["quaternion"]] * 4
-        appearance = [GAINS["sh_0"]] * 3 + [GAINS["sh_rest"]] * 3 * (config.sh_bands - 1) + [GAINS["opacity"]]
+        gain = INITIAL_GAINS
+        geometry = [gain["centre"]] * 3 + [gain["scale"]] * 3 + [gain["quaternion"]] * 4
+        appearance = [gain["sh_0"]] * 3 + [gain["sh_rest"]] * 3 * (config.sh_bands - 1) + [gain["opacity"]]
         for head, gains in ((model.geometry_head, geometry), (model.appearance_head, appearance)):
             head.bias.zero_()
             torch.nn.init.eye_(head.weight)

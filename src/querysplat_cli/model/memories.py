@@ -1,7 +1,7 @@
 """What the queries read: a geometry memory from the VGM's layers, an appearance memory from the photos."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float, Int
@@ -13,38 +13,51 @@ from querysplat_cli.model.config import ModelConfig
 from querysplat_cli.runtime.precision import Conv2d, LayerNorm, Linear
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.fit import normalised
+from querysplat_cli.scene.tensor_dataclass import TensorDataclass
 
 
 @dataclass(frozen=True)
-class Memories:
-    """Keys (already normed) and values of both branches, by default the only variables of test-time optimisation."""
+class Memory:
+    """What one decoder reads: a key, already normed, and a value for each row and head.
+
+    With `neighbours`, each query reads only the rows that they name for it; without, it reads all.
+    """
+
+    keys: Float[Tensor, "memory heads channels"]
+    values: Float[Tensor, "memory heads channels"]
+    neighbours: Neighbours | None = None
+
+
+@dataclass(frozen=True)
+class Memories(TensorDataclass):
+    """Keys and values of both branches: by default the only variables of test-time optimisation."""
 
     geometry_keys: Float[Tensor, "geometry heads channels"]
     geometry_values: Float[Tensor, "geometry heads channels"]
     appearance_keys: Float[Tensor, "appearance heads channels"]
     appearance_values: Float[Tensor, "appearance heads channels"]
 
-    def map(self, change: Callable[[Tensor], Tensor]) -> "Memories":
-        """The result of applying `change` to every tensor."""
-        return Memories(**{field.name: change(getattr(self, field.name)) for field in fields(self)})
+    def geometry(self, neighbours: Neighbours | None = None) -> Memory:
+        """What the geometry decoder reads."""
+        return Memory(self.geometry_keys, self.geometry_values, neighbours)
+
+    def appearance(self, neighbours: Neighbours | None = None) -> Memory:
+        """What the appearance decoder reads."""
+        return Memory(self.appearance_keys, self.appearance_values, neighbours)
 
 
 @dataclass(frozen=True)
-class Features:
-    """Tokens of both branches before they become keys and values: what the paper's text optimises at test time."""
+class Features(TensorDataclass):
+    """Tokens of both branches before they become keys and values: what section 3.5 of the paper optimises."""
 
     geometry: Float[Tensor, "geometry width"]
     appearance: Float[Tensor, "appearance width"]
 
-    def map(self, change: Callable[[Tensor], Tensor]) -> "Features":
-        """The result of applying `change` to both."""
-        return Features(change(self.geometry), change(self.appearance))
-
 
 def attended_rows(memories: Memories, anchors: Anchors) -> tuple[Memories, Anchors]:
-    """Only the memory rows that some anchor attends to, and the anchors with their rows' new numbers.
+    """Only the memory rows that some anchor attends to, and the anchors with these rows renumbered.
 
-    Decoding gives the same, bit for bit; the rows left out would never receive a gradient.
+    Decoding gives the same result, bit for bit. The rows left out would never receive a gradient.
     """
     geometry, near_geometry = _renumbered(anchors.geometry, len(memories.geometry_keys))
     appearance, near_appearance = _renumbered(anchors.appearance, len(memories.appearance_keys))
@@ -58,18 +71,18 @@ def attended_rows(memories: Memories, anchors: Anchors) -> tuple[Memories, Ancho
 
 
 def _renumbered(near: Neighbours, rows: int) -> tuple[Int[Tensor, "attended"], Neighbours]:
-    """The rows that are attended to, ascending, and the same neighbours counted among these."""
+    """The rows that are attended to, ascending, and the same neighbours as indices into these rows."""
     attended = torch.zeros(rows, dtype=torch.bool, device=near.index.device)
     attended[near.index.flatten()] = True
     return attended.nonzero()[:, 0], Neighbours((attended.cumsum(0) - 1)[near.index], near.bias)
 
 
-ROWS = 65536
-"""Tokens in a projection at once: with hundreds of views, a few of its intermediate results would fill a GPU."""
+TOKENS_AT_ONCE = 65536
+"""Tokens that are projected at once: with hundreds of views, the intermediate results of all would fill a GPU."""
 
 
 class KeyValue(nn.Module):
-    """Tokens to keys and values, once for all blocks (spec, section 3, step 4), `ROWS` at a time."""
+    """Tokens to keys and values, once for all blocks of a decoder: norm, projection, and a norm of each head's keys."""
 
     def __init__(self, width: int, heads: int) -> None:
         super().__init__()
@@ -81,17 +94,17 @@ class KeyValue(nn.Module):
     def forward(
         self, tokens: Float[Tensor, "tokens width"]
     ) -> tuple[Float[Tensor, "tokens heads channels"], Float[Tensor, "tokens heads channels"]]:
-        parts = [self.proj(self.norm(some)).unflatten(-1, (2, self.heads, -1)) for some in tokens.split(ROWS)]
+        parts = [self.proj(self.norm(some)).unflatten(-1, (2, self.heads, -1)) for some in tokens.split(TOKENS_AT_ONCE)]
         keys = torch.cat([self.k_norm(part[:, 0]).to(part.dtype) for part in parts])
         return keys, torch.cat([part[:, 1] for part in parts])
 
 
 class LayerMixer(nn.Module):
-    """Cached VGM layers to one row of tokens for each view (spec, section 3, steps 1 to 3).
+    """Cached VGM layers to one row of tokens for each token of each view (paper, section 3.1).
 
-    The patches of all layers are mixed with weights that a learned eye token gives; camera and register
-    tokens are those of the last layer. Where there is one layer there is nothing to weigh: an encoder that was
-    told the weights hands over the mixture.
+    The patches of all layers are mixed with weights that an MLP computes from a learned eye token. Camera and register
+    tokens are those of the last layer. A single layer is taken as it is: it may be a mixture that the encoder has
+    already made with the same weights.
     """
 
     def __init__(self, config: ModelConfig) -> None:
@@ -125,7 +138,7 @@ class LayerMixer(nn.Module):
 
 
 class PhotoEmbedding(nn.Module):
-    """Photos and their viewing rays to patch tokens; each has a norm of its own before the sum (section 6)."""
+    """Photos and their viewing rays to patch tokens, each normed before the sum (paper, section 3.1)."""
 
     def __init__(self, config: ModelConfig) -> None:
         super().__init__()
@@ -150,7 +163,7 @@ def plucker_rays(cameras: Cameras) -> Float[Tensor, "views 6 height width"]:
 
 
 def _plucker_rays(cameras: Cameras) -> Float[Tensor, "views 6 height width"]:
-    fx, fy, cx, cy = (cameras.K[:, i, j, None, None] for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    fx, fy, cx, cy = (part[:, None, None] for part in cameras.intrinsics)
     columns, rows = (torch.arange(size).to(cameras.K) + 0.5 for size in (cameras.width, cameras.height))
     x = (columns - cx) / fx
     y = (rows[:, None] - cy) / fy

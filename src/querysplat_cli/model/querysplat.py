@@ -1,4 +1,4 @@
-"""QuerySplat (paper, section 3): queries read what a frozen VGM knows, and become Gaussians.
+"""QuerySplat (paper, section 3): queries read a frozen VGM's features and the photos, and become Gaussians.
 
 VGM layers ─► layer mixer ─► geometry K, V ─┐
 queries ─────────────────────► geometry decoder ─► centres, scales, rotations
@@ -17,7 +17,7 @@ from querysplat_cli.model.anchors import Anchors, Neighbours
 from querysplat_cli.model.config import ModelConfig
 from querysplat_cli.model.decoders import Decoder
 from querysplat_cli.model.heads import GEOMETRY_CHANNELS, assemble, assemble_anchored
-from querysplat_cli.model.memories import Features, KeyValue, LayerMixer, Memories, PhotoEmbedding
+from querysplat_cli.model.memories import Features, KeyValue, LayerMixer, Memories, Memory, PhotoEmbedding
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
@@ -47,14 +47,14 @@ class QuerySplat(nn.Module):
 
     @property
     def layer_weights(self) -> tuple[float, ...] | None:
-        """How the VGM's layers are mixed, the same for every photo; None where there is one layer."""
+        """The weights that mix the VGM's layers, the same for every photo; None where there is one layer."""
         if self.eye_token is None:
             return None
         with torch.no_grad():
             return tuple(self.layer_mixer.weights(self.eye_token).tolist())
 
     def keep_queries(self, count: int) -> None:
-        """Keep the first `count` learned queries; raises QuerySplatError when there are not so many."""
+        """Keep the first `count` learned queries; raises QuerySplatError when there are fewer."""
         if count > self.config.query_count:
             raise QuerySplatError(
                 f"--queries {count}: the model has {self.config.query_count} learned queries", "Ask for fewer."
@@ -64,7 +64,7 @@ class QuerySplat(nn.Module):
         self.config = replace(self.config, query_count=count)
 
     def check_features(self, features: Sequence[Tensor], height: int, width: int) -> None:
-        """Raises QuerySplatError unless the model can read these features, and pictures of this size."""
+        """Raises QuerySplatError when the model cannot read these features, or pictures of this size in pixels."""
         config = self.config
         if features[-1].shape[-1] != config.vgm_width or len(features) not in (1, config.mixed_layers):
             raise QuerySplatError(
@@ -83,9 +83,9 @@ class QuerySplat(nn.Module):
         return sum(tensor.nbytes for tensor in self.state_dict().values())
 
     def bytes_needed(self, views: int, size: int, special_tokens: int, *, optimising: bool = False) -> int:
-        """About the most memory that decoding takes, weights, features and memories included.
+        """Estimated peak memory of decoding, with weights, features and memories. Pictures are `size` pixels square.
 
-        When memories are optimised, their gradients and two moments, and the tokens between blocks, come on top.
+        When memories are optimised, their gradients and two moments are added, and the tokens between blocks.
         """
         config = self.config
         share = self.geometry_memory.proj.weight.element_size() / 4
@@ -109,7 +109,7 @@ class QuerySplat(nn.Module):
         cameras: Cameras,
     ) -> Memories:
         """Keys and values of both branches. `images` in [0, 1], sides multiples of the patch."""
-        return self.project(self.embed(features, images, cameras))
+        return self.keys_and_values(self.embed(features, images, cameras))
 
     def embed(
         self,
@@ -120,7 +120,7 @@ class QuerySplat(nn.Module):
         """Tokens of both branches: the first half of `encode`."""
         return Features(self.layer_mixer(features, self.eye_token), self.photo_embedding(images, cameras))
 
-    def project(self, features: Features) -> Memories:
+    def keys_and_values(self, features: Features) -> Memories:
         """Keys and values of tokens: the second half of `encode`."""
         return Memories(*self.geometry_memory(features.geometry), *self.appearance_memory(features.appearance))
 
@@ -132,51 +132,46 @@ class QuerySplat(nn.Module):
         if (anchors is not None) != (self.config.queries == "anchored"):
             raise QuerySplatError("anchored queries need anchors, and learned ones take none", "This is a bug.")
         if isinstance(memories, Features):
-            memories = self.project(memories)
+            memories = self.keys_and_values(memories)
         if anchors is None:
             tokens = self.geometry_tokens(memories)
             after = self.appearance_tokens(tokens, memories)
             return assemble(*self._raw(tokens, after), self.config)
-        before = self.geometry_queries + self.anchor_embedding(anchors.features)
-        tokens = self.geometry_decoder(before, *self._read_first(memories, anchors), anchors.queries)
+        embedded = self.geometry_queries + self.anchor_embedding(anchors.features)
+        tokens = self.geometry_decoder(embedded, self._first_memory(memories, anchors), anchors.queries)
         start = tokens + self.appearance_queries
-        after = self.appearance_decoder(
-            start, memories.appearance_keys, memories.appearance_values, anchors.appearance, anchors.queries
-        )
-        # What a query knew beforehand is in its anchor's prior; the heads read what the decoders added.
-        told = after - start if self.config.appearance_blocks else tokens - before
-        return assemble_anchored(*self._raw(tokens - before, told), anchors, self.config)
+        after = self.appearance_decoder(start, memories.appearance(anchors.appearance), anchors.queries)
+        # The anchor's prior already holds what the embedding holds, so the heads read only what the decoders added.
+        added = after - start if self.config.appearance_blocks else tokens - embedded
+        return assemble_anchored(*self._raw(tokens - embedded, added), anchors, self.config)
 
     def geometry_tokens(self, memories: Memories) -> Float[Tensor, "queries width"]:
         """Learned queries after the geometry decoder. The eye token takes part as one more query."""
         assert self.eye_token is not None
         tokens = torch.cat([self.eye_token, self.geometry_queries])
-        return self.geometry_decoder(tokens, *self._read_first(memories, None)[:2])[1:]
+        return self.geometry_decoder(tokens, self._first_memory(memories, None))[1:]
 
     def appearance_tokens(
         self, geometry: Float[Tensor, "queries width"], memories: Memories
     ) -> Float[Tensor, "queries width"]:
         """Geometry tokens after the appearance decoder."""
         start = geometry + self.appearance_queries
-        return self.appearance_decoder(start, memories.appearance_keys, memories.appearance_values)
+        return self.appearance_decoder(start, memories.appearance())
 
-    def _read_first(self, memories: Memories, anchors: Anchors | None) -> tuple[Tensor, Tensor, Neighbours | None]:
-        """Keys, values and neighbours of the first decoder: the geometry memory, or both where there is one branch."""
-        near = None if anchors is None else anchors.geometry
-        keys, values = memories.geometry_keys, memories.geometry_values
+    def _first_memory(self, memories: Memories, anchors: Anchors | None) -> Memory:
+        """What the first decoder reads: the geometry memory, or both where there is one branch."""
+        geometry = memories.geometry(None if anchors is None else anchors.geometry)
         if self.config.branches == "two":
-            return keys, values, near
+            return geometry
+        near = None
         if anchors is not None:
-            index = torch.cat([anchors.geometry.index, anchors.appearance.index + len(keys)], 1)
+            index = torch.cat([anchors.geometry.index, anchors.appearance.index + len(geometry.keys)], 1)
             near = Neighbours(index, torch.cat([anchors.geometry.bias, anchors.appearance.bias], 1))
-        return (
-            torch.cat([keys, memories.appearance_keys]),
-            torch.cat([values, memories.appearance_values]),
-            near,
-        )
+        keys = torch.cat([geometry.keys, memories.appearance_keys])
+        return Memory(keys, torch.cat([geometry.values, memories.appearance_values]), near)
 
     def _raw(self, geometry: Tensor, appearance: Tensor) -> tuple[Tensor, Tensor]:
-        """Raw numbers of both heads, a row for each Gaussian, in the type of the queries whatever autocast says."""
+        """Raw numbers of both heads, a row for each Gaussian, in the type of the queries even under autocast."""
         per_query, dtype = self.config.gaussians_per_query, self.geometry_queries.dtype
         return (
             self.geometry_head(geometry).to(dtype).unflatten(-1, (per_query, -1)).flatten(0, 1),

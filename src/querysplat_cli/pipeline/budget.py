@@ -1,27 +1,16 @@
-"""A time budget: what it leaves for each stage."""
+"""A time budget, and what it leaves for each stage."""
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from querysplat_cli.prune.resolution import SMALLEST
-
-CAMERA_SECONDS = 0.2
-"""Of structure from motion, for each photo of a pass."""
-PIXEL_SECONDS = 8e-6
-"""Of depth and queries, for each pixel of each view. Both were measured on two cores; on another machine they only set
-how the time is shared, since optimisation lasts for as long as is left."""
-WRITE_SECONDS, WRITE_GAUSSIAN_SECONDS = 1.5, 4e-6
-"""Of scoring, previews and files, and for each Gaussian."""
-ENCODING_SHARE = 0.4
-"""The part of the time that cameras, depth and queries should take at most; pictures are made smaller for it."""
-OPTIMISING_SHARE = 0.3
-"""The part of the time left that optimisation must get before a second scene is made, only to be scored."""
+from querysplat_cli.pipeline.policy import PIPELINE_POLICY
+from querysplat_cli.prune.policy import PRUNE_POLICY
 
 
 @dataclass(frozen=True)
 class Budget:
-    """`seconds` for everything; `elapsed()` says how many are gone."""
+    """`seconds` for the whole command, of which `elapsed()` have passed."""
 
     seconds: float
     elapsed: Callable[[], float]
@@ -30,24 +19,46 @@ class Budget:
     def left(self) -> float:
         return self.seconds - self.elapsed()
 
+    def share(self, scenes: int = 1) -> "BudgetShare":
+        """The time of one of `scenes` scenes; depth and queries of this one begin now."""
+        return BudgetShare(self, scenes, self.elapsed())
+
+
+@dataclass(frozen=True)
+class BudgetShare:
+    """The time of one of `scenes` scenes, whose depth and queries began after `began` seconds of the budget."""
+
+    budget: Budget
+    scenes: int
+    began: float
+
+    def optimising_seconds(self, gaussians: int) -> tuple[float, bool]:
+        """Seconds for the optimisation that begins now, and whether nothing has to be left out for lack of time."""
+        encoding = self.budget.elapsed() - self.began
+        seconds, more = optimising_seconds(self.budget, encoding, gaussians, self.scenes)
+        return seconds, more or self.scenes == 1
+
 
 def working_size(budget: Budget, photos: int, scenes: int, shape: tuple[int, int], usual: int) -> int:
-    """Longer side, in pixels, at which `scenes` scenes of photos of (height, width) `shape` leave time to optimise."""
+    """The longer side, in pixels, of working pictures that leave time to optimise.
+
+    `scenes` scenes are made of `photos` photos of (height, width) `shape`; `usual` is the largest side in question.
+    """
     height, width = shape
-    available = ENCODING_SHARE * budget.left - CAMERA_SECONDS * photos * scenes
-    pixels = max(0.0, available) / (PIXEL_SECONDS * photos * scenes)
+    available = PIPELINE_POLICY.encoding_share * budget.left - PIPELINE_POLICY.camera_seconds * photos * scenes
+    pixels = max(0.0, available) / (PIPELINE_POLICY.pixel_seconds * photos * scenes)
     size = math.sqrt(pixels * max(height, width) / min(height, width))
-    return min(usual, max(SMALLEST, int(size)))
+    return min(usual, max(PRUNE_POLICY.smallest_size, int(size)))
 
 
 def optimising_seconds(budget: Budget, encoding: float, gaussians: int, scenes: int) -> tuple[float, bool]:
     """Seconds for the optimisation of this scene, and whether there is time for the rest of the `scenes`.
 
-    `encoding` is what depth and queries of this one took, and those of another will.
+    `encoding` is what depth and queries of this scene took; another scene is assumed to take as long.
     """
-    writing = WRITE_SECONDS + WRITE_GAUSSIAN_SECONDS * gaussians
+    writing = PIPELINE_POLICY.write_seconds + PIPELINE_POLICY.write_gaussian_seconds * gaussians
     left = budget.left - writing
     for_both = (left - (scenes - 1) * encoding) / scenes
-    if scenes > 1 and for_both < OPTIMISING_SHARE * left:
+    if scenes > 1 and for_both < PIPELINE_POLICY.optimising_share * left:
         return max(0.0, left), False
     return max(0.0, for_both), scenes > 1

@@ -1,4 +1,4 @@
-"""The scene folder: what a later `querysplat tto scene` needs, and what a user may want to look at.
+"""The scene folder: what `querysplat tto` needs later, and what a user may want to look at.
 
 scene.ply
 scene/
@@ -42,8 +42,11 @@ JPEG_SETTINGS = (cv2.IMWRITE_JPEG_QUALITY, 100, cv2.IMWRITE_JPEG_SAMPLING_FACTOR
 
 @dataclass(frozen=True)
 class StoredScene:
-    """A scene that can be taken up again. `model` is the preset or checkpoint that decodes the memories, `kept` which
-    of the Gaussians that they decode to are the scene's (None: all)."""
+    """A scene that can be optimised further.
+
+    `model` is the preset or checkpoint that decodes the memories. `kept` marks the decoded Gaussians that belong to
+    the scene (None: all).
+    """
 
     views: Views
     cameras: Cameras
@@ -56,7 +59,7 @@ class StoredScene:
 
     @property
     def groups(self) -> dict[str, tuple[Views, Cameras]]:
-        """The views by the part they played."""
+        """The input views, and the held-out views if there are any."""
         inputs = {"input": (self.views, self.cameras)}
         return {**inputs, "held out": self.heldout} if self.heldout else inputs
 
@@ -67,7 +70,7 @@ def scene_folder(ply: Path) -> Path:
 
 
 def ply_path(path: Path) -> Path:
-    """The .ply of a scene that is given by its folder or by its .ply."""
+    """The .ply of a scene; `path` is its folder or the .ply itself."""
     return path if path.suffix.lower() == ".ply" else path.with_name(f"{path.name}.ply")
 
 
@@ -90,7 +93,7 @@ def write_scene(ply: Path, scene: StoredScene, gaussians: Gaussians, report: dic
             tensors["kept"] = scene.kept
         if scene.map is not None:
             tensors |= _flatten("map", scene.map)
-        # By our own hand, since save_file makes files that nobody else may read.
+        # Not by `save_file`, which makes files that only their owner may read.
         (draft / "memories.safetensors").write_bytes(save(tensors, metadata={"model": scene.model}))
         (draft / "report.json").write_text(json.dumps(report, indent=2) + "\n")
         write_preview(draft / "preview.png", gaussians, scene.groups)
@@ -100,7 +103,7 @@ def write_scene(ply: Path, scene: StoredScene, gaussians: Gaussians, report: dic
 
 
 def write_images(folder: Path, views: Views) -> None:
-    """The pictures, without what is only canvas, under the names of `views`; lossless, or JPEG at its best."""
+    """Write the pictures, without their padding, under the names of `views`; lossless, or JPEG at its best quality."""
     for image, name, (height, width) in zip(views.images, views.names, views.sizes, strict=True):
         path = folder / stored_name(name)
         settings = () if path.suffix.lower() in LOSSLESS_SUFFIXES else JPEG_SETTINGS

@@ -1,40 +1,164 @@
-"""What `querysplat reconstruct` can be asked for."""
+"""What `querysplat reconstruct` and `querysplat tto` can be asked for. Every option is declared here, and only here."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated
 
-from querysplat_cli.encoders.holdout import CameraSource
-from querysplat_cli.prune.gaussians import Amount
-from querysplat_cli.queries.prepare import Target
-from querysplat_cli.scene.fit import Fit
-from querysplat_cli.tto.plan import Space
+from annotated_types import Ge
+
+from querysplat_cli.runtime.choices import Fit, HoldoutProtocol, Space, Target
+from querysplat_cli.runtime.options import (
+    Device,
+    Force,
+    MovedWeights,
+    NetworkPrecision,
+    Option,
+    Prune,
+    Seed,
+    Weights,
+)
+
+SPACE_HELP = (
+    "What the optimisation works on: the memories that Gaussians are decoded from (features), the Gaussians "
+    "themselves, or first the one and then the other (both)."
+)
+REFINE_CAMERAS = Option(
+    "Correct poses and focal lengths during optimisation.", ("--refine-cameras/--no-refine-cameras",)
+)
 
 
 @dataclass(frozen=True)
 class ReconstructSettings:
-    """What `querysplat reconstruct` can be asked for; see docs/cli.md. None means auto, or no limit."""
+    """How photos become a scene. None means that the program chooses, or that there is no limit."""
 
-    inputs: tuple[Path, ...]
-    ply: Path
-    holdout_every: int | None = None
-    holdout_cameras: CameraSource = "isolated"
-    tto: int | None = None
-    tto_target: Target = "kv"
-    tto_space: Space = "features"
-    queries: int | None = None
-    max_size: int | None = None
-    max_views: int | None = None
-    fit: Fit = "crop"
-    preset: str = "compact"
-    encoder: str | None = None
-    weights: Path | None = None
-    precision: str = "fp32"
-    depth: bool = False
-    poses: Path | None = None
-    device: str = "auto"
-    seed: int = 42
-    force: bool = False
-    prune: Amount = "auto"
-    keep_everything: bool = False
-    budget: float | None = None
-    refine_cameras: bool | None = None
+    inputs: Annotated[
+        tuple[Path, ...], Option("A folder of photos, or photo files.", metavar="IMAGES...", argument=True)
+    ]
+    ply: Annotated[
+        Path,
+        Option("The scene to write. A folder of the same name goes beside it.", ("--output", "-o"), metavar="FILE.ply"),
+    ] = Path("scene.ply")
+    holdout_every: Annotated[
+        int | None,
+        Ge(2),
+        Option("Keep photos 0, N, 2N, … out of the scene, and score it on them.", metavar="N", default="no photo"),
+    ] = None
+    holdout_cameras: Annotated[
+        HoldoutProtocol,
+        Option(
+            "With --holdout-every: estimate the cameras of the scene from the inputs alone (isolated, the paper's "
+            "protocol), or from all photos at once (joint)."
+        ),
+    ] = "isolated"
+    tto: Annotated[
+        int | None,
+        Ge(0),
+        Option("Steps of test-time optimisation. 0 leaves it out.", metavar="STEPS|auto", auto=True),
+    ] = None
+    tto_target: Annotated[
+        Target,
+        Option("What the optimisation changes: keys and values, or the features that they are projected from."),
+    ] = "kv"
+    tto_space: Annotated[
+        Space,
+        Option(SPACE_HELP),
+    ] = "features"
+    queries: Annotated[
+        int | None,
+        Ge(1),
+        Option("The most queries to use. Of learned queries these are the first N.", metavar="N|auto", auto=True),
+    ] = None
+    max_size: Annotated[
+        int | None,
+        Ge(96),
+        Option(
+            "The longer side of the working pictures, in pixels. auto is the encoder's own size; "
+            "in `eval`, that of the photos that are shown.",
+            metavar="PX|auto",
+            auto=True,
+        ),
+    ] = None
+    max_views: Annotated[
+        int | None,
+        Ge(1),
+        Option("The most photos to use, evenly spaced. auto is as many as memory holds.", metavar="N|auto", auto=True),
+    ] = None
+    fit: Annotated[
+        Fit,
+        Option("With vggt and vggt_omega: cut photos to a centred square (crop), or show them whole (pad)."),
+    ] = "crop"
+    preset: Annotated[str, Option("The model: the name of a preset, or a checkpoint file.", metavar="NAME|FILE")] = (
+        "compact"
+    )
+    encoder: Annotated[
+        str | None,
+        Option(
+            "The vision geometric model: classical, vggt or vggt_omega.", metavar="NAME", default="the preset's own"
+        ),
+    ] = None
+    weights: Weights = None
+    precision: NetworkPrecision = "fp32"
+    depth: Annotated[bool, Option("Estimate depth even where the model does not need it.")] = False
+    poses: Annotated[
+        Path | None,
+        Option(
+            "Known cameras: a transforms.json, or the folder of a COLMAP model.",
+            metavar="FILE|DIR",
+            default="estimated from the photos",
+        ),
+    ] = None
+    device: Device = "auto"
+    seed: Seed = 42
+    force: Force = False
+    prune: Prune = "auto"
+    keep_everything: Annotated[
+        bool, Option("Leave nothing out: no pruning, all photos, every query. For comparisons.")
+    ] = False
+    budget: Annotated[
+        float | None,
+        Ge(1.0),
+        Option(
+            "Seconds for the whole command. Sets the picture size and the steps of optimisation.",
+            metavar="SECONDS",
+            default="no limit",
+        ),
+    ] = None
+    refine_cameras: Annotated[
+        bool | None,
+        replace(REFINE_CAMERAS, default="where the cameras fit badly"),
+    ] = None
+
+
+@dataclass(frozen=True)
+class ResumeSettings:
+    """How a stored scene is optimised further. None means that the program chooses."""
+
+    scene: Annotated[Path, Option("The folder that `reconstruct` wrote, or the .ply beside it.", argument=True)]
+    steps: Annotated[int | None, Ge(0), Option("Optimisation steps.", metavar="STEPS|auto", auto=True)] = None
+    lr: Annotated[
+        float | None,
+        Ge(1e-8),
+        Option(
+            "The learning rate.",
+            metavar="RATE",
+            default="0.02, or 0.005 for a space that was optimised in an earlier run",
+        ),
+    ] = None
+    space: Annotated[
+        Space | None,
+        Option(SPACE_HELP, default="that of the last run"),
+    ] = None
+    prune: Prune = "off"
+    densify: Annotated[
+        int | None,
+        Ge(1),
+        Option(
+            "In Gaussian space: split Gaussians where photos and renders differ most, until there are N.",
+            metavar="N",
+            default="no splitting",
+        ),
+    ] = None
+    refine_cameras: Annotated[bool, REFINE_CAMERAS] = False
+    weights: MovedWeights = None
+    device: Device = "auto"
+    seed: Seed = 42

@@ -1,12 +1,10 @@
-"""Spherical harmonics that the photos do not need."""
+"""Spherical harmonics (SH) that hardly change the renders are left out."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+from querysplat_cli.prune.policy import PRUNE_POLICY
 from querysplat_cli.scene.gaussians import Gaussians
-
-LOSS = 0.02
-"""dB that leaving them out may cost on the input views."""
 
 
 @dataclass(frozen=True)
@@ -18,11 +16,14 @@ class IdleBands:
 
 
 def without_idle_bands(gaussians: Gaussians, psnr: Callable[[Gaussians], float]) -> tuple[Gaussians, IdleBands | None]:
-    """The lowest degree that costs at most `LOSS` by `psnr`, and what was left out."""
-    everything = psnr(gaussians)
+    """The Gaussians at the lowest SH degree that costs at most `PrunePolicy.psnr_of_bands`, and what was left out.
+
+    `psnr` scores Gaussians on the input views (dB).
+    """
+    whole = psnr(gaussians)
     for degree in range(gaussians.sh_degree):
         fewer = replace(gaussians, sh=gaussians.sh[:, : (degree + 1) ** 2])
-        lost = everything - psnr(fewer)
-        if lost <= LOSS:
+        lost = whole - psnr(fewer)
+        if lost <= PRUNE_POLICY.psnr_of_bands:
             return fewer, IdleBands(gaussians.sh.shape[1] - fewer.sh.shape[1], lost)
     return gaussians, None

@@ -1,4 +1,4 @@
-"""Working pictures no larger than what the photos show."""
+"""Working pictures no larger than the detail in the photos needs."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,21 +6,17 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from querysplat_cli.prune.policy import PRUNE_POLICY
 from querysplat_cli.scene.photos import reduced
 from querysplat_cli.scene.views import Photo
-
-SHARES = (0.5, 0.6, 0.7, 0.85)
-"""Of the usual size, smallest first."""
-SAME = 45.0
-"""dB between a picture and itself, reduced and enlarged again, from which nothing is lost: 1.4 of 255 levels (RMS)."""
-SMALLEST = 160
-"""Longer side of working pictures, in pixels, below which stereo finds too little."""
 
 
 @dataclass(frozen=True)
 class Blurred:
-    """Photos show nothing finer than pictures of `size` pixels, their longer side; against those of the `usual`
-    size, enlarged again, the worst differs by `psnr` dB."""
+    """The photos show nothing finer than pictures whose longer side is `size` pixels.
+
+    Enlarged to the `usual` size, the worst of them differs from the picture of that size by `psnr` dB.
+    """
 
     size: int
     usual: int
@@ -28,16 +24,16 @@ class Blurred:
 
 
 def blurred(photos: Sequence[Photo], usual: int) -> Blurred | None:
-    """The smallest size at which no photo loses anything that it shows at the `usual` one; None where all need that."""
+    """The smallest size at which no photo loses detail against the `usual` size; None where some photo needs that."""
     pictures = [reduced(photo.pixels, usual) for photo in photos]
-    for share in SHARES:
+    for share in PRUNE_POLICY.size_shares:
         size = round(share * usual)
-        if size < SMALLEST:
+        if size < PRUNE_POLICY.smallest_size:
             continue
         worst = np.inf
         for picture in pictures:
             worst = min(worst, _psnr(picture, size / usual))
-            if worst < SAME:
+            if worst < PRUNE_POLICY.same_psnr:
                 break
         else:
             return Blurred(size, usual, worst)

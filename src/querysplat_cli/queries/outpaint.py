@@ -1,5 +1,6 @@
-"""What may stand beside the photos, where none of them looks: their borders go on."""
+"""Blocks outside all photos: the pictures are extended beyond their borders."""
 
+import math
 from dataclasses import dataclass, replace
 
 import torch
@@ -8,13 +9,32 @@ from scipy.ndimage import distance_transform_edt
 from torch import Tensor
 from torch.nn import functional as F
 
+from querysplat_cli.queries.cells import CELLS, Cells, measure_cells
+from querysplat_cli.queries.coverage import find_pixels, uncovered
+from querysplat_cli.queries.policy import QUERY_POLICY
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.views import Views
 
 
+def border_blocks(views: Views, cameras: Cameras, depth: Float[Tensor, "views height width"], cell: int) -> Cells:
+    """Blocks, of cells of `cell` pixels, around each photo where no other photo shows anything: [blocks, 9, …]."""
+    block = cell * CELLS
+    margin = block * math.ceil(QUERY_POLICY.border * max(depth.shape[1:]) / block)
+    around = extend_borders(views, cameras, depth, cell=cell, margin=margin)
+    cells = measure_cells(around.views, around.cameras, around.depth, torch.zeros_like(around.depth), 1)
+    wanted = cells.valid.float().mean(-1) > 0.5
+    points = cells.point[wanted].reshape(-1, 3)
+    seen = torch.zeros(len(points), dtype=torch.bool)
+    for view in range(len(views)):
+        seen |= find_pixels(points, view, views, cameras)[0]
+    wanted[wanted.clone()] = seen.reshape(-1, CELLS**2).float().mean(1) <= 0.5
+    keep = uncovered(cells, wanted, around.cameras, 1)
+    return cells.map(lambda part: part[keep])
+
+
 @dataclass(frozen=True)
 class ExtendedBorders:
-    """The views at a fraction of their size on a larger canvas; masks are True *beside* the photos only."""
+    """The views at a fraction of their size on a larger canvas; masks are True *outside* the photos only."""
 
     views: Views
     cameras: Cameras
@@ -53,8 +73,11 @@ def extend_borders(
 def _shares(
     picture: Float[Tensor, "channels height width"], mask: Bool[Tensor, "height width"], cell: int, ring: int
 ) -> Float[Tensor, "channels+1 rows columns"]:
-    """Sums over each cell's pixels inside the mask, over cell²; last the mask's share of it. A ring of zeros around."""
+    """For each cell, the sums over its pixels inside the mask divided by cell², with a ring of zeros around.
+
+    The last channel is the share of the cell that lies inside the mask.
+    """
     height, width = mask.shape
-    known = torch.where(mask, torch.cat([picture, torch.ones(1, height, width)]), 0)
-    whole = F.pad(known, (0, -width % cell, 0, -height % cell))
+    weighted = torch.where(mask, torch.cat([picture, torch.ones(1, height, width)]), 0)
+    whole = F.pad(weighted, (0, -width % cell, 0, -height % cell))
     return F.pad(F.avg_pool2d(whole[None], cell)[0], (ring,) * 4)

@@ -1,7 +1,6 @@
-"""From what the encoder saw to what the decoders read."""
+"""From the encoder's features to what the decoders read."""
 
 from dataclasses import dataclass
-from typing import Literal
 
 import torch
 from jaxtyping import Float, Int
@@ -11,23 +10,23 @@ from querysplat_cli.encoders.base import Geometry, PosedViews
 from querysplat_cli.model.anchors import Anchors
 from querysplat_cli.model.memories import Features, Memories, attended_rows
 from querysplat_cli.model.querysplat import QuerySplat
-from querysplat_cli.queries.build import AnchorReport, build_anchors
+from querysplat_cli.queries.build import build_anchors
+from querysplat_cli.queries.coverage import AnchorReport
 from querysplat_cli.queries.rendering_error import with_rendering_error
+from querysplat_cli.runtime.choices import Target
 from querysplat_cli.runtime.device import to_device
 from querysplat_cli.runtime.errors import QuerySplatError
 
 CPU = torch.device("cpu")
 FARTHEST = 6e4
-"""Depth is kept in half precision, which ends a little beyond."""
-Target = Literal["kv", "features"]
-"""What test-time optimisation changes: keys and values (the release), or the tokens that they are made of."""
+"""Depth is stored in half precision, whose largest number is a little larger."""
 
 
 @dataclass(frozen=True)
 class MemoryMap:
-    """Where in the photos the rows of the memories come from, and the VGM's depth (empty if it was not found).
+    """Where in the photos the rows of the memories come from, and the VGM's depth (empty if there is none).
 
-    A row is that of all tokens of all views; `grid` is (special tokens, rows, columns) of a view's tokens.
+    Rows are counted among all tokens of all views; `grid` is (special tokens, rows, columns) of a view's tokens.
     """
 
     geometry_rows: Int[Tensor, "geometry"]
@@ -43,7 +42,7 @@ class MemoryMap:
 
 @dataclass(frozen=True)
 class PreparedQueries:
-    """The variables of test-time optimisation, the anchors of queries that have them, and where rows come from."""
+    """The variables of test-time optimisation, the anchors if queries are anchored, and where the rows come from."""
 
     variables: Memories | Features
     anchors: Anchors | None
@@ -58,34 +57,30 @@ def prepare(
     geometry: Geometry,
     *,
     queries: int | None,
-    about: int | None = None,
+    soft_query_limit: int | None = None,
     target: Target,
-    everything: bool = False,
+    keep_all: bool = False,
 ) -> PreparedQueries:
     """Memories or features on the CPU; with anchors, only the rows that some anchor attends to.
 
-    `queries` bounds the anchors, `about` those in the photos as far as it can; with `everything` those that other
-    views make superfluous stay. Raises QuerySplatError when the model cannot read such features.
+    `queries`, `soft_query_limit` and `keep_all` are those of `build_anchors`. Raises QuerySplatError when the model
+    cannot read such features.
     """
     views, cameras = posed.views, posed.cameras
     model.check_features(geometry.features, cameras.height, cameras.width)
     device = next(model.parameters()).device
     features = model.embed(*to_device((geometry.features, views.images, cameras), device))
-    memories = to_device(model.project(features), CPU)
+    memories = to_device(model.keys_and_values(features), CPU)
     anchors = report = None
     rows = torch.arange(len(memories.geometry_keys)), torch.arange(len(memories.appearance_keys))
     if model.config.queries == "anchored":
-        assert geometry.depth is not None
-        assert geometry.confidence is not None
         anchors, report = build_anchors(
             views,
             cameras,
-            geometry.depth,
-            geometry.confidence,
-            patch=geometry.patch,
+            geometry,
             queries=queries,
-            about=about,
-            everything=everything,
+            soft_query_limit=soft_query_limit,
+            keep_all=keep_all,
         )
         anchors = with_rendering_error(anchors, views, cameras)
         rows = anchors.geometry.index.unique(), anchors.appearance.index.unique()

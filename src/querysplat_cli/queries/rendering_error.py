@@ -1,7 +1,7 @@
-"""What the photos say against a scene: rendering errors, brought back to the Gaussians that cause them.
+"""Rendering errors of the prior against the input photos, attributed to the Gaussians that cause them.
 
-A decoder that sees them corrects in one pass what many steps of optimisation would find. Nothing is
-optimised here, and only input views are looked at.
+A decoder that reads them corrects in one pass what would take optimisation many steps. Nothing is optimised here,
+and only input views are used.
 """
 
 from dataclasses import replace
@@ -12,28 +12,26 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from querysplat_cli.model.anchors import Anchors
+from querysplat_cli.queries.policy import QUERY_POLICY
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
+from querysplat_cli.scene.rotations import quaternion_to_matrix
 from querysplat_cli.scene.views import Views
-from querysplat_cli.splat.projection import rotation_matrices
-from querysplat_cli.splat.render import contributions, render
+from querysplat_cli.splat.blending_weights import blending_weights
+from querysplat_cli.splat.render import render
 
-CHANNELS = 11
+ERROR_CHANNELS = 11
 """Numbers for each Gaussian: colour 3, opacity, centre along its own axes 3, size along them 3, pixels."""
-GAINS = torch.tensor([8.0] * 3 + [60.0] + [30.0] * 6)
-LARGEST = 4.0
-"""Errors are brought to about 1 in size, and bounded."""
 
 
 def with_rendering_error(anchors: Anchors, views: Views, cameras: Cameras) -> Anchors:
-    """The same anchors, whose features also say how their prior's render differs from the photos."""
-    prior = prior_gaussians(anchors)
-    told = rendering_error(prior, views, cameras).reshape(len(anchors), -1)
-    return replace(anchors, features=torch.cat([anchors.features, told], 1))
+    """The same anchors, with the rendering error of their prior appended to their features."""
+    error = rendering_error(prior_gaussians(anchors), views, cameras).reshape(len(anchors), -1)
+    return replace(anchors, features=torch.cat([anchors.features, error], 1))
 
 
 def prior_gaussians(anchors: Anchors) -> Gaussians:
-    """The scene before any decoder has spoken."""
+    """The scene that the anchors describe before any decoder changes it."""
     return Gaussians(
         means=anchors.means.flatten(0, 1),
         quats=anchors.quats.flatten(0, 1),
@@ -43,16 +41,22 @@ def prior_gaussians(anchors: Anchors) -> Gaussians:
     )
 
 
+def error_gains() -> Float[Tensor, "10"]:
+    """The factor of each slope, in the order of `ERROR_CHANNELS`."""
+    policy = QUERY_POLICY
+    return torch.tensor([policy.colour_gain] * 3 + [policy.opacity_gain] + [policy.shape_gain] * 6)
+
+
 def rendering_error(gaussians: Gaussians, views: Views, cameras: Cameras) -> Float[Tensor, "n 11"]:
     """For each Gaussian, the descent directions of half the squared error, each per pixel that it colours.
 
-    Lengths are in units of its own axes, sizes in logarithms, opacity in logits; the last number is the
-    logarithm of its pixels.
+    Lengths are in units of its own axes, sizes in logarithms, opacity in logits. They are multiplied by the gains of
+    the policy and clamped. The last number is the logarithm of the Gaussian's pixels.
     """
     shape = {"move": (len(gaussians), 3), "grow": (len(gaussians), 3), "fade": (len(gaussians),)}
     change = {name: torch.zeros(size).requires_grad_() for name, size in shape.items()}
     colour = gaussians.sh.detach()[:, :1].clone().requires_grad_()
-    axes = rotation_matrices(F.normalize(gaussians.quats, dim=1))
+    axes = quaternion_to_matrix(F.normalize(gaussians.quats, dim=1))
     with torch.enable_grad():
         for view in range(len(views)):
             moved = Gaussians(
@@ -65,8 +69,9 @@ def rendering_error(gaussians: Gaussians, views: Views, cameras: Cameras) -> Flo
             picture = render(moved, cameras[[view]]).colour[0]
             error = (views.images[view] - picture.detach()) * views.masks[view]
             (picture * error).sum().backward()
-    pixels = contributions(gaussians, cameras)[:, None]
+    pixels = blending_weights(gaussians, cameras)[:, None]
     given = [colour.grad, change["fade"].grad, change["move"].grad, change["grow"].grad]
     slopes = torch.cat([torch.zeros(0) if each is None else each.reshape(len(gaussians), -1) for each in given], 1)
     slopes = torch.cat([slopes[:, :3] / SH_0, slopes[:, 3:]], 1) / (pixels + 1)
-    return torch.cat([(GAINS * slopes).clamp(-LARGEST, LARGEST), (pixels + 1).log() / 4], 1)
+    limit = QUERY_POLICY.largest_error
+    return torch.cat([(error_gains() * slopes).clamp(-limit, limit), (pixels + 1).log() / 4], 1)

@@ -1,4 +1,4 @@
-"""The error of a scene against the time spent on optimising it."""
+"""A plot of a scene's error against the time of its optimisation."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,8 +8,8 @@ import numpy as np
 
 from querysplat_cli.runtime.figures import new_figure, save_figure
 
-SPAN = 7
-"""Steps that the drawn line is a mean of, since each step looks at other views."""
+SMOOTHED_STEPS = 7
+"""The drawn line is a mean over so many steps, because each step renders other views."""
 
 
 def write_curve(path: Path, runs: Sequence[dict[str, Any]]) -> None:
@@ -33,6 +33,6 @@ def write_curve(path: Path, runs: Sequence[dict[str, Any]]) -> None:
 
 
 def _means(seconds: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    span = min(SPAN, len(values))
+    span = min(SMOOTHED_STEPS, len(values))
     window = np.full(span, 1 / span)
     return np.convolve(seconds, window, "valid"), np.convolve(values, window, "valid")

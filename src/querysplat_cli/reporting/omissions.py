@@ -1,4 +1,4 @@
-"""What was left out because it would change nothing or could not be done, what that saved, and what it cost."""
+"""What was left out of a scene or of the work, why, what that saved, and what it cost."""
 
 from dataclasses import asdict, dataclass
 from itertools import pairwise
@@ -6,14 +6,21 @@ from statistics import median
 from typing import Any
 
 from querysplat_cli.prune.resolution import Blurred
-from querysplat_cli.queries.build import CELLS, AnchorReport
+from querysplat_cli.queries.cells import CELLS
+from querysplat_cli.queries.coverage import AnchorReport
 from querysplat_cli.tto.adapt import Adapted
 from querysplat_cli.tto.optimise import TtoResult
 
 
 @dataclass(frozen=True)
 class Omission:
-    """`bytes` of the .ply, `seconds`, and dB on the input views; None where nobody measured it."""
+    """One thing that was left out.
+
+    what, why, saved: texts for the report.
+    bytes: of the .ply that it saved.
+    seconds: that it saved.
+    psnr_lost: dB on the input views that it cost. None of these three where it was not measured.
+    """
 
     what: str
     why: str
@@ -23,21 +30,21 @@ class Omission:
     psnr_lost: float | None = None
 
 
-GAUSSIANS, BANDS = "Gaussians", "SH bands"
+PRUNED_GAUSSIANS, IDLE_BANDS = "Gaussians", "SH bands"
 LPIPS = Omission("LPIPS loss", "its weights are not part of this package", "the network's run in every step")
-SECOND_SCORE = Omission("the other cameras' score", "--budget has no time for a second scene", "a second scene")
-DEPTH = Omission("depth", "learned queries do not need it", "the depth head")
+SECOND_SCORE = Omission("the other cameras' score", "--budget leaves no time for a second scene", "a second scene")
+UNUSED_DEPTH = Omission("depth", "learned queries do not need it", "the depth head")
 
 
 def sfm(poses: object) -> Omission:
-    return Omission("structure from motion", f"poses were given in {poses}", "matching and mapping")
+    return Omission("structure from motion", f"the poses are those in {poses}", "matching and mapping")
 
 
 def resolution(finest: Blurred) -> Omission:
     return Omission(
         "resolution",
-        f"the photos are blurred: pictures of {finest.size} pixels, enlarged to {finest.usual}, agree with these to "
-        f"{finest.psnr:.0f} dB",
+        f"the photos are blurred: pictures of {finest.size} pixels, enlarged to {finest.usual} pixels, match the "
+        f"photos at that size to {finest.psnr:.0f} dB",
         f"{1 - (finest.size / finest.usual) ** 2:.0%} of the pixels",
     )
 
@@ -46,23 +53,23 @@ def queries(report: AnchorReport, adapted: Adapted) -> Omission:
     gone = CELLS**2 * (report.redundant + report.hiding)
     return Omission(
         "queries",
-        f"of {report.blocks:,} blocks of {report.side} pixels, {report.redundant:,} show what another view shows at "
-        f"least as finely and {report.hiding:,} would hide surfaces seen by others",
+        f"of {report.blocks:,} blocks of {report.side} pixels, {report.redundant:,} show a surface that another "
+        f"view shows in at least as much detail, and {report.hiding:,} would hide surfaces that other views show",
         f"{gone:,} Gaussians",
         bytes=gone * ply_bytes(adapted.gaussians.sh.shape[1]),
     )
 
 
 def of_adapted(adapted: Adapted) -> list[Omission]:
-    """Gaussians that were pruned, and SH bands."""
+    """Pruned Gaussians and SH bands."""
     found = []
     pruned, bands = adapted.pruned, adapted.gaussians.sh.shape[1]
     gone = 0 if pruned is None else int((~pruned.kept).sum())
     if pruned and gone:
         found.append(
             Omission(
-                GAUSSIANS,
-                "those that the pictures miss least",
+                PRUNED_GAUSSIANS,
+                "the Gaussians with the least influence on the renders",
                 f"{gone:,} of {len(pruned.kept):,}",
                 gone * ply_bytes(bands),
                 _seconds(adapted.runs[0][1]),
@@ -73,8 +80,8 @@ def of_adapted(adapted: Adapted) -> list[Omission]:
     if idle:
         found.append(
             Omission(
-                BANDS,
-                "colours hardly depend on the direction",
+                IDLE_BANDS,
+                "colours hardly depend on the viewing direction",
                 f"{idle.count} of {bands + idle.count}",
                 len(adapted.gaussians) * (ply_bytes(bands + idle.count) - ply_bytes(bands)),
                 psnr_lost=round(idle.psnr_lost, 3),
@@ -84,17 +91,17 @@ def of_adapted(adapted: Adapted) -> list[Omission]:
 
 
 def taken_further(before: list[dict[str, Any]], adapted: Adapted) -> list[dict[str, Any]]:
-    """The lines of a scene that was taken up again: bands are looked at anew, Gaussians that are gone stay so."""
-    return [*(line for line in before if line["what"] != BANDS), *map(asdict, of_adapted(adapted))]
+    """The omissions of a scene that was optimised further: bands are chosen again, pruned Gaussians stay removed."""
+    return [*(line for line in before if line["what"] != IDLE_BANDS), *map(asdict, of_adapted(adapted))]
 
 
 def ply_bytes(bands: int) -> int:
-    """Of one Gaussian in a .ply: centre, normal, opacity, scales, rotation and three colours' SH, in float32."""
+    """Bytes of one Gaussian in a .ply: centre, normal, opacity, scales, rotation and three colours' SH, in float32."""
     return 4 * (3 + 3 + 1 + 3 + 4 + 3 * bands)
 
 
 def _seconds(result: TtoResult) -> float | None:
-    """What fewer Gaussians saved in the steps after pruning, less what pruning took."""
+    """Seconds that fewer Gaussians saved in the steps after pruning, less what pruning took."""
     whole = result.history[0].gaussians if result.history else 0
     steps = [(one.gaussians, two.gaussians, two.seconds - one.seconds) for one, two in pairwise(result.history)]
     before = [seconds for here, there, seconds in steps if here == there == whole]

@@ -1,4 +1,4 @@
-"""Photos beside their renders, for a look at the scene without a viewer."""
+"""A picture of photos beside their renders, which shows the scene without a viewer."""
 
 from pathlib import Path
 
@@ -12,27 +12,29 @@ from querysplat_cli.scene.pictures import eight_bit, write_picture
 from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.render import render
 
-ROWS = 4
-GAP = 6
+PREVIEW_ROWS = 4
+PREVIEW_GAP = 6
 
 
 def preview(gaussians: Gaussians, groups: dict[str, tuple[Views, Cameras]]) -> np.ndarray:
     """A picture [height, width, 3] (8-bit RGB): for each group, up to four views, photo left and render right.
 
-    The views of a group are evenly spaced; each group has a caption.
+    The views of a group are evenly spaced. Each pair has a caption.
     """
     strips = []
     for caption, (views, cameras) in groups.items():
-        rows = np.unique(np.linspace(0, len(views) - 1, min(ROWS, len(views))).round().astype(int)).tolist()
+        rows = np.unique(np.linspace(0, len(views) - 1, min(PREVIEW_ROWS, len(views))).round().astype(int)).tolist()
         with torch.no_grad():
             renders = render(gaussians, cameras[rows]).colour.clamp(0, 1)
         for row, picture in zip(rows, renders, strict=True):
             height, width = views.sizes[row]
             pair = [eight_bit(image[:, :height, :width]) for image in (views.images[row], picture)]
-            gap = np.full((height, GAP, 3), 255, np.uint8)
+            gap = np.full((height, PREVIEW_GAP, 3), 255, np.uint8)
             strips.append(_captioned(np.hstack([pair[0], gap, pair[1]]), f"{caption}: {views.names[row]}"))
     widest = max(strip.shape[1] for strip in strips)
-    padded = [np.pad(strip, ((0, GAP), (0, widest - strip.shape[1]), (0, 0)), constant_values=255) for strip in strips]
+    padded = [
+        np.pad(strip, ((0, PREVIEW_GAP), (0, widest - strip.shape[1]), (0, 0)), constant_values=255) for strip in strips
+    ]
     return np.vstack(padded)
 
 

@@ -1,4 +1,4 @@
-"""What happened: the object that `--json` prints and `report.json` keeps."""
+"""The report of a run: the object that `--json` prints and `report.json` keeps."""
 
 import json
 import os
@@ -11,10 +11,11 @@ from typing import Any
 
 import torch
 
-from querysplat_cli.encoders.holdout import CameraSource, PoseDifference
+from querysplat_cli.encoders.holdout import PoseDifference
 from querysplat_cli.reporting.view_scores import Quality
+from querysplat_cli.runtime.choices import HoldoutProtocol
 from querysplat_cli.scene.cameras import Cameras
-from querysplat_cli.scene.sim3 import rotation_angles
+from querysplat_cli.scene.rotations import rotation_angles
 from querysplat_cli.scene.views import LeftOut
 from querysplat_cli.tto.optimise import TtoResult
 from querysplat_cli.tto.plan import TtoRun
@@ -24,8 +25,8 @@ from querysplat_cli.tto.plan import TtoRun
 class Report:
     """One run. The fields are the JSON object's, described in docs/cli.md.
 
-    `left_out` lists work that was not done because it would change nothing or could not be done; each
-    entry is an `Omission`. `warnings` are sentences on why the scene may be wrong.
+    `left_out` lists what was left out of the scene or of the work; each entry is an `Omission`. `warnings` are
+    sentences on why the scene may be wrong.
     """
 
     ply: str
@@ -44,7 +45,7 @@ class Report:
 
     @property
     def interrupted(self) -> bool:
-        """Ctrl-C ended the optimisation early."""
+        """Whether Ctrl-C ended the optimisation early."""
         return bool(self.tto and self.tto[-1]["interrupted"])
 
     def as_dict(self) -> dict[str, Any]:
@@ -76,9 +77,9 @@ def quality_entry(quality: Quality) -> dict[str, Any]:
 
 
 def heldout_entry(
-    chosen: CameraSource, scores: dict[CameraSource, Quality | None], difference: PoseDifference | None
+    chosen: HoldoutProtocol, scores: dict[HoldoutProtocol, Quality | None], difference: PoseDifference | None
 ) -> dict[str, Any] | None:
-    """The score of the kept scene, both protocols' scores, and how far their cameras lie apart."""
+    """The score of the kept scene, the scores of both protocols, and the distance between their cameras."""
     kept = scores.get(chosen)
     if kept is None:
         return None
@@ -94,9 +95,9 @@ def heldout_entry(
 
 
 def tto_entries(runs: Sequence[tuple[TtoRun, TtoResult]]) -> list[dict[str, Any]]:
-    """How the loss fell in each run: before, after, and the curve [step, seconds, loss, PSNR, Gaussians].
+    """For each run: the loss before and after, and the curve [step, seconds, loss, PSNR, Gaussians].
 
-    Loss and PSNR (dB) of the curve are those of that step's views.
+    Loss and PSNR (dB) of the curve are over the views of that step.
     """
     return [_tto_entry(run, result) for run, result in runs]
 
@@ -120,8 +121,11 @@ def _tto_entry(run: TtoRun, result: TtoResult) -> dict[str, Any]:
 
 
 def _cameras_entry(before: Cameras, after: Cameras) -> dict[str, float] | None:
-    """How far refinement took the cameras: mean turn in degrees, mean shift as a share of the distance between the
-    two cameras that are farthest apart, and the focal factor. None where it did not."""
+    """How much refinement changed the cameras; None where it did not.
+
+    `degrees` is the mean rotation, `shift` the mean translation as a share of the distance between the two cameras that
+    are farthest apart, `focal` the focal factor.
+    """
     if torch.equal(before.w2c, after.w2c):
         return None
     turns = rotation_angles(after.w2c[:, :3, :3].double() @ before.w2c[:, :3, :3].double().mT)
@@ -134,7 +138,7 @@ def _cameras_entry(before: Cameras, after: Cameras) -> dict[str, float] | None:
 
 
 def machine() -> str:
-    """What times were measured on."""
+    """The machine that times were measured on."""
     model = platform.processor() or platform.machine()
     with suppress(OSError, StopIteration):
         lines = Path("/proc/cpuinfo").read_text().splitlines()

@@ -1,4 +1,4 @@
-"""How close renders come to photos."""
+"""PSNR and SSIM of renders against photos."""
 
 from dataclasses import dataclass
 
@@ -27,7 +27,7 @@ class Quality:
 
 
 def score(gaussians: Gaussians, views: Views, cameras: Cameras, background: float = 0.0) -> Quality:
-    """Render each view, on a grey value, and compare it with its photo."""
+    """Render each view over a grey `background` in [0, 1], and compare it with its photo."""
     rows, grey = {}, torch.full((3,), background)
     with torch.no_grad():
         for i, (name, (height, width)) in enumerate(zip(views.names, views.sizes, strict=True)):

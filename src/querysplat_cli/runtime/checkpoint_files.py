@@ -1,4 +1,4 @@
-"""Files of named tensors: read without a second copy, and held to what a model needs."""
+"""Checkpoint files: reading named tensors without a second copy, and checking them against a model."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,14 +13,14 @@ from querysplat_cli.runtime.errors import QuerySplatError
 NAMED = 5
 """How many wrong tensors an error message names."""
 AT_ONCE = 32
-"""Tensors converted between two openings of a file, so that pages already read can be given back."""
+"""Tensors converted between two openings of a file. Opening it anew gives back the memory of pages already read."""
 
 
 def read_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
-    """Tensors by name, mapped from the file and read when used, and the metadata (empty for a .pt file).
+    """Tensors by name, and the metadata (empty for a .pt file). A tensor is read from the file when it is first used.
 
-    Of a .pt file nothing but tensors is ever executed. Raises QuerySplatError when the file is damaged or
-    holds something else.
+    A .pt file is loaded with `weights_only`, so that it cannot run code. Raises QuerySplatError when the file is
+    damaged or holds anything but tensors.
     """
     try:
         if path.suffix in {".pt", ".pth"}:
@@ -43,9 +43,10 @@ def read_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
 def fill(
     model: nn.Module, path: Path, stored: Mapping[str, str], dtypes: Mapping[str, torch.dtype], device: torch.device
 ) -> None:
-    """Give `model`, made on the meta device, its tensors: our name → name in the file.
+    """Give `model`, made on the meta device, the tensors of a file. `stored` maps our names to those in the file.
 
-    Each goes straight to `device` and its type of `dtypes`; where all fit already they stay mapped to the file.
+    Each tensor goes straight to `device` and to its type in `dtypes`. If all have their types already, they stay mapped
+    to the file.
     """
     names = list(stored)
     tensors, _ = read_tensors(path)
@@ -60,7 +61,7 @@ def fill(
 
 
 def check_tensors(model: nn.Module, tensors: Mapping[str, Tensor], source: str) -> None:
-    """Raises QuerySplatError that names the first missing, unexpected and misshapen tensors."""
+    """Raise QuerySplatError, naming the first missing, unexpected and misshapen tensors, unless all fit `model`."""
     wanted = {name: tuple(tensor.shape) for name, tensor in model.state_dict().items()}
     faults = [
         ("missing", sorted(wanted.keys() - tensors.keys())),
@@ -74,10 +75,11 @@ def check_tensors(model: nn.Module, tensors: Mapping[str, Tensor], source: str) 
             ],
         ),
     ]
-    told = [f"{len(names)} {what} ({_first(names)})" for what, names in faults if names]
-    if told:
+    descriptions = [f"{len(names)} {what} ({_first(names)})" for what, names in faults if names]
+    if descriptions:
         raise QuerySplatError(
-            f"{source} does not fit the model: tensors {'; '.join(told)}", "It belongs to another model, or is cut off."
+            f"{source} does not fit the model: tensors {'; '.join(descriptions)}",
+            "It belongs to another model, or is cut off.",
         )
 
 

@@ -8,6 +8,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeVar
 
+import psutil
 import torch
 
 from querysplat_cli.runtime.errors import MissingPart, QuerySplatError
@@ -16,9 +17,9 @@ Part = TypeVar("Part")
 
 
 def find_device(name: str) -> torch.device:
-    """The device called `auto`, `cpu` or `cuda`; auto is CUDA where a GPU and gsplat are there.
+    """The device called `auto`, `cpu` or `cuda`. auto is CUDA where a GPU and gsplat are there, and the CPU elsewhere.
 
-    Raises MissingPart when CUDA is asked for and something that it needs is not there.
+    Raises QuerySplatError for another name, and MissingPart when `cuda` lacks something that it needs.
     """
     if name not in ("auto", "cpu", "cuda"):
         raise QuerySplatError(f"--device {name}: no such device", "Choose auto, cpu or cuda.")
@@ -32,10 +33,16 @@ def find_device(name: str) -> torch.device:
     return torch.device("cpu" if name == "cpu" or lacking else "cuda")
 
 
+def free_bytes(device: torch.device) -> int:
+    """Bytes of memory that a program can still take on `device`; of the machine's where that is the CPU."""
+    return torch.cuda.mem_get_info(device)[0] if device.type == "cuda" else psutil.virtual_memory().available
+
+
 def peak_gib(device: torch.device | None = None) -> float:
-    """The most memory that this process has held so far, or that torch has on the GPU `device`."""
+    """The most memory, in GiB, that this process has held so far, or that torch has held on the GPU `device`."""
     if device and device.type == "cuda":
         return torch.cuda.max_memory_allocated(device) / 2**30
+    # psutil has no peak on Linux, and getrusage() cannot be reset as VmHWM can.
     with suppress(OSError, StopIteration):
         lines = Path("/proc/self/status").read_text().splitlines()
         return int(next(line.split()[1] for line in lines if line.startswith("VmHWM"))) / 2**20
@@ -44,8 +51,10 @@ def peak_gib(device: torch.device | None = None) -> float:
 
 
 def reset_peak_memory() -> bool:
-    """Have `peak_gib` of this process start again at what is held now; False where the system cannot, which is
-    anywhere but Linux, and in containers whose /proc cannot be written."""
+    """Start `peak_gib` of this process again at the memory that is held now.
+
+    Returns False where the system cannot do that: anywhere but on Linux, and where /proc cannot be written.
+    """
     try:
         Path("/proc/self/clear_refs").write_text("5")  # proc(5)
     except OSError:
@@ -54,7 +63,7 @@ def reset_peak_memory() -> bool:
 
 
 def to_device(part: Part, device: torch.device) -> Part:
-    """`part`, a tensor or a dataclass or tuple that holds tensors, with every tensor on `device`."""
+    """`part` with every tensor on `device`. It is a tensor, or a dataclass or tuple that holds tensors."""
     found: Any = part
     if isinstance(found, torch.Tensor):
         found = found.to(device)
@@ -62,5 +71,5 @@ def to_device(part: Part, device: torch.device) -> Part:
         found = tuple(to_device(item, device) for item in found)
     elif is_dataclass(found) and not isinstance(found, type):
         found = replace(found, **{field.name: to_device(getattr(found, field.name), device) for field in fields(found)})
-    moved_part: Part = found
-    return moved_part
+    result: Part = found
+    return result

@@ -15,9 +15,9 @@ class ExitCode(IntEnum):
 
 
 class QuerySplatError(Exception):
-    """What is wrong, in one line, and what to do about it, in another.
+    """An error that a user can act on: `message` is what is wrong, and `hint` what to do, each in one line.
 
-    The command line prints both and exits with `code`; nothing else derives from a message's wording.
+    The command line prints both and exits with `code`. No code may depend on the wording.
     """
 
     def __init__(self, message: str, hint: str = "", code: ExitCode = ExitCode.BAD_INPUT) -> None:

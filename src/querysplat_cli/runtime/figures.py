@@ -1,4 +1,4 @@
-"""Figures, without a display."""
+"""Figures drawn with matplotlib, without a display."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -8,7 +8,7 @@ if TYPE_CHECKING:
 
 
 def new_figure(width: float, height: float) -> "Figure":
-    """An empty figure of so many inches; matplotlib is imported when the first one is drawn."""
+    """An empty figure, `width` × `height` inches. Matplotlib is imported when the first one is made."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -18,7 +18,7 @@ def new_figure(width: float, height: float) -> "Figure":
 
 
 def save_figure(figure: "Figure", path: Path) -> None:
-    """Write what `path`'s suffix says: .png, .svg or .pdf. The same figure gives the same .svg."""
+    """Write a .png, .svg or .pdf, by the suffix of `path`. The same figure gives the same bytes in an .svg."""
     from matplotlib import rc_context
 
     with rc_context({"svg.hashsalt": "querysplat"}):

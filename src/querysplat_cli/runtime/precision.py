@@ -1,36 +1,33 @@
-"""How numbers are kept: matrices in half precision where that is asked for, everything delicate in float32."""
+"""Number formats: matrix products in half precision on request; norms, softmax and rotations in float32."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Literal, get_args
+from typing import get_args
 
 import torch
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from querysplat_cli.runtime.choices import Precision
 from querysplat_cli.runtime.errors import QuerySplatError
-
-Precision = Literal["fp32", "tf32", "bf16"]
-"""fp32: as the release. tf32: the same, with 10-bit mantissas inside matrix products on GPUs that have them.
-bf16: matrix products and attention in bfloat16; norms, softmax, residuals, rotations and heads in float32."""
 
 
 class Linear(nn.Linear):
-    """Computes in the type of its weights, whatever it is given."""
+    """A linear layer that computes in the type of its weights, whatever the type of its input."""
 
     def forward(self, x: Tensor) -> Tensor:
         return F.linear(x.to(self.weight.dtype), self.weight, self.bias)
 
 
 class Conv2d(nn.Conv2d):
-    """Computes in the type of its weights, whatever it is given."""
+    """A convolution that computes in the type of its weights, whatever the type of its input."""
 
     def forward(self, x: Tensor) -> Tensor:
         return super().forward(x.to(self.weight.dtype))
 
 
 class LayerNorm(nn.LayerNorm):
-    """Computes in the type of its weights, which is never half precision."""
+    """A norm that computes in the type of its weights, which is never half precision."""
 
     def forward(self, x: Tensor) -> Tensor:
         return super().forward(x.to(self.weight.dtype))
@@ -48,7 +45,7 @@ def weight_dtypes(model: nn.Module, precision: Precision) -> dict[str, torch.dty
 
 @contextmanager
 def matrix_products(precision: Precision) -> Iterator[None]:
-    """Let GPUs round the operands of float32 products to TF32 while inside, if `precision` says so."""
+    """While inside, let GPUs round the operands of float32 products to TF32 if `precision` is tf32."""
     before = torch.get_float32_matmul_precision()
     torch.set_float32_matmul_precision("high" if precision == "tf32" else before)
     try:
@@ -58,7 +55,7 @@ def matrix_products(precision: Precision) -> Iterator[None]:
 
 
 def check_precision(name: str) -> Precision:
-    """`name` if it is a precision; raises QuerySplatError otherwise."""
+    """`name` as a precision; raises QuerySplatError if it is none."""
     for known in get_args(Precision):
         if name == known:
             return known

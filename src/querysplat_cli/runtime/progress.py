@@ -1,18 +1,18 @@
-"""What the road is doing now, and how long each part of it took."""
+"""The stages of a command: their progress, and the seconds that each took."""
 
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 Progress = Callable[[str, float], None]
-"""Called with what is being done and the fraction of the stage that is finished."""
+"""Called with a text about the current work, and the finished fraction of the stage."""
 
 
 class Stages:
-    """Times named stages and tells a listener how each one advances.
+    """Times named stages, and reports the progress of each to a listener.
 
-    `listen(stage, text, fraction)` is called at the start of a stage (0.0), whenever it reports, and at its
-    end (1.0). `seconds` adds up when a stage runs more than once. `started` is when everything began, by
+    `listen(stage, text, fraction)` is called at the start of a stage (0.0), at each report, and at its end (1.0).
+    `seconds` has the total of each stage, which may run more than once. `started` is when the command began, by
     `time.perf_counter`; now by default.
     """
 
@@ -26,7 +26,7 @@ class Stages:
         self._started = time.perf_counter() if started is None else started
 
     def elapsed(self) -> float:
-        """Seconds since everything began."""
+        """Seconds since the command began."""
         return time.perf_counter() - self._started
 
     @contextmanager

@@ -1,4 +1,4 @@
-"""Files of weights that are not part of the package: what they are, where they come from, where they lie here."""
+"""The weight files that are not part of the package: their origin, contents, licence, and place on this machine."""
 
 import hashlib
 from collections.abc import Callable
@@ -12,7 +12,11 @@ NON_COMMERCIAL = "FAIR Noncommercial Research License: no commercial use, of wha
 
 @dataclass(frozen=True)
 class WeightFile:
-    """A file on the Hugging Face Hub. `tensors` and `values` count those that are read; `sha256` None: not known."""
+    """A file on the Hugging Face Hub.
+
+    `tensors` and `values` count the tensors that are read, and the numbers in them. `sha256` is None where none is
+    published.
+    """
 
     file: str
     repository: str
@@ -24,7 +28,7 @@ class WeightFile:
 
     @property
     def gib(self) -> float:
-        """Size of what is read, stored in float32."""
+        """Size of the tensors that are read, in GiB, as float32."""
         return self.values * 4 / 2**30
 
 
@@ -53,13 +57,13 @@ WEIGHTS = {
         1_157_941_492,
     ),
 }
-"""By the preset or the encoder that reads them."""
+"""The files by the name of the preset or encoder that reads them."""
 
 
 def find_weights(part: str, folder: Path | None) -> Path:
-    """The file of `part` in `folder`, or in the Hugging Face cache when that is None.
+    """The file of `part` (a key of WEIGHTS) in `folder`, or in the Hugging Face cache when `folder` is None.
 
-    In a folder a .safetensors, .pt or .pth of the same name will do. Raises MissingPart when it is not there.
+    In a folder the file may end in .safetensors, .pt or .pth. Raises MissingPart when there is no such file.
     """
     wanted = WEIGHTS[part]
     if folder is not None:
@@ -75,7 +79,7 @@ def find_weights(part: str, folder: Path | None) -> Path:
 
 
 def sha256(path: Path, progress: Callable[[float], None] = lambda fraction: None) -> str:
-    """Of the file's content, in hexadecimal."""
+    """The SHA-256 of a file, in hexadecimal. `progress` is called with the fraction that is read."""
     digest, size, read = hashlib.sha256(), path.stat().st_size, 0
     with path.open("rb") as file:
         while block := file.read(1 << 24):

@@ -10,18 +10,18 @@ from torch import Tensor
 
 from querysplat_cli.scene.sim3 import Sim3
 
-SHAPE = 0.02
-"""What rounding their sizes may do to the shapes of pictures."""
+SHAPE_TOLERANCE = 0.02
+"""By how much rounding their sizes may change the aspect ratio of pictures."""
 
 
 def same_shape(one: tuple[int, int], other: tuple[int, int]) -> bool:
-    """Whether pictures of these (height, width) can show the same, one larger than the other."""
-    return abs(one[1] * other[0] / (one[0] * other[1]) - 1) <= SHAPE
+    """Whether pictures of these (height, width) have the same aspect ratio, within rounding."""
+    return abs(one[1] * other[0] / (one[0] * other[1]) - 1) <= SHAPE_TOLERANCE
 
 
 @dataclass(frozen=True)
 class PhotoCamera:
-    """One photo's camera as another tool knows it: OpenCV world-to-camera, and a lens with distortion.
+    """One photo's camera as other tools describe it: OpenCV world-to-camera, and intrinsics with lens distortion.
 
     `focal` is (fx, fy), `principal` (cx, cy) in pixels of a photo of `height` × `width`, pixel centres at
     +0.5; `distortion` is OpenCV's (k1, k2, p1, p2).
@@ -63,7 +63,7 @@ class Cameras:
 
     @property
     def c2w(self) -> Float[Tensor, "views 4 4"]:
-        """Camera-to-world, by the transpose: exact for rotations, unlike a general inverse."""
+        """Camera-to-world matrices, by transposing the rotation. A general inverse would be less exact."""
         rotation = self.w2c[:, :3, :3].mT
         c2w = torch.zeros_like(self.w2c)
         c2w[:, :3, :3] = rotation
@@ -76,22 +76,29 @@ class Cameras:
         """Camera centres in the world."""
         return self.c2w[:, :3, 3]
 
+    @property
+    def intrinsics(
+        self,
+    ) -> tuple[Float[Tensor, "views"], Float[Tensor, "views"], Float[Tensor, "views"], Float[Tensor, "views"]]:
+        """Focal lengths fx and fy, and the principal point cx and cy, in pixels of the canvas."""
+        return self.K[:, 0, 0], self.K[:, 1, 1], self.K[:, 0, 2], self.K[:, 1, 2]
+
     def unproject(
         self, depth: Float[Tensor, "views rows columns"], x: Float[Tensor, "columns"], y: Float[Tensor, "rows"]
     ) -> Float[Tensor, "views rows columns 3"]:
         """World points of the given camera z at pixels (x, y)."""
-        fx, fy, cx, cy = (self.K[:, i, j, None, None] for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
+        fx, fy, cx, cy = (part[:, None, None] for part in self.intrinsics)
         local = torch.stack([(x - cx) / fx * depth, (y[:, None] - cy) / fy * depth, depth], -1)
         c2w = self.c2w
         return torch.einsum("vij,vrcj->vrci", c2w[:, :3, :3], local) + c2w[:, None, None, :3, 3]
 
     def sees(self, points: Float[Tensor, "n 3"], view: int) -> Bool[Tensor, "n"]:
-        """Which world points lie before the camera of `view` and in its picture."""
+        """Which world points lie in front of the camera of `view` and inside its picture."""
         w2c = self.w2c[view]
-        before = points @ w2c[2, :3] + w2c[2, 3] > 0
-        pixels = project(points[before], w2c, self.K[view])
-        seen = before.clone()
-        seen[before] = ((pixels >= 0) & (pixels < pixels.new_tensor([self.width, self.height]))).all(1)
+        in_front = points @ w2c[2, :3] + w2c[2, 3] > 0
+        pixels = project_points(points[in_front], w2c, self.K[view])
+        seen = in_front.clone()
+        seen[in_front] = ((pixels >= 0) & (pixels < pixels.new_tensor([self.width, self.height]))).all(1)
         return seen
 
     def to(self, target: torch.dtype | torch.device | str) -> "Cameras":
@@ -105,7 +112,7 @@ class Cameras:
         return replace(self, K=K, height=height, width=width)
 
     def transformed(self, similarity: Sim3) -> "Cameras":
-        """The same cameras when the world is moved by `similarity` (camera axes keep unit length)."""
+        """The same cameras in the world that `similarity` maps to (camera axes keep unit length)."""
         w2c = self.w2c.double()
         moved = torch.zeros_like(w2c)
         moved[:, :3, :3] = w2c[:, :3, :3] @ similarity.rotation.T
@@ -114,14 +121,16 @@ class Cameras:
         return replace(self, w2c=moved.to(self.w2c.dtype))
 
 
-def project(points: Float[Tensor, "n 3"], w2c: Float[Tensor, "4 4"], K: Float[Tensor, "3 3"]) -> Float[Tensor, "n 2"]:
-    """Pixels of world points that lie before the camera."""
+def project_points(
+    points: Float[Tensor, "n 3"], w2c: Float[Tensor, "4 4"], K: Float[Tensor, "3 3"]
+) -> Float[Tensor, "n 2"]:
+    """Pixels of world points that lie in front of the camera."""
     image = (points @ w2c[:3, :3].T + w2c[:3, 3]) @ K.T
     return image[:, :2] / image[:, 2:]
 
 
 def rescaled(camera: PhotoCamera, height: int, width: int) -> PhotoCamera:
-    """The camera of the same photo stored at another size (pixel centres at +0.5, so corners map to corners)."""
+    """The camera of the same photo when it is stored at another size. Corners map to corners."""
     x, y = width / camera.width, height / camera.height
     focal, principal = camera.focal, camera.principal
     return replace(

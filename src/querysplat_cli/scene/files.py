@@ -11,7 +11,7 @@ from pathlib import Path
 from querysplat_cli.runtime.errors import QuerySplatError
 
 NEARLY_FULL = 64 << 20
-"""Free bytes below which a failed write without a reason is put down to a full disk."""
+"""With fewer free bytes, a failed write that gives no reason is taken to be one of a full disk."""
 
 NO_SPACE = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 FORBIDDEN = {errno.EACCES, errno.EPERM, errno.EROFS}
@@ -19,7 +19,7 @@ NO_FOLDER = {errno.ENOTDIR, errno.EEXIST}
 
 
 def refuse_existing(paths: Sequence[Path], *, force: bool) -> None:
-    """Raise QuerySplatError when one of `paths` is there already, unless `force`."""
+    """Raise QuerySplatError when one of `paths` exists, unless `force`."""
     existing = [str(path) for path in paths if path.exists() or path.is_symlink()]
     if existing and not force:
         raise QuerySplatError(
@@ -28,7 +28,7 @@ def refuse_existing(paths: Sequence[Path], *, force: bool) -> None:
 
 
 def refuse_replacing(inputs: Sequence[Path], outputs: Sequence[Path]) -> None:
-    """Raise QuerySplatError when one of `outputs` would take the place of one of `inputs`, or of a folder around it."""
+    """Raise QuerySplatError when one of `outputs` would replace one of `inputs`, or a folder that holds it."""
     for path in inputs:
         here = path.resolve()
         for output in outputs:
@@ -47,10 +47,12 @@ def check_writable(folder: Path) -> None:
 
 @contextmanager
 def sole_writer(folder: Path) -> Iterator[None]:
-    """Raise QuerySplatError when another process is inside this for the same folder; a killed one is not.
+    """Hold `folder` for this process; raises QuerySplatError when another process holds it.
 
-    Where the system has no such locks (Windows), nothing is checked.
+    The system frees the folder when the process ends, however it ends. Windows has no such locks, and nothing is
+    checked there.
     """
+    # The lock is on the folder itself. filelock would leave a file of its own among the user's.
     try:
         import fcntl
     except ImportError:
@@ -70,10 +72,10 @@ def sole_writer(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
-    """A name beside `path`, with the same suffix, for a file that takes `path`'s place at the end.
+    """The name of a draft beside `path`, with the same suffix. At the end the file of that name replaces `path`.
 
-    On any exception, Ctrl-C included, the new file is removed and `path` is as it was. A full disk and
-    missing permission become QuerySplatError.
+    On any exception, Ctrl-C included, the draft is removed and `path` stays as it was. A full disk and missing
+    permission become QuerySplatError.
     """
     with _draft(path) as draft:
         yield draft
@@ -83,10 +85,10 @@ def atomic_path(path: Path) -> Iterator[Path]:
 
 @contextmanager
 def atomic_folder(path: Path) -> Iterator[Path]:
-    """An empty folder beside `path`, which takes `path`'s place, with all it then holds, at the end.
+    """An empty draft folder beside `path`. At the end it replaces `path`, with all that it then holds.
 
-    On any exception the new folder is removed and the old one is as it was. A full disk and missing
-    permission become QuerySplatError.
+    On any exception the draft is removed and `path` stays as it was. A full disk and missing permission become
+    QuerySplatError.
     """
     with _draft(path) as draft:
         draft.mkdir()
@@ -129,13 +131,13 @@ def _in_words(error: Exception, path: Path) -> QuerySplatError | None:
 
 
 def _silent_failure(error: Exception, folder: Path) -> bool:
-    """OpenCV does not say why it could not write; with so little space left, that is why."""
+    """Whether a write failed without a reason, as OpenCV's do, on a disk that is nearly full."""
     without_reason = isinstance(error, OSError) and error.errno is None
     return without_reason and folder.is_dir() and shutil.disk_usage(folder).free < NEARLY_FULL
 
 
 def _swap(draft: Path, path: Path) -> None:
-    """Put `draft` in the place of `path`; two renames, since no portable call exchanges folders."""
+    """Put `draft` in the place of `path`. No portable call exchanges two folders, hence two renames."""
     if not (path.exists() or path.is_symlink()):
         os.rename(draft, path)
         return

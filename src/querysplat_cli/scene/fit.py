@@ -1,8 +1,7 @@
-"""Photos to the pictures that a network of fixed size looks at (spec, section 2)."""
+"""Photos resized for a network: cropped to a square or padded, sides multiples of its patch, ImageNet's statistics."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import torch
@@ -10,19 +9,18 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 from torch.nn import functional as F
 
+from querysplat_cli.runtime.choices import Fit
 from querysplat_cli.scene.views import Photo, Views
 
-Fit = Literal["crop", "pad"]
-"""crop: the largest square in the middle. pad: the whole photo, on a canvas that holds the widest and the highest."""
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)
 
 
 def network_views(photos: Sequence[Photo], size: int, patch: int, fit: Fit) -> Views:
-    """The photos as a network sees them: sides of at most `size` pixels, multiples of `patch`.
+    """The photos as inputs of a network: sides of at most `size` pixels, multiples of `patch`.
 
-    A padded photo stands in the middle of its canvas, white around it and masked there, so that its optical
-    axis stays in the middle.
+    A padded photo is centred on its canvas, which is white and masked around it, so that the optical axis stays in the
+    middle.
     """
     side = size // patch * patch
     pixels = [torch.from_numpy(np.ascontiguousarray(photo.pixels)).permute(2, 0, 1) for photo in photos]
@@ -48,16 +46,16 @@ class Crop:
 
     @property
     def shift(self) -> tuple[float, float]:
-        """What is added to the principal point (x, y) before `scale`, as the release does it."""
+        """The shift of the principal point (x, y) before `scale` is applied, as in the release."""
         return (self.width - self.photo[1]) / 2, (self.height - self.photo[0]) / 2
 
     @property
     def scale(self) -> tuple[float, float]:
-        """Picture pixels in a photo's pixel, along x and y."""
+        """Pixels of the picture for each pixel of the photo, along x and y."""
         return self.size[1] / self.width, self.size[0] / self.height
 
     def picture(self, photo: UInt8[Tensor, "3 rows columns"]) -> Float[Tensor, "3 height width"]:
-        """The picture in [0, 1]: cut, and resized bilinearly with antialiasing where the size does not fit."""
+        """The picture in [0, 1]: cropped, then resized where the size differs."""
         rows, columns = slice(self.top, self.top + self.height), slice(self.left, self.left + self.width)
         return resized(photo[:, rows, columns].float() / 255, self.size)
 
@@ -70,14 +68,14 @@ def centred_crop(photo: tuple[int, int], size: tuple[int, int]) -> Crop:
 
 
 def resized(picture: Float[Tensor, "3 rows columns"], size: tuple[int, int]) -> Float[Tensor, "3 height width"]:
-    """Bilinear, antialiased where it gets smaller; corners stay corners."""
+    """Resized bilinearly, with antialiasing where it shrinks. Corners are mapped to corners."""
     if picture.shape[-2:] == size:
         return picture
     return F.interpolate(picture[None], size, mode="bilinear", align_corners=False, antialias=True)[0]
 
 
 def normalised(images: Float[Tensor, "*views 3 height width"]) -> Float[Tensor, "*views 3 height width"]:
-    """By ImageNet's mean and deviation."""
+    """Less ImageNet's mean, divided by its standard deviation."""
     mean, std = (images.new_tensor(part)[:, None, None] for part in (IMAGENET_MEAN, IMAGENET_STD))
     return (images - mean) / std
 

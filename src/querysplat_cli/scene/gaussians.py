@@ -1,12 +1,13 @@
-"""The scene itself: a set of 3D Gaussians."""
+"""A scene: a set of 3D Gaussians."""
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
+
+from querysplat_cli.scene.tensor_dataclass import TensorDataclass
 
 SH_0 = 0.28209479177387814
 SH_1 = 0.4886025119029199
@@ -24,7 +25,7 @@ SH_3 = (
 
 
 @dataclass(frozen=True)
-class Gaussians:
+class Gaussians(TensorDataclass):
     """N Gaussians in world coordinates.
 
     `quats` are w, x, y, z, not necessarily normalised; `scales` are linear standard deviations in scene
@@ -44,10 +45,6 @@ class Gaussians:
     @property
     def sh_degree(self) -> int:
         return math.isqrt(self.sh.shape[1]) - 1
-
-    def map(self, change: Callable[[Tensor], Tensor]) -> "Gaussians":
-        """The result of applying `change` to every field."""
-        return Gaussians(**{field.name: change(getattr(self, field.name)) for field in fields(self)})
 
     def __getitem__(self, index: slice | Tensor) -> "Gaussians":
         return self.map(lambda field: field[index])

@@ -1,4 +1,4 @@
-"""Given cameras, matched with the photos that they belong to."""
+"""Cameras that the user gives, matched with the photos by name."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -11,12 +11,12 @@ from querysplat_cli.scene.views import LeftOut, Photo
 
 
 def match_cameras(
-    photos: Sequence[Photo], known: Mapping[str, PhotoCamera]
+    photos: Sequence[Photo], given: Mapping[str, PhotoCamera]
 ) -> tuple[dict[int, PhotoCamera], list[LeftOut]]:
-    """The given cameras by photo number, and the photos that have no usable one."""
+    """The given cameras by photo number, rotations made orthonormal, and the photos without a usable camera."""
     cameras, left_out = {}, []
     for number, photo in enumerate(photos):
-        camera = known.get(photo.name)
+        camera = given.get(photo.name)
         fault = _fault(photo, camera) if camera else "no camera is given for it"
         if camera and not fault:
             u, _, vt = np.linalg.svd(camera.w2c[:3, :3])

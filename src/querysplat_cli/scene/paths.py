@@ -11,28 +11,28 @@ from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
 
 RING_GAP = 2.1
-"""Cameras around something leave no gap wider than this, in radians; otherwise they stand on one side."""
+"""The inputs surround their middle when no gap between their directions is wider than this, in radians."""
 LEAST_SWAY = 0.05
-"""Radians to either side, where the inputs stand in one place."""
+"""Half the width and height of the path in radians, where all inputs were taken from one place."""
 LEVEL_WEIGHT = 1e3
-"""How much more a picture's horizontal axis counts than its vertical one when up is sought."""
-REACH = 0.8
-"""How much of the inputs' range the path uses: at its ends fewer photos support the picture."""
+"""Weight of the pictures' horizontal axes relative to their vertical ones when the up direction is estimated."""
+ORBIT_SHARE = 0.8
+"""Share of the inputs' angular range that the path uses. Near the ends fewer photos show what is rendered."""
 
 
 def orbit(cameras: Cameras, middle: Float[Tensor, "3"], frames: int) -> Cameras:
     """A closed, smooth path around `middle`, looking at it, at the inputs' typical distance and height.
 
-    Where the inputs surround `middle` the path does too; where they stand on one side (a forward-facing
-    capture) it is an ellipse on that side, within their reach. Up is what the inputs agree on,
-    the lens is the median of theirs. Raises QuerySplatError when all inputs stand in `middle`.
+    Where the inputs surround `middle`, so does the path. Where they stand on one side (a forward-facing capture), it is
+    an ellipse on that side, within their angular range. The up direction is estimated from all inputs, the intrinsics
+    are the medians of theirs. Raises QuerySplatError when the inputs' centres are at `middle`.
     """
     centres, target = cameras.centres.double().numpy(), middle.double().numpy()
     up = _upright(cameras)
     arms = centres - target
     radius = float(np.median(np.linalg.norm(arms, axis=1)))
     if radius == 0:
-        raise QuerySplatError("the cameras stand where they should look", "Give a path with --cameras FILE.")
+        raise QuerySplatError("the cameras are at the point to look at", "Give a path with --cameras FILE.")
     forward = _unit(np.cross(up, _least_parallel_axis(up)))
     side = np.cross(up, forward)
     azimuth = np.arctan2(arms @ side, arms @ forward)
@@ -43,8 +43,8 @@ def orbit(cameras: Cameras, middle: Float[Tensor, "3"], frames: int) -> Cameras:
         path_azimuth = azimuth[0] + turn
         path_elevation = np.full(frames, np.median(elevation))
     else:
-        path_azimuth = start + covered / 2 + max(LEAST_SWAY, REACH * covered / 2) * np.sin(turn)
-        height = max(LEAST_SWAY, REACH * float(np.ptp(elevation)) / 2)
+        path_azimuth = start + covered / 2 + max(LEAST_SWAY, ORBIT_SHARE * covered / 2) * np.sin(turn)
+        height = max(LEAST_SWAY, ORBIT_SHARE * float(np.ptp(elevation)) / 2)
         path_elevation = (elevation.min() + elevation.max()) / 2 + height * np.cos(turn)
     path_elevation = path_elevation.clip(-1.4, 1.4)[:, None]
     level = np.cos(path_azimuth)[:, None] * forward + np.sin(path_azimuth)[:, None] * side
@@ -53,10 +53,10 @@ def orbit(cameras: Cameras, middle: Float[Tensor, "3"], frames: int) -> Cameras:
 
 
 def surround(points: Float[Tensor, "n 3"], frames: int, height: int, width: int) -> Cameras:
-    """A full circle around `points` of which nothing else is known, slightly from above; y is taken to point down.
+    """A full circle around a scene without cameras, seen slightly from above; y is assumed to point down.
 
-    Far enough that nine tenths of the points fit into the picture, whose field of view is 50° high or wide,
-    whichever is less.
+    The distance is such that nine tenths of the points fit into the picture. Its field of view is 50° along the shorter
+    side.
     """
     target = points.double().median(0).values.numpy()
     reach = float(np.quantile(np.linalg.norm(points.double().numpy() - target, axis=1), 0.9)) or 1.0
@@ -71,8 +71,8 @@ def surround(points: Float[Tensor, "n 3"], frames: int, height: int, width: int)
 def interpolate(cameras: Cameras, frames: int) -> Cameras:
     """A smooth path through the inputs in their order, first to last.
 
-    Centres follow a monotone cubic, rotations the shortest way at constant speed between two inputs, and
-    lenses change linearly.
+    Centres follow a monotone cubic. Between two inputs, rotations take the shortest way at constant speed, and
+    intrinsics change linearly.
     """
     if len(cameras) == 1:
         return cameras[[0] * frames]
@@ -81,14 +81,14 @@ def interpolate(cameras: Cameras, frames: int) -> Cameras:
     path = np.tile(np.eye(4), (frames, 1, 1))
     path[:, :3, :3] = Slerp(knots, Rotation.from_matrix(c2w[:, :3, :3]))(times).as_matrix()
     path[:, :3, 3] = PchipInterpolator(knots, c2w[:, :3, 3])(times)
-    before = np.minimum(times.astype(int), len(cameras) - 2)
-    share = torch.from_numpy(times - before).to(cameras.K.dtype)[:, None, None]
-    K = torch.lerp(cameras.K[before], cameras.K[before + 1], share)
+    previous = np.minimum(times.astype(int), len(cameras) - 2)
+    share = torch.from_numpy(times - previous).to(cameras.K.dtype)[:, None, None]
+    K = torch.lerp(cameras.K[previous], cameras.K[previous + 1], share)
     return _cameras(path, K, cameras)
 
 
 def look_at(places: np.ndarray, target: np.ndarray, up: np.ndarray, like: Cameras) -> Cameras:
-    """Cameras at `places` [n, 3] towards `target` [3] or [n, 3]; canvas and median lens of `like`."""
+    """Cameras at `places` [n, 3] towards `target` [3] or [n, 3]; canvas and median intrinsics of `like`."""
     z = target - places
     z = z / np.linalg.norm(z, axis=1, keepdims=True)
     x = np.cross(z, up)
@@ -108,7 +108,7 @@ def _cameras(c2w: np.ndarray, K: Tensor, like: Cameras) -> Cameras:
 def _upright(cameras: Cameras) -> np.ndarray:
     """The mean up direction of the pictures, less its part along their horizontal axes.
 
-    People hold a camera level but tilt it, so the x axes are at right angles to the true vertical.
+    People hold cameras level but tilt them up and down, so the x axes are at right angles to the true vertical.
     """
     rotation = cameras.w2c[:, :3, :3].double().numpy()
     level = np.einsum("vi,vj->ij", rotation[:, 0], rotation[:, 0]) / len(cameras)

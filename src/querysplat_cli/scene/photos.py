@@ -1,4 +1,4 @@
-"""Photos of any kind, read into one kind: upright, 8-bit RGB, not too large."""
+"""Photo files of many kinds, decoded into one: upright, 8-bit RGB, not too large."""
 
 import os
 import re
@@ -21,14 +21,14 @@ HEIF_SUFFIXES = {".heic", ".heif"}
 PICTURE_FOLDERS = ("images", "images_2", "images_4", "images_8")
 """Where DL3DV and nerfstudio keep the pictures of a scene, largest first."""
 SCENE_FOLDERS = ("", "nerfstudio", "colmap")
-"""Where in a scene's folder DL3DV's releases keep those."""
+"""Where in a scene's folder DL3DV's releases keep these picture folders."""
 SMALLEST_SIDE = 64
 WHOLE = 1 << 16
-"""A longest side that reduces no photo."""
+"""As `max_side`, this reduces no photo."""
 FULL_FRAME_DIAGONAL = 43.2666
 """Millimetres: FocalLengthIn35mmFilm is the focal length that has the same diagonal field of view on 36 × 24."""
 SENSIBLE_FOCAL = (0.3, 20.0)
-"""In units of the longer side; EXIF that says anything else is not believed."""
+"""Range of plausible focal lengths in units of the longer side. Others in EXIF are ignored."""
 MILLIMETRES = {1: 25.4, 2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}
 """Length of EXIF's FocalPlaneResolutionUnit; 1 means "none", which cameras write for inches."""
 
@@ -36,8 +36,8 @@ MILLIMETRES = {1: 25.4, 2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}
 def find_photos(inputs: Sequence[Path]) -> list[Path]:
     """The files to read, in natural order (2 before 10) within each folder, none twice.
 
-    A folder stands for all files in it that are not hidden, or, where it has no pictures of its own, for
-    those in its largest `images`, `images_2`, `images_4` or `images_8` (a DL3DV, nerfstudio or COLMAP
+    A folder means all files in it that are not hidden, or, where it has no pictures of its own, those in its
+    largest `images`, `images_2`, `images_4` or `images_8` (a DL3DV, nerfstudio or COLMAP
     scene). Raises QuerySplatError when an input is missing or has no pictures.
     """
     found: dict[Path, Path] = {}
@@ -54,11 +54,11 @@ def load_photos(
     max_side: int = 1600,
     progress: Progress = lambda text, fraction: None,
 ) -> tuple[list[Photo], list[LeftOut]]:
-    """Decoded photos in the order of `paths`, and the files that are no usable photo, with the reason.
+    """Decoded photos in the order of `paths`, and the files that are not usable as photos, with the reason.
 
     Sides longer than `max_side` pixels are reduced (area filter). Transparency is laid over white; 16-bit
     values keep their high byte; of several frames the first is taken; colour profiles are not applied.
-    Photos with the same file name are told apart by as much of their folders as that needs. Raises
+    Photos with the same file name get as much of their folders in their names as makes these unique. Raises
     QuerySplatError when there is no usable photo at all.
     """
     photos: list[Photo] = []
@@ -82,7 +82,7 @@ def load_photos(
 
 
 def load_photo(path: Path, name: str, max_side: int) -> Photo | LeftOut:
-    """One photo, as `load_photos` decodes it, or why it is none."""
+    """One photo, as `load_photos` decodes it, or why it is not usable."""
     try:
         if not path.stat().st_size:
             return LeftOut(name, "the file is empty")
@@ -100,7 +100,7 @@ def load_photo(path: Path, name: str, max_side: int) -> Photo | LeftOut:
 
 
 def short_names(paths: Sequence[PurePath]) -> list[str]:
-    """The last parts of each path, as few of them as tell it from all others."""
+    """The last parts of each path, as few as make it different from all others."""
     names = [path.name for path in paths]
     longest = max((len(path.parts) for path in paths), default=0)
     for depth in range(2, longest + 1):
@@ -142,7 +142,7 @@ def _is_picture(path: Path) -> bool:
 def _decode(path: Path, max_side: int) -> tuple[np.ndarray, float | None]:
     """Upright, reduced RGB, and the focal length in its pixels."""
     if path.suffix.lower() in HEIF_SUFFIXES:
-        _understand_heif()
+        _register_heif()
     try:
         image = Image.open(path)
     except UnidentifiedImageError:
@@ -169,7 +169,7 @@ def _rgb(image: Image.Image) -> np.ndarray:
 
 
 def _decode_deep_tiff(path: Path) -> np.ndarray:
-    """TIFF kinds that Pillow does not know, such as three channels of 16 bits."""
+    """TIFF kinds that Pillow cannot read, such as three channels of 16 bits."""
     pixels = cv2.imread(str(path), cv2.IMREAD_COLOR) if path.suffix.lower() in (".tif", ".tiff") else None
     if pixels is None:
         raise UnidentifiedImageError(path)
@@ -186,7 +186,7 @@ def reduced(pixels: np.ndarray, max_side: int) -> np.ndarray:
 
 
 def _focal(image: Image.Image) -> float | None:
-    """EXIF's focal length in pixels of the picture as stored, if it makes sense."""
+    """EXIF's focal length in pixels of the picture as stored, if it is plausible."""
     width, height = image.size
     try:
         exif = image.getexif().get_ifd(ExifTags.IFD.Exif)
@@ -203,7 +203,7 @@ def _focal_from_film(exif: dict[int, Any], width: int, height: int) -> float | N
 
 
 def _focal_from_sensor(exif: dict[int, Any], width: int) -> float | None:
-    """Focal length times the sensor's pixels per millimetre, for a file that was perhaps reduced since."""
+    """Focal length times the sensor's pixels per millimetre; the file may have been reduced after it was taken."""
     millimetres = float(exif.get(ExifTags.Base.FocalLength, 0))
     density = float(exif.get(ExifTags.Base.FocalPlaneXResolution, 0))
     if not (millimetres and density):
@@ -213,7 +213,7 @@ def _focal_from_sensor(exif: dict[int, Any], width: int) -> float | None:
     return millimetres * density / unit * width / full_width
 
 
-def _understand_heif() -> None:
+def _register_heif() -> None:
     try:
         from pillow_heif import register_heif_opener
     except ImportError:

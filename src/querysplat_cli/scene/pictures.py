@@ -1,4 +1,4 @@
-"""From colours in [0, 1] to the 8 bits of a picture, and to its file."""
+"""Colours in [0, 1] as 8-bit pictures, and picture files."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,13 +18,13 @@ def eight_bit(image: Float[Tensor, "3 height width"]) -> np.ndarray:
 
 
 def stored_name(name: str) -> str:
-    """The file that holds a photo's undistorted picture: its own name, or that and .png where we do not write such."""
+    """The file name of a photo's undistorted picture: the photo's, with .png added if we do not write its format."""
     suffix = Path(name).suffix.lower()
     return name if suffix in LOSSLESS_SUFFIXES | {".jpg", ".jpeg"} else f"{name}.png"
 
 
 def write_picture(path: Path, pixels: np.ndarray, settings: Sequence[int] = ()) -> None:
-    """Write RGB [height, width, 3], or grey [height, width] of 8 or 16 bits, as what `path`'s suffix says.
+    """Write RGB [height, width, 3], or grey [height, width] of 8 or 16 bits, in the format of `path`'s suffix.
 
     Makes the folder if it is missing; `settings` are OpenCV's. Raises OSError when the file cannot be written.
     """

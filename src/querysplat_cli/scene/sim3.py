@@ -8,16 +8,16 @@ from torch import Tensor
 
 from querysplat_cli.runtime.errors import ImpossibleScene
 
-MANY_ENOUGH = 4
-"""Cameras from which one that is wrong can be told: without it, three agree in rotation, direction and scale."""
-OUTLYING = 5.0
-"""How many times further off than any other a camera must be to be left out."""
-NOISE = 1e-6
-"""Error below which cameras agree perfectly."""
+FEWEST_WITH_OUTLIER = 4
+"""With fewer cameras no outlier is sought: three that agree in rotation, direction and scale must remain."""
+OUTLIER_RATIO = 5.0
+"""A camera is an outlier if its error is at least this many times the largest error of the others."""
+PERFECT_FIT = 1e-6
+"""Errors below this count as this much, so that rounding makes no outliers."""
 
 
 class DegenerateAlignment(ImpossibleScene):
-    """The correspondences leave part of the similarity free."""
+    """The cameras leave part of the similarity free."""
 
 
 @dataclass(frozen=True)
@@ -37,66 +37,15 @@ class Sim3:
         moved = self.scale * points.double() @ self.rotation.T + self.translation
         return moved.to(points.dtype)
 
-    def inverse(self) -> "Sim3":
-        rotation = self.rotation.T
-        return Sim3(1.0 / self.scale, rotation, -(rotation @ self.translation) / self.scale)
-
-    def compose(self, first: "Sim3") -> "Sim3":
-        """The similarity that applies `first`, then this one."""
-        return Sim3(
-            self.scale * first.scale,
-            self.rotation @ first.rotation,
-            self.scale * self.rotation @ first.translation + self.translation,
-        )
-
-
-def skew(vectors: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3 3"]:
-    """The matrices that take the cross product with `vectors` from the left; their exponentials turn about these."""
-    x, y, z = vectors.unbind(1)
-    zero = torch.zeros_like(x)
-    rows = [[zero, -z, y], [z, zero, -x], [-y, x, zero]]
-    return torch.stack([torch.stack(row, 1) for row in rows], 1)
-
-
-def rotation_angles(rotations: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch"]:
-    """Angles of rotations in degrees; accurate near 0 and near 180."""
-    skew = rotations - rotations.mT
-    sine = torch.stack([skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0]]).norm(dim=0) / 2
-    cosine = (rotations.diagonal(dim1=-2, dim2=-1).sum(-1) - 1) / 2
-    return torch.rad2deg(torch.atan2(sine, cosine))
-
-
-def align_sim3(source: Float[Tensor, "n 3"], target: Float[Tensor, "n 3"]) -> Sim3:
-    """Least-squares similarity with target ≈ s·R·source + t (Umeyama 1991, eq. 40–43).
-
-    Needs n ≥ 3 points that do not lie on one line; raises DegenerateAlignment otherwise,
-    because scale and rotation about that line are then free. Both in scene units.
-    """
-    x, y = source.double(), target.double()
-    mean_x, mean_y = x.mean(0), y.mean(0)
-    centred_x, centred_y = x - mean_x, y - mean_y
-    spread = torch.linalg.svdvals(centred_x)
-    if len(x) < 3 or spread[1] <= 1e-6 * spread[0]:
-        raise DegenerateAlignment(
-            f"{len(x)} points that coincide or lie on one line do not fix a similarity",
-            "Use at least three cameras that are not in a row.",
-        )
-    u, singular, vt = torch.linalg.svd(centred_y.T @ centred_x)
-    sign = torch.ones(3, dtype=torch.float64)
-    sign[2] = torch.sign(torch.linalg.det(u) * torch.linalg.det(vt))
-    rotation = u @ torch.diag(sign) @ vt
-    scale = float((singular * sign).sum() / centred_x.square().sum())
-    return Sim3(scale, rotation, mean_y - scale * rotation @ mean_x)
-
 
 def align_cameras(source: Float[Tensor, "n 4 4"], target: Float[Tensor, "n 4 4"]) -> Sim3:
     """Similarity that maps the world of `source` onto the world of `target`, from n shared cameras.
 
-    Both are world-to-camera matrices of the same cameras in two frames. Rotation is the chordal mean of
-    the relative camera rotations, so that two cameras, or cameras in a row, are enough; scale is the
-    ratio of the spreads of the centres and translation joins their means. Of four or more cameras, one
-    that does not fit while the others agree without it is left out. Raises DegenerateAlignment with fewer
-    than two cameras, when the centres coincide (scale is then free), or no positive scale fits.
+    Both are world-to-camera matrices of the same cameras in two frames. The rotation is the chordal mean of the
+    relative camera rotations, so that two cameras, or cameras in a row, are enough. The scale is the least-squares
+    one between the centres around their means, and the translation maps one mean onto the other. Of four or more
+    cameras, an outlier is left out. Raises DegenerateAlignment with fewer than two cameras, when the centres coincide
+    (the scale is then free), and when no positive scale fits.
     """
     a, b = source.double(), target.double()
     outlier = _outlier(a, b)
@@ -107,8 +56,8 @@ def align_cameras(source: Float[Tensor, "n 4 4"], target: Float[Tensor, "n 4 4"]
 
 
 def _outlier(a: Float[Tensor, "n 4 4"], b: Float[Tensor, "n 4 4"]) -> int | None:
-    """The camera without which the others agree at least `OUTLYING` times better, and which is as far off."""
-    if len(a) < MANY_ENOUGH:
+    """The camera that fits worst when the others are aligned without it, if its error is that of an outlier."""
+    if len(a) < FEWEST_WITH_OUTLIER:
         return None
     worst, without = 1.0, None
     for i in range(len(a)):
@@ -117,14 +66,14 @@ def _outlier(a: Float[Tensor, "n 4 4"], b: Float[Tensor, "n 4 4"]) -> int | None
             error = _errors(_align_all(a[rest], b[rest]), a, b)
         except DegenerateAlignment:
             continue
-        ratio = float(error[i] / error[rest].max().clamp_min(NOISE))
-        if ratio > max(worst, OUTLYING):
+        ratio = float(error[i] / error[rest].max().clamp_min(PERFECT_FIT))
+        if ratio > max(worst, OUTLIER_RATIO):
             worst, without = ratio, i
     return without
 
 
 def _errors(similarity: Sim3, a: Float[Tensor, "n 4 4"], b: Float[Tensor, "n 4 4"]) -> Float[Tensor, "n"]:
-    """Of each camera: chordal distance of rotations, and distance of centres in units of their median spread."""
+    """For each camera: chordal distance of rotations, plus distance of centres in units of their median spread."""
     centres_a, centres_b = _centres(a), _centres(b)
     turned = a[:, :3, :3] @ similarity.rotation.T - b[:, :3, :3]
     apart = (similarity.apply(centres_a) - centres_b).norm(dim=1)
@@ -137,7 +86,7 @@ def _centres(w2c: Float[Tensor, "n 4 4"]) -> Float[Tensor, "n 3"]:
 
 
 def _align_all(a: Float[Tensor, "n 4 4"], b: Float[Tensor, "n 4 4"]) -> Sim3:
-    """The similarity of all cameras."""
+    """The similarity that fits all cameras."""
     rotation_a, rotation_b = a[:, :3, :3], b[:, :3, :3]
     centres_a, centres_b = _centres(a), _centres(b)
     u, _, vt = torch.linalg.svd((rotation_b.mT @ rotation_a).sum(0))

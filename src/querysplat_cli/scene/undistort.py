@@ -1,4 +1,4 @@
-"""Photos as a pinhole camera would have taken them, on one canvas."""
+"""Lens distortion removed: photos as a pinhole camera would take them, on one canvas."""
 
 from collections.abc import Sequence
 
@@ -9,29 +9,29 @@ import torch
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera, rescaled
 from querysplat_cli.scene.views import Photo, Views
 
-BLOCK = 12
-"""The canvas measures a multiple of this many pixels: whole patches, and whole cells of queries."""
+CANVAS_MULTIPLE = 12
+"""The sides of the canvas are multiples of this many pixels: whole patches, and whole blocks of queries."""
 
 
 def undistorted(photos: Sequence[Photo], cameras: Sequence[PhotoCamera], *, max_size: int) -> tuple[Views, Cameras]:
     """The photos without lens distortion, at a longer side of at most `max_size`, and their pinhole cameras.
 
-    Each picture is the largest rectangle that has photo behind every pixel, stretched to the photo's own
-    shape (so fx and fy differ slightly for a strongly distorting lens), in the canvas's top-left corner.
-    Pictures are never enlarged.
+    Each picture is the largest rectangle whose every pixel the photo covers, stretched to the photo's own shape, so
+    that fx and fy differ slightly for a strongly distorting lens. It lies in the canvas's top-left corner. Pictures
+    are never enlarged.
     """
-    pictures, lenses = [], []
+    pictures, matrices = [], []
     for photo, camera in zip(photos, cameras, strict=True):
         flat, K = _straightened(photo.pixels, rescaled(camera, photo.height, photo.width))
         scale = min(1.0, max_size / max(photo.height, photo.width))
         height, width = max(1, round(photo.height * scale)), max(1, round(photo.width * scale))
         if scale < 1:
-            # In float: with 8 bits each mean is rounded, and halves always upwards.
+            # In float32: on 8 bits OpenCV rounds every mean, and halves always upwards.
             flat = cv2.resize(flat.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA)
         pictures.append(flat)
-        lenses.append(np.diag([width / photo.width, height / photo.height, 1.0]) @ K)
+        matrices.append(np.diag([width / photo.width, height / photo.height, 1.0]) @ K)
     sizes = tuple(picture.shape[:2] for picture in pictures)
-    height, width = (-(-max(side) // BLOCK) * BLOCK for side in zip(*sizes, strict=True))
+    height, width = (-(-max(side) // CANVAS_MULTIPLE) * CANVAS_MULTIPLE for side in zip(*sizes, strict=True))
     images = torch.zeros(len(pictures), 3, height, width)
     masks = torch.zeros(len(pictures), height, width, dtype=torch.bool)
     for row, (picture, (rows, columns)) in enumerate(zip(pictures, sizes, strict=True)):
@@ -39,11 +39,11 @@ def undistorted(photos: Sequence[Photo], cameras: Sequence[PhotoCamera], *, max_
         masks[row, :rows, :columns] = True
     w2c = torch.from_numpy(np.stack([camera.w2c for camera in cameras])).float()
     views = Views(images, masks, tuple(photo.name for photo in photos), sizes)
-    return views, Cameras(w2c, torch.from_numpy(np.stack(lenses)).float(), height, width)
+    return views, Cameras(w2c, torch.from_numpy(np.stack(matrices)).float(), height, width)
 
 
 def _straightened(pixels: np.ndarray, camera: PhotoCamera) -> tuple[np.ndarray, np.ndarray]:
-    """The photo and its K (pixel centres at +0.5) at full size, distortion removed."""
+    """The photo without distortion at full size, and its K (pixel centres at +0.5)."""
     K = np.array([[camera.focal[0], 0, camera.principal[0]], [0, camera.focal[1], camera.principal[1]], [0, 0, 1.0]])
     if not any(camera.distortion):
         return pixels, K
@@ -53,8 +53,8 @@ def _straightened(pixels: np.ndarray, camera: PhotoCamera) -> tuple[np.ndarray, 
     straight = np.array([[fx, 0, -fx * left], [0, fy, -fy * top], [0, 0, 1.0]])
     # OpenCV counts pixels from their centres, so both principal points lie half a pixel lower there.
     half = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
-    lens = np.array(camera.distortion)
-    maps = cv2.initUndistortRectifyMap(K - half, lens, None, straight - half, (width, height), cv2.CV_32FC1)
+    distortion = np.array(camera.distortion)
+    maps = cv2.initUndistortRectifyMap(K - half, distortion, None, straight - half, (width, height), cv2.CV_32FC1)
     return cv2.remap(pixels, *maps, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE), straight
 
 
@@ -68,9 +68,9 @@ def _inscribed(camera: PhotoCamera, K: np.ndarray) -> tuple[float, float, float,
         "bottom": np.stack([along * camera.width, 0 * along + camera.height], 1),
     }
     criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-12)
-    lens = np.array(camera.distortion)
+    distortion = np.array(camera.distortion)
     flat = {
-        side: cv2.undistortPoints(edge[:, None], K, lens, None, None, None, criteria)[:, 0]
+        side: cv2.undistortPoints(edge[:, None], K, distortion, None, None, None, criteria)[:, 0]
         for side, edge in edges.items()
     }
     return (

@@ -14,7 +14,7 @@ from torch import Tensor
 class Photo:
     """One decoded photo: upright (EXIF orientation applied), 8-bit RGB [height, width, 3].
 
-    Large photos are reduced as they are read, so `pixels` may be smaller than the file says. `focal` is
+    Large photos are reduced when they are read, so `pixels` may be smaller than the file's picture. `focal` is
     the focal length in pixels of `pixels` where EXIF gives it, None otherwise.
     """
 
@@ -36,9 +36,8 @@ class Photo:
 class Views:
     """Undistorted images on one canvas, each in its top-left corner.
 
-    `images` in [0, 1], sRGB as stored; `masks` True where the canvas holds picture (False on the padding
-    of smaller photos and on the border that undistortion leaves). `sizes` are (height, width) of each
-    picture on the canvas.
+    `images` are in [0, 1], sRGB as stored. `masks` are True where a picture covers the canvas, and False on the padding
+    of smaller ones. `sizes` are (height, width) of each picture in pixels.
     """
 
     images: Float[Tensor, "views 3 height width"]
@@ -62,7 +61,7 @@ class Views:
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A photo that is not used, and the reason in words."""
+    """A photo that is not used, and the reason as a phrase for the user."""
 
     name: str
     why: str

@@ -1,4 +1,4 @@
-"""Compile the splatter while something else runs: the first time on a machine that takes some ten seconds."""
+"""Compile the splatter in the background. The first time on a machine this takes some ten seconds."""
 
 from threading import Thread
 
@@ -6,27 +6,29 @@ from numba import boolean, float32, float64, int32, int64, uint32
 
 from querysplat_cli.splat import compiled_blending as blending
 from querysplat_cli.splat import compiled_projection as projection
+from querysplat_cli.splat import compiled_projection_backward as projection_backward
+from querysplat_cli.splat import compiled_tiles as tiles
 from querysplat_cli.splat import similarity
 
 F1, F2, F3, F4 = float32[::1], float32[:, ::1], float32[:, :, ::1], float32[:, :, :, ::1]
 D1, D2, I1, I2, L1, L2 = float64[::1], float64[:, ::1], int32[::1], int32[:, ::1], int64[::1], int64[:, ::1]
 GAUSSIANS = (F2, F2, F2, F1, F3)
 SIGNATURES = (
-    (projection.project, (*GAUSSIANS, D1, D1, F2, F1)),
+    (projection.project_view, (*GAUSSIANS, D1, D1, F2, F1)),
     (projection.by_depth, (uint32[::1],)),
-    (blending.tile_rows, (F2, int64, I1, I1)),
-    (blending.find_spans, (F2, I1, L1, float64, int64, I2, L2)),
-    (blending.deal, (I1, I1, L1, I2, int64, int64, int64, L1, I1)),
+    (tiles.tile_rows, (F2, int64, I1, I1)),
+    (tiles.find_spans, (F2, I1, L1, float64, int64, I2, L2)),
+    (tiles.deal, (I1, I1, L1, I2, int64, int64, int64, L1, I1)),
     (blending.blend, (F2, L1, I1, int64, F1, F3)),
     (similarity.loss_and_gradient, (F4, F4, boolean[:, :, ::1], D1, F1, D2, F4)),
     (blending.blend_backward, (F2, L1, I1, L1, int64, F1, F3, F3, F3)),
-    (projection.project_backward, (*GAUSSIANS, D1, D1, F2, F3, *GAUSSIANS, D2)),
+    (projection_backward.project_view_backward, (*GAUSSIANS, D1, D1, F2, F3, *GAUSSIANS, D2)),
 )
-"""What `cpu.py` and the loss call, in the order in which a reconstruction needs it, and with which types."""
+"""The functions that `cpu.py` and the loss call, with their types, in the order of their first call."""
 
 
 def compile_ahead() -> Thread:
-    """Start compiling, or loading what an earlier run compiled, and return the thread that does it."""
+    """Start to compile, or to load what an earlier run compiled, and return the thread that does so."""
     thread = Thread(target=_compile, daemon=True)
     thread.start()
     return thread

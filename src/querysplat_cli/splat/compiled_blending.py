@@ -1,9 +1,7 @@
-"""Tiles, their lists of Gaussians, and blending with its derivative, compiled.
+"""Blending and its derivative, compiled.
 
-A picture is cut into tiles of WIDE × HIGH pixels. The Gaussians, sorted by depth once, are dealt to the tiles
-that their ellipse α ≥ alpha_min really touches, so every tile's list is in depth order without a sort of its
-own. Tiles are blended independently, one Gaussian after the other, WIDE pixels of a row at a time: the inner
-loops over `c` have constant length and no branches, and become a handful of vector instructions.
+Tiles are blended independently, one Gaussian after the other, WIDE pixels of a row at a time. The inner loops over `c`
+have constant length and no branches, and become a few vector instructions.
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
@@ -19,7 +17,6 @@ from querysplat_cli.splat.compiled_projection import (
     DEPTH,
     GREEN,
     HALF_HEIGHT,
-    HALF_WIDTH,
     LOST,
     OPACITY,
     RED,
@@ -32,23 +29,21 @@ from querysplat_cli.splat.compiled_projection import (
     X,
     Y,
 )
+from querysplat_cli.splat.compiled_tiles import HALF, HIGH, WIDE, ZERO
 
-WIDE, HIGH = 16, 32
 PIXELS = WIDE * HIGH
-PLANES = 5
-"""What is blended: red, green, blue, 1 (alpha) and z."""
-PLANE_PIXELS = PLANES * PIXELS
+BLENDED_PLANES = 5
+"""The values that are blended: red, green, blue, 1 (for alpha) and z."""
+PLANE_PIXELS = BLENDED_PLANES * PIXELS
 SUMS = 7
-"""What the backward pass sums over a column: −∂loss/∂σ times 1, dy, dy²; red, green, blue, z."""
+"""The sums of the backward pass over a column: −∂loss/∂σ times 1, dy, dy²; red, green, blue, z."""
 COLUMN_SUMS = SUMS * WIDE
 
 AHEAD = 4
 """Gaussians between asking for a row and using it."""
-HALF = np.float32(0.5)
 QUARTER = np.float32(0.25)
 EIGHTH = np.float32(0.125)
 ONE = np.float32(1)
-ZERO = np.float32(0)
 # exp(−8s) is the 8th power of a polynomial in s, fitted on [0, 3/4]: relative error 2.5e-6 with rounding.
 LIMIT = np.float32(0.75)
 E0, E1, E2, E3, E4, E5 = (
@@ -161,7 +156,7 @@ def _blend_tile_backward(rows, members, left, top, width, height, limits, planes
     alpha_max, alpha_min, least = limits[0], limits[1], limits[2]
     through = nb.carray(_scratch(PIXELS), (HIGH, WIDE))
     behind = nb.carray(_scratch(PIXELS), (HIGH, WIDE))
-    g = nb.carray(_scratch(PLANE_PIXELS), (PLANES, HIGH, WIDE))
+    g = nb.carray(_scratch(PLANE_PIXELS), (BLENDED_PLANES, HIGH, WIDE))
     lanes = nb.carray(_scratch(COLUMN_SUMS), (SUMS, WIDE))
     dy = nb.carray(_scratch(HIGH), HIGH)
     start = nb.carray(_scratch(HIGH), HIGH)
@@ -172,7 +167,7 @@ def _blend_tile_backward(rows, members, left, top, width, height, limits, planes
             inside = r < used and left + c < width
             through[r, c] = ONE if inside else -ONE
             behind[r, c] = ZERO
-            for plane in range(PLANES):
+            for plane in range(BLENDED_PLANES):
                 g[plane, r, c] = given[plane, top + r, left + c] if inside else ZERO
                 behind[r, c] += g[plane, r, c] * planes[plane, top + r, left + c] if inside else ZERO
     for k in range(len(members)):
@@ -269,78 +264,9 @@ def _any_open(through):
     return most > 0
 
 
-@nb.njit(error_model="numpy", inline="always")
-def _row_reach(a, b, q, half_width, low, high, reach):
-    """x-extent, relative to the centre, of the ellipse σ ≤ reach/2 between two heights above the centre."""
-    furthest = -b * a * half_width / (b * b + q * q)  # height at which the ellipse reaches furthest right
-    narrow, tilt = 1 / a, b / a
-    y = min(max(furthest, low), high)
-    right = half_width if y == furthest else np.sqrt(max(0.0, reach - q * q * y * y)) * narrow - tilt * y
-    y = min(max(-furthest, low), high)
-    left = -half_width if y == -furthest else -np.sqrt(max(0.0, reach - q * q * y * y)) * narrow - tilt * y
-    slack = 1e-3 + 1e-4 * half_width
-    return left - slack, right + slack
-
-
-@nb.njit(cache=True, error_model="numpy", parallel=True)
-def tile_rows(rows, tiles_y, first, count):
-    """The first row of tiles that each Gaussian's extent meets, and how many; 0 where it is not visible."""
-    for i in nb.prange(len(rows)):
-        top, bottom = rows[i, Y] - rows[i, HALF_HEIGHT], rows[i, Y] + rows[i, HALF_HEIGHT]
-        seen = rows[i, HALF_WIDTH] > 0 and bottom > 0 and top < tiles_y * HIGH
-        first[i] = int(max(top, ZERO)) // HIGH if seen else 0
-        count[i] = int(min(bottom, tiles_y * HIGH - HALF)) // HIGH - first[i] + 1 if seen else 0
-
-
-@nb.njit(cache=True, error_model="numpy", parallel=True)
-def find_spans(rows, first, offsets, alpha_min, tiles_x, spans, counts):
-    """spans [offsets[i] + r] = first tile, and the one after the last, that Gaussian i meets in its r-th row of tiles.
-
-    counts [tasks, tiles] are the pairs that each task found: runs of Gaussians, so that nothing is shared.
-    """
-    bright = -2 * np.log(alpha_min)
-    tasks, n = len(counts), len(rows)
-    for task in nb.prange(tasks):
-        for i in range(task * n // tasks, (task + 1) * n // tasks):
-            if offsets[i] == offsets[i + 1]:
-                continue
-            x, y = np.float64(rows[i, X]), np.float64(rows[i, Y])
-            a, b, q = np.float64(rows[i, A]), np.float64(rows[i, B]), np.float64(rows[i, C])
-            reach = bright - 2 * np.float64(rows[i, LOST])
-            half_width = np.float64(rows[i, HALF_WIDTH])
-            for r in range(offsets[i + 1] - offsets[i]):
-                top = (first[i] + r) * HIGH + 0.5 - y
-                left, right = _row_reach(a, b, q, half_width, top, top + HIGH - 1, reach)
-                left, right = x + left, x + right
-                start, stop = 0, 0
-                # Only pixel centres count.
-                if right >= 0.5 and left <= tiles_x * WIDE - 0.5 and left <= right:
-                    start = int(max(left - 0.5, 0.0)) // WIDE
-                    stop = int(min(right - 0.5, tiles_x * WIDE - 1.0)) // WIDE + 1
-                spans[offsets[i] + r, 0], spans[offsets[i] + r, 1] = start, stop
-                for tile in range((first[i] + r) * tiles_x + start, (first[i] + r) * tiles_x + stop):
-                    counts[task, tile] += 1
-
-
-@nb.njit(cache=True, error_model="numpy", parallel=True)
-def deal(order, first, offsets, spans, tiles_x, tiles_y, bands, starts, lists):
-    """Fill the tiles' lists in the order given. Each band of tile rows is one task, so nothing is shared."""
-    for band in nb.prange(bands):
-        top, bottom = band * tiles_y // bands, (band + 1) * tiles_y // bands
-        ends = starts[top * tiles_x : bottom * tiles_x].copy()
-        for k in range(len(order)):
-            i = order[k]
-            skipped = offsets[i] - first[i]
-            for tile_y in range(max(top, first[i]), min(bottom, first[i] + offsets[i + 1] - offsets[i])):
-                row = (tile_y - top) * tiles_x
-                for tile in range(row + spans[skipped + tile_y, 0], row + spans[skipped + tile_y, 1]):
-                    lists[ends[tile]] = i
-                    ends[tile] += 1
-
-
 @nb.njit(cache=True, error_model="numpy", parallel=True)
 def blend(rows, starts, lists, tiles_x, limits, planes):
-    """planes [PLANES, height, width] of one view, colour on black. `limits`: alpha_max, alpha_min, T_min."""
+    """planes [BLENDED_PLANES, height, width] of one view, colour on black. `limits`: alpha_max, alpha_min, T_min."""
     height, width = planes.shape[1], planes.shape[2]
     for tile in nb.prange(len(starts) - 1):
         left, top = (tile % tiles_x) * WIDE, (tile // tiles_x) * HIGH
@@ -352,7 +278,7 @@ def blend_backward(rows, starts, lists, bounds, tiles_x, limits, planes, given, 
     """parts [tasks, n, GRADIENT_COLUMNS]: gradients of projected rows from `given` = ∂loss/∂planes.
 
     Task t owns tiles bounds[t] to bounds[t + 1] and the slice parts[t], so nothing is shared and the sum does
-    not depend on timing. Front to back: what lies behind a Gaussian is the total minus what came before.
+    not depend on timing. Gaussians are visited front to back: what is behind one is the total minus what is in front.
     """
     height, width = planes.shape[1], planes.shape[2]
     for task in nb.prange(len(bounds) - 1):

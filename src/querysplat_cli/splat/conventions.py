@@ -1,15 +1,15 @@
-"""Where rasterisers differ, in one place: the original 3DGS, as gsplat documents it."""
+"""The choices in which rasterisers differ. These are those of the original 3DGS, as gsplat documents them."""
 
 from dataclasses import dataclass
 
 COLOUR_LIMIT = 1e6
 """Evaluated colours are clamped to [0, this], so that wild SH coefficients cannot overflow the blending."""
 SCALE_LIMIT = 1.8e19
-"""A Gaussian whose squared extent overflows float32 is culled (its size means nothing any more)."""
+"""A Gaussian with a larger scale is culled: the square overflows float32."""
 SHORTEST_QUATERNION = 1e-30
-"""A Gaussian whose quaternion is shorter is culled: it says nothing of a rotation, and its slope overflows."""
+"""A Gaussian whose quaternion is shorter is culled: its direction is lost in rounding, and its gradient overflows."""
 CLAMP_MARGIN = 0.3
-"""The Jacobian is evaluated inside the frustum widened by this share of the half field of view."""
+"""The Jacobian is evaluated inside the frustum, widened by this share of half the field of view."""
 
 
 @dataclass(frozen=True)

@@ -12,22 +12,24 @@ from torch import Tensor
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.splat.compiled_blending import HIGH, PLANES, WIDE, blend_backward, deal, find_spans, tile_rows
+from querysplat_cli.splat.compiled_blending import BLENDED_PLANES, blend_backward
 from querysplat_cli.splat.compiled_blending import blend as blend_tiles
 from querysplat_cli.splat.compiled_projection import (
-    CHUNK,
-    COLUMNS,
+    GAUSSIANS_AT_ONCE,
     GRADIENT_COLUMNS,
+    ROW_COLUMNS,
     VIEW_COLUMNS,
     by_depth,
-    project,
-    project_backward,
+    project_view,
 )
+from querysplat_cli.splat.compiled_projection_backward import project_view_backward
+from querysplat_cli.splat.compiled_tiles import HIGH, WIDE, deal, find_spans, tile_rows
 from querysplat_cli.splat.conventions import RenderSettings
 
 PAIRS_LIMIT = 2**28
-"""(tile, Gaussian) pairs of one view: 1 GiB of lists."""
-ALPHA_MIN = 0.0025
+"""Most (tile, Gaussian) pairs of one view: 1 GiB of lists."""
+LOWEST_ALPHA_MIN = 0.0025
+"""e⁻⁶, rounded up: the kernel's exponential is accurate down to there."""
 
 
 def blend(
@@ -38,12 +40,12 @@ def blend(
     """Colour on black, alpha, and Σ w·z of every view, in float32.
 
     Raises QuerySplatError when the Gaussians of one view would fill more than 1 GiB of tile lists, and when
-    `settings.alpha_min` is below e⁻⁶, where the kernel's exponential ends.
+    `settings.alpha_min` is below 0.0025, where the kernel's exponential ends.
     """
-    if settings.alpha_min < ALPHA_MIN:
+    if settings.alpha_min < LOWEST_ALPHA_MIN:
         raise QuerySplatError(
             f"the CPU splatter cannot follow alpha down to {settings.alpha_min:.2g}",
-            f'Take alpha_min ≥ {ALPHA_MIN}, or backend="reference".',
+            f'Take alpha_min ≥ {LOWEST_ALPHA_MIN}, or backend="reference".',
         )
     fields = (gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.sh)
     planes = _Blend.apply(
@@ -83,8 +85,8 @@ class _Blend(torch.autograd.Function):
         settings: RenderSettings,
     ) -> Tensor:
         arrays = [tensor.detach().numpy() for tensor in (means, quats, scales, opacities, sh)]
-        planes = np.empty((len(w2c), PLANES, height, width), np.float32)
-        rows = _camera_rows(w2c.detach(), K.detach(), height, width)
+        planes = np.empty((len(w2c), BLENDED_PLANES, height, width), np.float32)
+        rows = _camera_rows(Cameras(w2c.detach().double(), K.detach().double(), height, width))
         views = [_forward_view(arrays, camera, settings, planes[v]) for v, camera in enumerate(rows)]
         result = torch.from_numpy(planes)
         ctx.save_for_backward(means, quats, scales, opacities, sh, w2c, result)
@@ -98,7 +100,7 @@ class _Blend(torch.autograd.Function):
         gradients = [np.zeros_like(array) for array in arrays]
         tasks = numba.get_num_threads()
         parts = np.empty((tasks, len(arrays[0]), GRADIENT_COLUMNS), np.float32)
-        of_views = np.zeros((len(ctx.views), -(-len(arrays[0]) // CHUNK), VIEW_COLUMNS))
+        of_views = np.zeros((len(ctx.views), -(-len(arrays[0]) // GAUSSIANS_AT_ONCE), VIEW_COLUMNS))
         slopes, planes = given.contiguous().numpy(), result.numpy()
         tiles_x = -(-planes.shape[3] // WIDE)
         for v, view in enumerate(ctx.views):
@@ -115,7 +117,7 @@ class _Blend(torch.autograd.Function):
                 parts,
             )
             limits = _projection_limits(ctx.settings)
-            project_backward(*arrays, view.camera, limits, view.rows, parts, *gradients, of_views[v])
+            project_view_backward(*arrays, view.camera, limits, view.rows, parts, *gradients, of_views[v])
         of_cameras = _camera_gradients(w2c, torch.from_numpy(of_views).sum(1))
         return (*(torch.from_numpy(gradient) for gradient in gradients), *of_cameras, None, None, None)
 
@@ -123,9 +125,9 @@ class _Blend(torch.autograd.Function):
 def _forward_view(arrays: list[np.ndarray], camera: np.ndarray, settings: RenderSettings, planes: np.ndarray) -> _View:
     height, width = planes.shape[1:]
     tiles_x, tiles_y = -(-width // WIDE), -(-height // HIGH)
-    rows = np.empty((len(arrays[0]), COLUMNS), np.float32)
+    rows = np.empty((len(arrays[0]), ROW_COLUMNS), np.float32)
     depths = np.empty(len(arrays[0]), np.float32)
-    project(*arrays, camera, _projection_limits(settings), rows, depths)
+    project_view(*arrays, camera, _projection_limits(settings), rows, depths)
     order = by_depth(depths.view(np.uint32))
     tasks = 2 * numba.get_num_threads()
     first, spans_of = (np.empty(len(rows), np.int32) for _ in range(2))
@@ -153,26 +155,26 @@ def _fair_shares(starts: np.ndarray, tasks: int) -> np.ndarray:
     return cuts.astype(np.int64)
 
 
-def _camera_rows(world_to_camera: Tensor, lenses: Tensor, height: int, width: int) -> np.ndarray:
+def _camera_rows(cameras: Cameras) -> np.ndarray:
     """[views, 18] float64: rotation, centre, fx, fy, cx, cy, width, height."""
-    w2c, K = world_to_camera.double().numpy(), lenses.double().numpy()
+    w2c = cameras.w2c.numpy()
     rotation = w2c[:, :3, :3]
     centres = -np.einsum("vji,vj->vi", rotation, w2c[:, :3, 3])
-    lens = np.stack([K[:, 0, 0], K[:, 1, 1], K[:, 0, 2], K[:, 1, 2]], 1)
-    size = np.broadcast_to([float(width), float(height)], (len(w2c), 2))
-    return np.concatenate([rotation.reshape(-1, 9), centres, lens, size], 1)
+    intrinsics = torch.stack(cameras.intrinsics, 1).numpy()
+    size = np.broadcast_to([float(cameras.width), float(cameras.height)], (len(w2c), 2))
+    return np.concatenate([rotation.reshape(-1, 9), centres, intrinsics, size], 1)
 
 
 def _camera_gradients(w2c: Tensor, of_views: Float[Tensor, "views 16"]) -> tuple[Tensor, Tensor]:
-    """The gradients with respect to w2c [R t] and K from those of the columns of `d_view`: the centre is −Rᵀt."""
+    """The gradients with respect to w2c = [R t] and K, from those of the columns of `d_view`; the centre is −Rᵀt."""
     against_centre = of_views[:, 9:12]
     matrices = torch.zeros(len(w2c), 4, 4, dtype=torch.float64)
     shift = w2c[:, :3, 3].double()
     matrices[:, :3, :3] = of_views[:, :9].reshape(-1, 3, 3) + shift[:, :, None] * against_centre[:, None, :]
     matrices[:, :3, 3] = torch.einsum("vij,vj->vi", w2c[:, :3, :3].double(), against_centre)
-    lenses = torch.zeros(len(w2c), 3, 3, dtype=torch.float64)
-    lenses[:, [0, 1, 0, 1], [0, 1, 2, 2]] = of_views[:, 12:]
-    return matrices, lenses
+    of_K = torch.zeros(len(w2c), 3, 3, dtype=torch.float64)
+    of_K[:, [0, 1, 0, 1], [0, 1, 2, 2]] = of_views[:, 12:]
+    return matrices, of_K
 
 
 def _projection_limits(settings: RenderSettings) -> np.ndarray:

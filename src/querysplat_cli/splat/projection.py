@@ -1,4 +1,4 @@
-"""Gaussians in the picture plane: the plain torch form, in whatever precision the tensors have."""
+"""Gaussians projected into the picture plane: in plain torch, in the precision of the tensors."""
 
 from dataclasses import dataclass
 
@@ -6,7 +6,9 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import SH_0, SH_1, SH_2, SH_3, Gaussians
+from querysplat_cli.scene.rotations import quaternion_to_matrix
 from querysplat_cli.splat.conventions import (
     CLAMP_MARGIN,
     COLOUR_LIMIT,
@@ -19,7 +21,7 @@ from querysplat_cli.splat.conventions import (
 @dataclass(frozen=True)
 class Projected:
     """One view's Gaussians: `centre` in pixels, `conic` = inverse 2D covariance (xx, xy, yy) in px⁻², camera z,
-    colour, opacity. Rows that are not `visible` hold harmless numbers and send no gradient."""
+    colour, opacity. Rows that are not `visible` hold arbitrary finite numbers and pass no gradient on."""
 
     centre: Float[Tensor, "n 2"]
     conic: Float[Tensor, "n 3"]
@@ -29,38 +31,35 @@ class Projected:
     visible: Bool[Tensor, "n"]
 
 
-def project(
-    gaussians: Gaussians,
-    w2c: Float[Tensor, "4 4"],
-    K: Float[Tensor, "3 3"],
-    height: int,
-    width: int,
-    settings: RenderSettings,
-) -> Projected:
-    """EWA projection (Zwicker 2001) as in 3DGS, relative to the camera centre so that far-away scenes keep
-    their detail. Culled: z outside [near, far], opacity below alpha_min, quaternions of no length, scales
-    that are not positive or overflow."""
+def project_gaussians(gaussians: Gaussians, camera: Cameras, settings: RenderSettings) -> Projected:
+    """EWA projection (Zwicker 2001), as in 3DGS, into the one view of `camera`.
+
+    It is relative to the camera centre, so that scenes far from the origin keep their detail. Culled are Gaussians
+    with z outside [near, far], opacity below alpha_min, a quaternion of length 0, or scales that are not positive or
+    overflow.
+    """
+    w2c = camera.w2c[0]
     rotation = w2c[:3, :3]
     centre = -(rotation.T @ w2c[:3, 3])
     offset = gaussians.means - centre
-    visible = _sound(gaussians, settings)
+    visible = _valid(gaussians, settings)
     local = offset @ rotation.T
     visible = visible & (local[:, 2] >= settings.near) & (local[:, 2] <= settings.far)
-    # Culled rows are replaced before any division, so that no NaN is born that a mask would only hide.
+    # Culled rows are replaced before any division: a NaN that a mask only hides would still spoil the gradient.
     ahead = torch.tensor([0.0, 0.0, 1.0], dtype=local.dtype)
     local = torch.where(visible[:, None], local, ahead)
     offset = torch.where(visible[:, None], offset, ahead)
     quats = torch.where(visible[:, None], gaussians.quats, torch.tensor([1.0, 0, 0, 0], dtype=local.dtype))
     scales = torch.where(visible[:, None], gaussians.scales, torch.ones((), dtype=local.dtype))
     x, y, z = local.unbind(1)
-    fx, fy, cx, cy = K[0, 0], K[1, 1], K[0, 2], K[1, 2]
-    slope_x = _limit(x / z, cx, fx, width)
-    slope_y = _limit(y / z, cy, fy, height)
+    fx, fy, cx, cy = (part[0] for part in camera.intrinsics)
+    slope_x = _limit(x / z, cx, fx, camera.width)
+    slope_y = _limit(y / z, cy, fy, camera.height)
     zero = torch.zeros_like(z)
     jacobian = torch.stack(
         [torch.stack([fx / z, zero, -fx * slope_x / z], 1), torch.stack([zero, fy / z, -fy * slope_y / z], 1)], 1
     )
-    axes = jacobian @ rotation @ rotation_matrices(quats) * scales[:, None, :]
+    axes = jacobian @ rotation @ quaternion_to_matrix(quats) * scales[:, None, :]
     first, second = axes[:, 0], axes[:, 1]
     low_pass = settings.low_pass
     xx, yy = first.square().sum(1) + low_pass, second.square().sum(1) + low_pass
@@ -75,18 +74,6 @@ def project(
         opacity=gaussians.opacities,
         visible=visible,
     )
-
-
-def rotation_matrices(quats: Float[Tensor, "n 4"]) -> Float[Tensor, "n 3 3"]:
-    """Rotation matrices of quaternions w, x, y, z of any length but 0."""
-    size = quats.abs().amax(1, keepdim=True)  # keeps the norm's squares in range for lengths of 1e±20
-    w, x, y, z = torch.nn.functional.normalize(quats / size, dim=1).unbind(1)
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ]
-    return torch.stack([torch.stack(row, 1) for row in rows], 1)
 
 
 def colours(sh: Float[Tensor, "n bands 3"], directions: Float[Tensor, "n 3"]) -> Float[Tensor, "n 3"]:
@@ -122,7 +109,7 @@ def basis(directions: Float[Tensor, "n 3"]) -> Float[Tensor, "n 16"]:
     )
 
 
-def _sound(gaussians: Gaussians, settings: RenderSettings) -> Tensor:
+def _valid(gaussians: Gaussians, settings: RenderSettings) -> Tensor:
     return (
         (gaussians.opacities >= settings.alpha_min)
         & (torch.linalg.vector_norm(gaussians.quats.double(), dim=1) >= SHORTEST_QUATERNION)

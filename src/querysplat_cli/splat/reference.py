@@ -1,4 +1,4 @@
-"""The splatter as its equations say, without tiles: slow, exact, and in any precision."""
+"""The splatter as its equations are written, without tiles: slow, exact, and in any precision."""
 
 import torch
 from jaxtyping import Float
@@ -8,7 +8,7 @@ from torch.utils.checkpoint import checkpoint
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.splat.conventions import RenderSettings
-from querysplat_cli.splat.projection import Projected, project
+from querysplat_cli.splat.projection import Projected, project_gaussians
 
 PAIRS_AT_ONCE = 2**22
 """(pixel, Gaussian) pairs that are held in memory together: 32 MiB for each intermediate result."""
@@ -22,10 +22,8 @@ def blend(
     """Colour on black, alpha, and Σ w·z of every view."""
     cameras = cameras.to(gaussians.means.dtype)
     views = [
-        _blend_view(
-            project(gaussians, w2c, K, cameras.height, cameras.width, settings), cameras.height, cameras.width, settings
-        )
-        for w2c, K in zip(cameras.w2c, cameras.K, strict=True)
+        _blend_view(project_gaussians(gaussians, cameras[[view]], settings), cameras.height, cameras.width, settings)
+        for view in range(len(cameras))
     ]
     stacked = torch.stack(views) if views else gaussians.means.new_zeros(0, 5, cameras.height, cameras.width)
     return stacked[:, :3], stacked[:, 3], stacked[:, 4]
@@ -51,7 +49,7 @@ def _blend_view(seen: Projected, height: int, width: int, settings: RenderSettin
         before = torch.cat([torch.ones_like(left[:, :1]), left[:, :-1]], 1)
         return (alpha * before) @ values
 
-    # The backward pass computes each part anew rather than keep all their pairs.
+    # The backward pass computes each part again, since the pairs of all parts would fill the memory.
     step = max(1, PAIRS_AT_ONCE // max(1, len(order)))
     parts = [
         checkpoint(rows_of, x[start : start + step], y[start : start + step], use_reentrant=False)

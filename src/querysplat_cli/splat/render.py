@@ -10,10 +10,10 @@ from torch import Tensor
 
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
-from querysplat_cli.scene.gaussians import SH_0, Gaussians
+from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.splat.conventions import RenderSettings
 
-__all__ = ["RenderSettings", "Rendering", "contributions", "render"]
+__all__ = ["RenderSettings", "Rendering", "render"]
 
 BACKENDS = {"reference": "reference", "cpu": "cpu", "gsplat": "gsplat_backend"}
 """Name → module of this package with a function `blend`; imported when first used."""
@@ -21,7 +21,7 @@ BACKENDS = {"reference": "reference", "cpu": "cpu", "gsplat": "gsplat_backend"}
 
 @dataclass(frozen=True)
 class Rendering:
-    """Pictures of every view. `colour` is not clamped; `depth` is the expected camera z, 0 where α is 0."""
+    """Pictures of every view. `colour` is not clamped; `depth` is the expected camera z, 0 where alpha is 0."""
 
     colour: Float[Tensor, "views 3 height width"]
     alpha: Float[Tensor, "views height width"]
@@ -42,7 +42,7 @@ def render(
     tensors, the plain torch reference for float64, and the compiled CPU kernel otherwise. Raises
     QuerySplatError when a tensor holds NaN or Inf, and MissingPart when the backend is not there.
     """
-    _refuse_other_lengths(gaussians)
+    _refuse_wrong_shapes(gaussians)
     _refuse_non_finite({field.name: getattr(gaussians, field.name) for field in fields(gaussians)})
     _refuse_non_finite({"w2c": cameras.w2c, "K": cameras.K})
     blend: Callable[..., tuple[Tensor, Tensor, Tensor]] = _backend(gaussians, backend).blend
@@ -52,41 +52,23 @@ def render(
     return Rendering(colour, alpha, weighted_depth / alpha.clamp_min(1e-10))
 
 
-def contributions(gaussians: Gaussians, cameras: Cameras, settings: RenderSettings | None = None) -> Float[Tensor, "n"]:
-    """The blending weight of each Gaussian, summed over all pixels of all views, in the memory of one."""
-    # The weights are what the colour's gradient with respect to a flat colour adds up to.
-    flat = Gaussians(
-        gaussians.means.detach(),
-        gaussians.quats.detach(),
-        gaussians.scales.detach(),
-        gaussians.opacities.detach(),
-        torch.zeros_like(gaussians.sh[:, :1]).requires_grad_(),
-    )
-    total = torch.zeros_like(flat.opacities)
-    for view in range(len(cameras)):
-        with torch.enable_grad():
-            red = render(flat, cameras[[view]], settings=settings).colour[:, 0]
-            (gradient,) = torch.autograd.grad(red.sum(), flat.sh)
-        total += gradient[:, 0, 0] / SH_0
-    return total
-
-
 def _backend(gaussians: Gaussians, name: str):  # type: ignore[no-untyped-def]
     if name == "auto":
         name = "gsplat" if gaussians.means.is_cuda else "reference" if gaussians.means.dtype == torch.float64 else "cpu"
     if name not in BACKENDS:
-        raise QuerySplatError(f"there is no splatter called {name}", f"Choose from: auto, {', '.join(BACKENDS)}.")
+        raise QuerySplatError(f"there is no splatter named '{name}'", f"Choose from: auto, {', '.join(BACKENDS)}.")
     return import_module(f"querysplat_cli.splat.{BACKENDS[name]}")
 
 
-def _refuse_other_lengths(gaussians: Gaussians) -> None:
+def _refuse_wrong_shapes(gaussians: Gaussians) -> None:
     shapes = {field.name: tuple(getattr(gaussians, field.name).shape) for field in fields(gaussians)}
     n = len(gaussians)
     bands = shapes["sh"][1] if len(shapes["sh"]) == 3 else 0
     expected = {"means": (n, 3), "quats": (n, 4), "scales": (n, 3), "opacities": (n,), "sh": (n, bands, 3)}
     if shapes != expected or bands not in (1, 4, 9, 16):
+        found = ", ".join(f"{name} {list(shape)}" for name, shape in shapes.items())
         raise QuerySplatError(
-            f"these are no Gaussians: {', '.join(f'{name} {list(shape)}' for name, shape in shapes.items())}",
+            f"the tensors of these Gaussians do not fit together: {found}",
             "Give n × 3 means, n × 4 quats, n × 3 scales, n opacities, and n × 1, 4, 9 or 16 × 3 sh.",
         )
 

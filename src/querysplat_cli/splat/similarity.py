@@ -1,4 +1,4 @@
-"""How alike two pictures are: PSNR, SSIM, and the photometric loss of training and test-time optimisation."""
+"""PSNR, SSIM, and the photometric loss of training and test-time optimisation."""
 
 from typing import Any
 
@@ -13,9 +13,9 @@ RADIUS = 5
 SIGMA = 1.5
 C1, C2 = 0.01**2, 0.03**2
 SSIM_WEIGHT = 0.2
-"""Weight of (1 − SSIM)/2 beside L1 (paper, section 3.3)."""
+"""Weight of (1 − SSIM)/2 beside L1 (paper, section 3.4)."""
 SAMPLE_CORRECTION = 121 / 120
-"""scikit-image's unbiased variances: 11 × 11 samples less one."""
+"""Makes variances unbiased over 11 × 11 samples, as scikit-image does."""
 
 
 def taps() -> np.ndarray:
@@ -61,7 +61,7 @@ def ssim_map(
 def ssim_metric(image: Float[Tensor, "3 h w"], target: Float[Tensor, "3 h w"]) -> float:
     """The reported SSIM: scikit-image's with an 11-pixel Gaussian window, mean over the interior.
 
-    A picture smaller than the window has no interior; its mean is then over everything.
+    A picture smaller than the window has no interior; the mean is then over all pixels.
     """
     similarity = ssim_map(image[None].double(), target[None].double(), correction=SAMPLE_CORRECTION)[0]
     inside = similarity[:, RADIUS:-RADIUS, RADIUS:-RADIUS]
@@ -75,7 +75,7 @@ def photometric_loss(
 ) -> Float[Tensor, ""]:
     """L1 + 0.2·(1 − SSIM)/2 with zero padding, mean over the pixels of `mask`; only `image` gets a gradient.
 
-    Each view counts alike, whatever the size of its mask. float32 on a CPU takes the compiled kernel.
+    Views have equal weight, whatever the size of their masks. float32 on a CPU takes the compiled kernel.
     """
     target = target.detach()
     if mask is None:

@@ -2,21 +2,21 @@
 
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from importlib import resources
 from pathlib import Path
-from types import UnionType
-from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal
+
+from annotated_types import Ge, Gt, Interval
 
 from querysplat_cli.model.config import ModelConfig
 from querysplat_cli.runtime.errors import QuerySplatError
-
-T = TypeVar("T")
+from querysplat_cli.runtime.tables import STRICT, from_tables
 
 
 @dataclass(frozen=True)
 class SourceSettings:
-    """Scenes of one kind. `inputs` and `interval` (frames from one input to the next) are the fewest and the most.
+    """Scenes of one kind. `inputs` and `interval` (frames from one input to the next) are the least and the greatest.
 
     `samples` are drawn of each scene. "free" cameras are found by the encoder, "posed" ones are the dataset's.
     `scenes` and `size` (shortest and longest longer side, in pixels) are for "procedural" scenes, `places` and
@@ -29,9 +29,9 @@ class SourceSettings:
     scenes: int = 100
     samples: int = 1
     size: tuple[int, int] = (240, 336)
-    inputs: tuple[int, int] = (4, 4)
-    targets: int = 4
-    interval: tuple[int, int] = (1, 3)
+    inputs: tuple[Annotated[int, Ge(2)], int] = (4, 4)
+    targets: Annotated[int, Ge(1)] = 4
+    interval: tuple[Annotated[int, Ge(1)], int] = (1, 3)
     cameras: Literal["free", "posed"] = "free"
     seed: int = 0
 
@@ -49,22 +49,22 @@ class DataSettings:
 
 @dataclass(frozen=True)
 class LossSettings:
-    """Weights of the losses (paper, section 3.3, and the appendix on parameters).
+    """Weights of the losses (paper, section 3.4, and the appendix on parameters).
 
     LPIPS comes in after `lpips_start` steps and reaches its weight `lpips_ramp` steps later; the Chamfer loss and the
     opacity floor fall to zero, linearly, over the first `anneal` steps. `chamfer_points` bounds the points of either
     side, drawn anew in each step. `background` is a grey value.
     """
 
-    lpips: float = 0.05
+    lpips: Annotated[float, Ge(0)] = 0.05
     lpips_start: int = 100_000
     lpips_ramp: int = 10_000
-    visibility: float = 1.0
-    chamfer: float = 1.0
-    chamfer_points: int = 16_384
+    visibility: Annotated[float, Ge(0)] = 1.0
+    chamfer: Annotated[float, Ge(0)] = 1.0
+    chamfer_points: Annotated[int, Ge(1)] = 16_384
     opacity_floor: float = 0.1
     alpha_min: float = 0.1
-    anneal: int = 20_000
+    anneal: Annotated[int, Ge(1)] = 20_000
     background: float = 0.5
 
 
@@ -76,11 +76,11 @@ class StageSettings:
     them. Only samples with `inputs` (fewest, most) inputs are drawn.
     """
 
-    steps: int
-    lr: float
-    queries: int = 0
+    steps: Annotated[int, Ge(1)]
+    lr: Annotated[float, Ge(0)]
+    queries: Annotated[int, Ge(0)] = 0
     inputs: tuple[int, int] = (2, 12)
-    warm_up: float = 0.05
+    warm_up: Annotated[float, Interval(ge=0, le=1)] = 0.05
 
 
 @dataclass(frozen=True)
@@ -94,13 +94,13 @@ class OptimiserSettings:
 
     weight_decay: float = 0.05
     betas: tuple[float, float] = (0.9, 0.95)
-    clip: float = 1.0
-    ema: float = 0.9995
-    accumulate: int = 1
-    keep: float = 0.95
-    keep_from: float = 0.5
-    window: int = 512
-    views_at_once: int = 4
+    clip: Annotated[float, Gt(0)] = 1.0
+    ema: Annotated[float, Interval(ge=0, le=1)] = 0.9995
+    accumulate: Annotated[int, Ge(1)] = 1
+    keep: Annotated[float, Interval(ge=0.01, le=1)] = 0.95
+    keep_from: Annotated[float, Interval(ge=0, le=1)] = 0.5
+    window: Annotated[int, Ge(1)] = 512
+    views_at_once: Annotated[int, Ge(1)] = 4
     precision: Literal["fp32", "bf16"] = "bf16"
     compile: bool = False
     frozen: tuple[str, ...] = ()
@@ -111,6 +111,8 @@ class TrainConfig:
     """A whole training. `start` "scratch" draws weights, "prior" is the compact model's analytic start, anything else
     is a checkpoint (a preset's name or a file)."""
 
+    __pydantic_config__ = STRICT
+
     data: DataSettings
     stages: tuple[StageSettings, ...]
     model: ModelConfig = field(default_factory=ModelConfig)
@@ -118,8 +120,8 @@ class TrainConfig:
     optimiser: OptimiserSettings = field(default_factory=OptimiserSettings)
     start: str = "scratch"
     seed: int = 0
-    save_every: int = 1000
-    log_every: int = 10
+    save_every: Annotated[int, Ge(1)] = 1000
+    log_every: Annotated[int, Ge(1)] = 10
 
     @property
     def steps(self) -> int:
@@ -150,7 +152,7 @@ def load_config(source: str, changes: Sequence[str] = ()) -> TrainConfig:
         if not equals:
             raise QuerySplatError(f"--set {change}: not NAME=VALUE", "For instance --set optimiser.clip=0.5.")
         _put(values, name.strip(), _value(text.strip()))
-    config = _built(TrainConfig, values, "")
+    config = _typed(values)
     _check(config)
     return config
 
@@ -167,7 +169,7 @@ def as_table(config: TrainConfig) -> dict[str, Any]:
 
 def from_table(values: Mapping[str, Any]) -> TrainConfig:
     """The way back from `as_table`, after JSON."""
-    return _built(TrainConfig, dict(values), "")
+    return _typed(values)
 
 
 def _presets() -> Any:
@@ -235,75 +237,18 @@ def _entry(place: Any, part: str, name: str) -> Any:
     raise QuerySplatError(f"--set {name}: there is no '{part}'", "See docs/training.md for the names.")
 
 
-def _built(kind: type[T], values: Any, where: str) -> T:
-    """A dataclass from tables; raises QuerySplatError that names the field."""
-    if not isinstance(values, dict):
-        raise QuerySplatError(f"{where or 'the training'} must be a table", "See docs/training.md.")
-    types = get_type_hints(kind)
-    known = {each.name for each in fields(kind)}  # type: ignore[arg-type]  # a dataclass
-    if unknown := sorted(values.keys() - known):
-        raise QuerySplatError(f"unknown setting: {where}{unknown[0]}", f"Known are: {', '.join(sorted(known))}.")
-    try:
-        return kind(**{name: _fitted(types[name], value, f"{where}{name}") for name, value in values.items()})
-    except TypeError as error:
-        missing = str(error).partition("argument")[2].lstrip("s: ")
-        raise QuerySplatError(f"{where or 'the training '}lacks {missing}", "See docs/training.md.") from error
-
-
-def _fitted(wanted: Any, value: Any, where: str) -> Any:
-    """`value` as the type `wanted`: dataclasses, tuples, unions, literals, numbers, texts."""
-    kind, parts = get_origin(wanted), get_args(wanted)
-    if is_dataclass(wanted) and isinstance(wanted, type):
-        return _built(wanted, value, f"{where}.")
-    if kind is tuple and isinstance(value, list | tuple):
-        inner = [parts[0]] * len(value) if parts[-1] is Ellipsis else list(parts)
-        if len(inner) == len(value):
-            return tuple(
-                _fitted(part, each, f"{where}.{i}") for i, (part, each) in enumerate(zip(inner, value, strict=True))
-            )
-    elif kind in (Union, UnionType):
-        if value is None:
-            return None
-        return _fitted(next(part for part in parts if part is not type(None)), value, where)
-    elif kind is Literal:
-        if value in parts:
-            return value
-        raise QuerySplatError(f"{where} cannot be {value!r}", f"Choose one of: {', '.join(map(str, parts))}.")
-    elif wanted is float and isinstance(value, int | float) and not isinstance(value, bool):
-        return float(value)
-    elif isinstance(wanted, type) and isinstance(value, wanted) and isinstance(value, bool) == (wanted is bool):
-        return value
-    raise QuerySplatError(f"{where} cannot be {value!r}", "See docs/training.md for its type.")
+def _typed(values: Mapping[str, Any]) -> TrainConfig:
+    return from_tables(TrainConfig, values, what="training", docs="docs/training.md")
 
 
 def _check(config: TrainConfig) -> None:
-    ranges: list[tuple[str, float, float, float]] = [
-        ("optimiser.clip", config.optimiser.clip, 1e-9, 1e9),
-        ("optimiser.ema", config.optimiser.ema, 0, 1),
-        ("optimiser.accumulate", config.optimiser.accumulate, 1, 1e6),
-        ("optimiser.views_at_once", config.optimiser.views_at_once, 1, 1e6),
-        ("optimiser.keep", config.optimiser.keep, 0.01, 1),
-        ("optimiser.keep_from", config.optimiser.keep_from, 0, 1),
-        ("optimiser.window", config.optimiser.window, 1, 1e6),
-        ("losses.anneal", config.losses.anneal, 1, 1e9),
-        ("losses.chamfer_points", config.losses.chamfer_points, 1, 1e9),
-        ("save_every", config.save_every, 1, 1e9),
-        ("log_every", config.log_every, 1, 1e9),
-    ]
-    ranges += [(f"losses.{name}", getattr(config.losses, name), 0, 1e9) for name in ("lpips", "visibility", "chamfer")]
-    for i, stage in enumerate(config.stages):
-        ranges += [(f"stages.{i}.steps", stage.steps, 1, 1e9), (f"stages.{i}.lr", stage.lr, 0, 1e3)]
-        ranges += [(f"stages.{i}.warm_up", stage.warm_up, 0, 1), (f"stages.{i}.queries", stage.queries, 0, 1e6)]
+    """Raise QuerySplatError for settings that contradict each other; each by itself is in its range."""
     for i, source in enumerate(config.data.sources):
-        name = f"data.sources.{i}"
-        ranges += [
-            (f"{name}.inputs", source.inputs[0], 2, source.inputs[1]),
-            (f"{name}.targets", source.targets, 1, 1e3),
-        ]
-        ranges += [(f"{name}.interval", source.interval[0], 1, source.interval[1])]
-    for label, value, low, high in ranges:
-        if not low <= value <= high:
-            raise QuerySplatError(f"{label} cannot be {value:g}", f"Choose from {low:g} to {high:g}.")
+        for name, (fewest, most) in (("inputs", source.inputs), ("interval", source.interval)):
+            if fewest > most:
+                raise QuerySplatError(
+                    f"data.sources.{i}.{name} cannot be [{fewest}, {most}]", "Give the smaller number first."
+                )
     if not config.stages or not config.data.sources:
         raise QuerySplatError("a training needs stages and data.sources", "See docs/training.md.")
     learned = [stage.queries for stage in config.stages]

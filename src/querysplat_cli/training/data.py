@@ -1,9 +1,9 @@
-"""Training samples on disk, and which of them a step sees."""
+"""Training samples on disk, and the draw of the samples of each step."""
 
 import hashlib
 import json
 from collections import OrderedDict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -20,12 +20,12 @@ from querysplat_cli.training.config import DataSettings, SourceSettings
 from querysplat_cli.training.passes import Sample, make_sample, read_sample, write_sample
 from querysplat_cli.training.sources import open_source
 
-T = TypeVar("T")
+Result = TypeVar("Result")
 
 
 @dataclass(frozen=True)
-class Prepared:
-    """What a preparation did: samples in the cache, and those that could not be made, with the reason."""
+class PreparedSamples:
+    """Samples that are in the cache, and those that could not be made, with the reason."""
 
     ready: int
     failed: tuple[str, ...]
@@ -33,10 +33,11 @@ class Prepared:
 
 def prepare_samples(
     data: DataSettings, encoder: Callable[[], Encoder], *, rank: int = 0, world: int = 1, progress: Progress
-) -> Prepared:
+) -> PreparedSamples:
     """Make every sample that is not in the cache yet; process `rank` of `world` makes its share.
 
-    A sample that cannot be made is prepared as such. `encoder` is called when there is something to do.
+    A sample that cannot be made leaves a .failed file with the reason, and is not tried again. `encoder` is called
+    only when a sample has to be made.
     """
     waiting, failed = [], []
     for settings in data.sources:
@@ -61,18 +62,18 @@ def prepare_samples(
                     draft.write_text(error.message)
         if reason.is_file():
             failed.append(f"{reason.stem}: {reason.read_text()}")
-    return Prepared(sum(path.is_file() for *_, path in waiting), tuple(failed))
+    return PreparedSamples(sum(path.is_file() for *_, path in waiting), tuple(failed))
 
 
 def cache_folder(data: DataSettings, source: SourceSettings) -> Path:
-    """Where the samples of a source lie: another encoder, size or drawing makes other samples."""
+    """The folder of a source's samples. Its name depends on the encoder, the size and everything that a draw uses."""
     counted = {name: value for name, value in asdict(source).items() if name not in ("scenes", "samples")}
-    told = json.dumps([data.encoder, data.max_size, counted], sort_keys=True)
-    return Path(data.cache).expanduser() / f"{source.kind}-{hashlib.sha256(told.encode()).hexdigest()[:12]}"
+    content = json.dumps([data.encoder, data.max_size, counted], sort_keys=True)
+    return Path(data.cache).expanduser() / f"{source.kind}-{hashlib.sha256(content.encode()).hexdigest()[:12]}"
 
 
 class Samples:
-    """The samples in the cache. What a step of a process draws depends on the seed, the step and the process alone."""
+    """The samples in the cache. The draw of a step depends only on the seed, the step and the process."""
 
     def __init__(self, data: DataSettings, seed: int) -> None:
         """Raises QuerySplatError when there is no sample."""
@@ -108,7 +109,7 @@ class Samples:
         return fitting[int(chance.integers(len(fitting)))]
 
     def read(self, path: Path, following: Path | None = None) -> Sample:
-        """A sample; `following` is read meanwhile, in the background."""
+        """The sample in `path`. A background thread starts to read `following`."""
         waiting = self._ahead.pop(path, None)
         sample = waiting.result() if waiting else read_sample(path)
         if following is not None and following not in self._ahead:
@@ -116,14 +117,14 @@ class Samples:
         return sample
 
 
-class Kept(Generic[T]):
-    """The latest results of something slow, by file."""
+class RecentResults(Generic[Result]):
+    """The results of a slow function for the `limit` files that were used last."""
 
     def __init__(self, limit: int) -> None:
         self._limit = limit
-        self._results: OrderedDict[Path, T] = OrderedDict()
+        self._results: OrderedDict[Path, Result] = OrderedDict()
 
-    def get(self, path: Path, make: Callable[[], T]) -> T:
+    def get(self, path: Path, make: Callable[[], Result]) -> Result:
         if path not in self._results:
             self._results[path] = make()
             if len(self._results) > self._limit:
@@ -138,11 +139,3 @@ def _inputs(path: Path) -> int:
             return len(json.loads(file.metadata()["sample"])["names"][0])
     except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
         raise QuerySplatError(f"{path} is damaged: {error}", "Delete it, and it is made again.") from error
-
-
-def sources_of(data: DataSettings) -> Sequence[str]:
-    """What the sources are, in words."""
-    return [
-        f"{source.scenes} procedural scenes" if source.kind == "procedural" else ", ".join(source.places)
-        for source in data.sources
-    ]

@@ -1,4 +1,4 @@
-"""What a training reports: a line for every few steps, curves, and TensorBoard where it is asked for."""
+"""The log of a training: a line for every few steps, curves, and TensorBoard if asked for."""
 
 import json
 from collections.abc import Callable, Sequence
@@ -12,8 +12,8 @@ from querysplat_cli.runtime.errors import MissingPart
 from querysplat_cli.runtime.figures import new_figure
 from querysplat_cli.scene.files import atomic_path
 
-SPAN = 25
-"""Lines that the drawn curve is a mean of: each looks at other scenes."""
+CURVE_WINDOW = 25
+"""Lines that the drawn curve is a mean of. Single lines vary, because each stands for other scenes."""
 
 
 class Journal:
@@ -55,7 +55,7 @@ def draw_curves(path: Path, rows: Sequence[dict[str, Any]]) -> None:
     ):
         values = np.array([row[key] for row in rows], dtype=float)
         axes.plot(steps, values, ".", ms=3, alpha=0.3 if key != "lr" else 1.0)
-        span = min(SPAN, len(values))
+        span = min(CURVE_WINDOW, len(values))
         if key != "lr" and span > 1:
             window = np.full(span, 1 / span)
             axes.plot(np.convolve(steps, window, "valid"), np.convolve(values, window, "valid"))

@@ -1,4 +1,4 @@
-"""The losses of training (paper, section 3.3), each a function of Gaussians and cameras, or of pictures."""
+"""The losses of training (paper, section 3.4), each a function of Gaussians and cameras, or of pictures."""
 
 from collections.abc import Callable
 
@@ -15,8 +15,8 @@ Perceptual = Callable[[Float[Tensor, "n 3 h w"], Float[Tensor, "n 3 h w"]], Floa
 """LPIPS, or anything else that compares pictures in [0, 1]."""
 EPSILON = 1e-6
 """Added to an opacity before its logarithm."""
-PAIRS = 1 << 24
-"""Distances that the Chamfer loss holds at once."""
+CHAMFER_PAIRS = 1 << 24
+"""Distances that the Chamfer loss keeps in memory at once."""
 
 
 def picture_loss(
@@ -26,7 +26,7 @@ def picture_loss(
     perceptual: Perceptual | None = None,
     weight: float = 0.0,
 ) -> Float[Tensor, ""]:
-    """L1 + 0.2·(1 − SSIM)/2 over the mask, and `weight` times `perceptual` in float32 (paper, section 3.3)."""
+    """L1 + 0.2·(1 − SSIM)/2 over the mask, and `weight` times `perceptual` in float32 (paper, section 3.4)."""
     loss = photometric_loss(picture.float(), photo, mask)
     if perceptual is not None and weight:
         inside = torch.where(mask[:, None], picture.float(), photo)
@@ -36,10 +36,11 @@ def picture_loss(
 
 
 def unseen_loss(centres: Float[Tensor, "n 3"], cameras: Cameras, near: float) -> Float[Tensor, ""]:
-    """Visibility over the frusta (TokenGS), and for centres behind every camera how far they are from its near plane.
+    """Loss of centres that no camera sees: outside all images, or behind all cameras (paper, section 3.4).
 
-    The first alone takes a centre behind a camera for visible where its mirrored projection is (paper: "outside all
-    frusta or behind cameras"). Both count at most 1 a centre; lengths of the second are in scene units.
+    It is the sum of `visibility_loss`, and of the distance from the nearest camera's near plane for centres that
+    are behind all near planes, in scene units. The second term is needed because a centre behind a camera has
+    a mirrored projection, which may be inside the image. Each term is at most 1 for a centre.
     """
     axis, offset = cameras.w2c[:, 2, :3], cameras.w2c[:, 2, 3:]
     z = centres @ axis.T + offset.T
@@ -48,15 +49,16 @@ def unseen_loss(centres: Float[Tensor, "n 3"], cameras: Cameras, near: float) ->
 
 
 def opacity_floor(opacities: Float[Tensor, "n"], alpha_min: float) -> Float[Tensor, ""]:
-    """Mean of max(0, ln(α_min + ε) − ln(α + ε)): opacities below `alpha_min` are drawn up to it."""
+    """Mean of max(0, ln(α_min + ε) − ln(α + ε)): it raises opacities below `alpha_min`."""
     floor = torch.log(opacities.new_tensor(alpha_min + EPSILON))
     return (floor - torch.log(opacities + EPSILON)).clamp_min(0).mean()
 
 
 def chamfer(a: Float[Tensor, "n 3"], b: Float[Tensor, "m 3"]) -> Float[Tensor, ""]:
-    """Mean squared distance from each point to the nearest of the other set, both ways; memory by chunks.
+    """Mean squared distance from each point to the nearest of the other set, both ways.
 
-    The neighbours are found without a gradient; coincident points have gradient zero. Two empty sets give zero.
+    The search for the neighbours has no gradient, and its memory is bounded by chunks. Coincident points have
+    gradient zero. Where one set is empty, the loss is zero.
     """
     if not len(a) or not len(b):
         return a.sum() * 0
@@ -68,8 +70,8 @@ def chamfer(a: Float[Tensor, "n 3"], b: Float[Tensor, "m 3"]) -> Float[Tensor, "
 @torch.no_grad()
 def nearest(points: Float[Tensor, "n 3"], among: Float[Tensor, "m 3"]) -> Int[Tensor, "n"]:
     """The number of the nearest of `among` for each point."""
-    # Differences rather than products: those lose everything where points are far from the origin.
-    at_once = max(1, PAIRS // len(among))
+    # Differences rather than inner products, which lose all digits where points are far from the origin.
+    at_once = max(1, CHAMFER_PAIRS // len(among))
     return torch.cat(
         [
             torch.cdist(some, among, compute_mode="donot_use_mm_for_euclid_dist").argmin(1)
@@ -84,9 +86,9 @@ def depth_points(
     """At most `count` world points of the input-only depth, drawn evenly from the pixels inside the masks."""
     rows, columns = (torch.arange(size, device=depth.device) + 0.5 for size in depth.shape[1:])
     points = cameras.unproject(depth, columns, rows)[views.masks]
-    return points[drawn(len(points), count, generator)]
+    return points[draw_indices(len(points), count, generator)]
 
 
-def drawn(total: int, count: int, generator: torch.Generator) -> Int[Tensor, "n"]:
-    """At most `count` of `total` numbers, each at most once."""
+def draw_indices(total: int, count: int, generator: torch.Generator) -> Int[Tensor, "n"]:
+    """At most `count` of the indices below `total`, each at most once, in random order."""
     return torch.randperm(total, generator=generator)[:count]

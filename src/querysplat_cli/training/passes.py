@@ -1,4 +1,4 @@
-"""One training sample: what the frozen VGM says of the inputs alone, and targets in the same frame; and its file."""
+"""One training sample and its file: the frozen VGM's output for the inputs alone, and targets in the same frame."""
 
 import json
 from collections.abc import Mapping, Sequence
@@ -12,8 +12,8 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
-from querysplat_cli.encoders.base import Encoder, Geometry
-from querysplat_cli.encoders.holdout import isolated_pass
+from querysplat_cli.encoders.base import CameraRequest, Encoder, Geometry
+from querysplat_cli.encoders.holdout import isolated_split
 from querysplat_cli.runtime.errors import ImpossibleScene, QuerySplatError
 from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera
@@ -42,17 +42,20 @@ def make_sample(
     seed: int,
     progress: Progress = lambda text, fraction: None,
 ) -> Sample:
-    """Two isolated passes, over everything and over the photos named `inputs`, joined by the inputs' cameras.
+    """A sample from two separate passes, over all photos and over the photos named `inputs`.
 
-    Raises ImpossibleScene when an input or every target is lost on the way.
+    The similarity between the inputs' cameras of both passes brings the targets' cameras to the inputs' frame.
+
+    Raises ImpossibleScene when an input or every target is left without a camera.
     """
     # The inputs come last: some encoders keep the pass that they made last for their depth and features.
-    everything = encoder.estimate_cameras(photos, max_size=max_size, seed=seed, progress=progress, known=known)
+    request = CameraRequest(max_size, seed, known)
+    everything = encoder.estimate_cameras(photos, request, progress)
     chosen = [photo for photo in photos if photo.name in inputs]
-    own = encoder.estimate_cameras(chosen, max_size=max_size, seed=seed, progress=progress, known=known)
+    own = encoder.estimate_cameras(chosen, request, progress)
     if len(own.views) < len(chosen):
         raise ImpossibleScene(f"{len(chosen) - len(own.views)} of {len(chosen)} inputs have no camera")
-    heldout = isolated_pass(own, everything, inputs)[0].heldout
+    heldout = isolated_split(own, everything, inputs)[0].heldout
     if heldout is None:
         raise ImpossibleScene("no target can be brought to the inputs' frame")
     return Sample(own.views, own.cameras, encoder.estimate_geometry(own, seed=seed, progress=progress), *heldout)
@@ -72,7 +75,7 @@ def write_sample(path: Path, sample: Sample) -> None:
         "targets.K": sample.target_cameras.K,
     }
     if geometry.depth is not None and geometry.confidence is not None:
-        # Half precision ends at 65,504, and its relative error of 0.05 % is far below that of any estimate.
+        # float16 ends at 65,504. Its relative error of 0.05 % is far below that of any estimated depth.
         tensors |= {"depth": geometry.depth.clamp(1e-4, 6e4).half(), "confidence": geometry.confidence.half()}
     for i, layer in enumerate(geometry.features):
         tensors[f"features.{i}"] = layer.bfloat16() if layer.shape[-1] > 64 else layer

@@ -1,4 +1,4 @@
-"""The processes of one training: alone, or started by torchrun."""
+"""The processes of one training: this one alone, or several that torchrun started."""
 
 import os
 from collections.abc import Iterator, Sequence
@@ -9,8 +9,8 @@ from datetime import timedelta
 import torch
 from torch import Tensor, distributed, nn
 
-PATIENCE = timedelta(hours=12)
-"""One process may prepare samples for long while the others wait."""
+BARRIER_TIMEOUT = timedelta(hours=12)
+"""How long the others wait for a process that still prepares samples."""
 
 
 @dataclass(frozen=True)
@@ -26,12 +26,12 @@ class Processes:
         return self.rank == 0
 
     def wait(self) -> None:
-        """Until all are here."""
+        """Return once all processes have called this."""
         if self.world > 1:
             distributed.barrier()
 
     def gather(self, values: Sequence[float]) -> list[float]:
-        """The values of all processes, by rank; each gives as many."""
+        """The values of all processes, in the order of their ranks. Each process gives as many values."""
         if self.world == 1:
             return list(values)
         own = torch.tensor(values, dtype=torch.float64)
@@ -66,7 +66,7 @@ def joined_processes(device: torch.device) -> Iterator[Processes]:
     if world == 1:
         yield Processes()
         return
-    distributed.init_process_group("nccl" if device.type == "cuda" else "gloo", timeout=PATIENCE)
+    distributed.init_process_group("nccl" if device.type == "cuda" else "gloo", timeout=BARRIER_TIMEOUT)
     try:
         yield Processes(distributed.get_rank(), world, int(os.environ.get("LOCAL_RANK", "0")))
     finally:

@@ -1,4 +1,4 @@
-"""Ray casting of boxes, balls and cylinders, compiled: what a pinhole camera sees, and how far away it is.
+"""Ray casting of boxes, balls and cylinders, compiled: the image and the depth of a pinhole camera.
 
 A solid is a unit shape (the cube [-1, 1]³, the ball of radius 1, the cylinder of radius 1 between z = -1 and
 1), stretched to its size, turned about the vertical z axis, and moved. Rays are carried into that unit frame,
@@ -13,11 +13,11 @@ import numpy as np
 from querysplat_cli.training.textures import paint
 
 BOX, BALL, CYLINDER = 0, 1, 2
-SHAPE, PAINT, GRAIN, SEED, COS, SIN, REACH = range(7)
+KIND, PAINT, GRAIN, SEED, COS, SIN, BOUND = range(7)
 CENTRE, SIZE, FIRST, SECOND = (slice(start, start + 3) for start in range(7, 19, 3))
-COLUMNS = 19
-"""A solid is a row of numbers: these columns; REACH is the squared radius of the ball around it."""
-X, SX, RED1, RED2 = CENTRE.start, SIZE.start, FIRST.start, SECOND.start
+TABLE_COLUMNS = 19
+"""A solid is a row of these columns. BOUND is the squared radius of the ball around it."""
+CX, SX, RED1, RED2 = CENTRE.start, SIZE.start, FIRST.start, SECOND.start
 NEAR = 1e-4
 """Distance along a ray below which nothing is hit, in units of the ray's direction."""
 BRIGHTNESS = 6.0
@@ -85,15 +85,15 @@ def _to_unit(solids, i, x, y, z):  # type: ignore[no-untyped-def]
 @nb.njit(cache=True, error_model="numpy")
 def _distance(solids, i, origin, direction, square):  # type: ignore[no-untyped-def]
     """Where the ray meets solid i, in units of `direction`, whose squared length is `square`."""
-    x, y, z = origin[0] - solids[i, X], origin[1] - solids[i, X + 1], origin[2] - solids[i, X + 2]
+    x, y, z = origin[0] - solids[i, CX], origin[1] - solids[i, CX + 1], origin[2] - solids[i, CX + 2]
     along = x * direction[0] + y * direction[1] + z * direction[2]
-    if (x * x + y * y + z * z - solids[i, REACH]) * square > along * along:
+    if (x * x + y * y + z * z - solids[i, BOUND]) * square > along * along:
         return np.inf
     o = _to_unit(solids, i, x, y, z)
     d = _to_unit(solids, i, direction[0], direction[1], direction[2])
-    if solids[i, SHAPE] == BOX:
+    if solids[i, KIND] == BOX:
         return _hit_box(o, d)
-    if solids[i, SHAPE] == BALL:
+    if solids[i, KIND] == BALL:
         return _hit_ball(o, d)
     return _hit_cylinder(o, d)
 
@@ -111,9 +111,9 @@ def _nearest(solids, candidates, origin, direction):  # type: ignore[no-untyped-
 
 @nb.njit(cache=True, error_model="numpy")
 def _lamplight(solids, opaque, lamps, place, normal):  # type: ignore[no-untyped-def]
-    """Mean light of the lamps, those out of sight giving none.
+    """Mean light of the lamp's points; a hidden point gives none.
 
-    Where half of them, spread over the whole lamp, agree on being seen, so do the others.
+    Where all or none of the first half are hidden, the second half is taken to be so, too.
     """
     light, seen = 0.0, 0
     for number in range(len(lamps)):
@@ -165,8 +165,8 @@ def _face(shape, point, n, size):  # type: ignore[no-untyped-def]
 @nb.njit(cache=True, error_model="numpy")
 def _outward(solids, i, place):  # type: ignore[no-untyped-def]
     """The place on solid i in its own frame (metres), the unit shape's normal there, and the world's."""
-    p = _to_unit(solids, i, place[0] - solids[i, X], place[1] - solids[i, X + 1], place[2] - solids[i, X + 2])
-    n = _unit_normal(solids[i, SHAPE], p)
+    p = _to_unit(solids, i, place[0] - solids[i, CX], place[1] - solids[i, CX + 1], place[2] - solids[i, CX + 2])
+    n = _unit_normal(solids[i, KIND], p)
     c, s = solids[i, COS], solids[i, SIN]
     # Normals stretch by the inverse of the size.
     x, y, z = n[0] / solids[i, SX], n[1] / solids[i, SX + 1], n[2] / solids[i, SX + 2]
@@ -186,16 +186,14 @@ def _shade(solids, opaque, lamps, i, origin, direction, t, spread):  # type: ign
     facing = normal[0] * direction[0] + normal[1] * direction[1] + normal[2] * direction[2]
     slant = abs(facing) / math.sqrt(direction[0] ** 2 + direction[1] ** 2 + direction[2] ** 2)
     size = (solids[i, SX], solids[i, SX + 1], solids[i, SX + 2])
-    u, v, width, height = _face(solids[i, SHAPE], point, n, size)
     red, green, blue = paint(
         solids[i, PAINT],
         point,
-        u,
-        v,
-        width,
-        height,
-        (solids[i, RED1], solids[i, RED1 + 1], solids[i, RED1 + 2]),
-        (solids[i, RED2], solids[i, RED2 + 1], solids[i, RED2 + 2]),
+        _face(solids[i, KIND], point, n, size),
+        (
+            (solids[i, RED1], solids[i, RED1 + 1], solids[i, RED1 + 2]),
+            (solids[i, RED2], solids[i, RED2 + 1], solids[i, RED2 + 2]),
+        ),
         solids[i, GRAIN],
         np.int64(solids[i, SEED]),
         t * spread / max(0.4, slant),
@@ -229,20 +227,21 @@ def _in_row(solids, c2w, focal, principal, row):  # type: ignore[no-untyped-def]
     slope = (row + 0.5 - principal[1]) / focal[1]
     found, count = np.empty(len(solids), np.int64), 0
     for i in range(len(solids)):
-        x, y, z = solids[i, X] - c2w[0, 3], solids[i, X + 1] - c2w[1, 3], solids[i, X + 2] - c2w[2, 3]
+        x, y, z = solids[i, CX] - c2w[0, 3], solids[i, CX + 1] - c2w[1, 3], solids[i, CX + 2] - c2w[2, 3]
         down = c2w[0, 1] * x + c2w[1, 1] * y + c2w[2, 1] * z
         ahead = c2w[0, 2] * x + c2w[1, 2] * y + c2w[2, 2] * z
         away = abs(down - slope * ahead) / math.sqrt(1 + slope * slope)
-        if away < math.sqrt(solids[i, REACH]) + math.sqrt(x * x + y * y + z * z) / focal[1]:
+        if away < math.sqrt(solids[i, BOUND]) + math.sqrt(x * x + y * y + z * z) / focal[1]:
             found[count] = i
             count += 1
     return found[:count]
 
 
 @nb.njit(cache=True, error_model="numpy", parallel=True)
-def measure_view(solids, c2w, focal, principal, depth, face):  # type: ignore[no-untyped-def]
+def measure_view(solids, c2w, lens, depth, face):  # type: ignore[no-untyped-def]
     """Fill `depth` [height, width] (camera z through each pixel's middle; 0: nothing hit) and `face` (a number
-    for each face of each solid; -1: nothing)."""
+    for each face of each solid; -1: nothing). `lens` is (fx, fy) and (cx, cy) in pixels."""
+    focal, principal = lens
     height, width = depth.shape
     origin = (c2w[0, 3], c2w[1, 3], c2w[2, 3])
     for row in nb.prange(height):
@@ -253,18 +252,21 @@ def measure_view(solids, c2w, focal, principal, depth, face):  # type: ignore[no
             depth[row, column], face[row, column] = 0.0, -1
             if i >= 0:
                 _, n, _ = _outward(solids, i, (origin[0] + t * d[0], origin[1] + t * d[1], origin[2] + t * d[2]))
-                flat = 0 if solids[i, SHAPE] == BALL else (1 if abs(n[0]) == 1 else (2 if abs(n[2]) == 1 else 3))
+                flat = 0 if solids[i, KIND] == BALL else (1 if abs(n[0]) == 1 else (2 if abs(n[2]) == 1 else 3))
                 depth[row, column], face[row, column] = t, 4 * i + flat
 
 
 @nb.njit(cache=True, error_model="numpy", parallel=True)
-def photograph_view(solids, opaque, lamps, c2w, focal, principal, depth, face, image, samples):  # type: ignore[no-untyped-def]
-    """Fill `image` [height, width, 3] (sRGB, 0 to 1) from what `measure_view` found.
+def photograph_view(solids, light, c2w, lens, seen, image, samples):  # type: ignore[no-untyped-def]
+    """Fill `image` [height, width, 3] (sRGB, 0 to 1).
 
-    `solids` [n, COLUMNS]; `opaque` are the rows that cast shadows; `lamps` [n, 3] the points that give light.
-    A pixel where faces meet is the mean of `samples`² rays. Elsewhere one ray is enough, since the paints
-    fade out what is finer than a pixel.
+    `solids` [n, TABLE_COLUMNS]. `light` is the rows that cast shadows and the lamp's points [n, 3]. `lens` is
+    (fx, fy) and (cx, cy) in pixels. `seen` is the depth and the faces from `measure_view`. A pixel where faces meet
+    is the mean of `samples`² rays. Elsewhere one ray is enough, since the paints fade out detail finer than a pixel.
     """
+    opaque, lamps = light
+    focal, principal = lens
+    depth, face = seen
     height, width = depth.shape
     origin = (c2w[0, 3], c2w[1, 3], c2w[2, 3])
     for row in nb.prange(height):

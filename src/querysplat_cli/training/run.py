@@ -1,4 +1,4 @@
-"""The story of `querysplat train`: samples, then steps; or only what that would take."""
+"""`querysplat train`: prepare the samples and train, or only estimate what that would take."""
 
 import time
 from contextlib import ExitStack
@@ -25,13 +25,13 @@ from querysplat_cli.training.passes import Sample
 from querysplat_cli.training.processes import joined_processes
 from querysplat_cli.training.schedule import trained, weights
 from querysplat_cli.training.sources import open_source
-from querysplat_cli.training.step import add_gradient, anchored
+from querysplat_cli.training.step import StepSettings, add_gradient, anchored
 from querysplat_cli.training.trainer import MODEL, STATE, Trainer, TrainReport, freeze, starting_model
 
 
 @dataclass(frozen=True)
 class TrainRequest:
-    """What `querysplat train` can be asked for. `perceptual` is LPIPS where its weights are."""
+    """The options of `querysplat train`. `perceptual` is LPIPS, or None without its weights."""
 
     config: TrainConfig
     output: Path
@@ -44,7 +44,7 @@ class TrainRequest:
 
 @dataclass(frozen=True)
 class TrainPlan:
-    """What a training will take. Figures that could not be measured are None, and `unmeasured` says why."""
+    """What a training will take. Figures that could not be measured are None; `unmeasured` is the reason."""
 
     parameters: int
     trained: int
@@ -63,9 +63,9 @@ class TrainPlan:
 
 
 def train(request: TrainRequest, stages: Stages) -> TrainReport | None:
-    """Prepare what samples are missing, and train; only the first of several processes has a report.
+    """Make the missing samples, and train. Only the first of several processes returns a report.
 
-    Raises QuerySplatError on bad input and MissingPart when weights are not there.
+    Raises QuerySplatError on bad input and MissingPart when weights are missing.
     """
     config, folder = request.config, request.output
     device = find_device(request.device)
@@ -100,7 +100,7 @@ def train(request: TrainRequest, stages: Stages) -> TrainReport | None:
 
 
 def plan(request: TrainRequest, stages: Stages) -> TrainPlan:
-    """What `train` would take, by one sample and two steps that leave nothing behind."""
+    """What `train` would take, measured on one sample and two steps. Nothing is written."""
     config = request.config
     device = find_device(request.device)
     model = starting_model(config)
@@ -147,7 +147,7 @@ def _encoder(data: DataSettings, device: torch.device) -> Encoder:
 
 
 def _one_sample(config: TrainConfig, device: torch.device, ready: int) -> tuple[Sample, float | None]:
-    """A sample of the cache, or one made for the purpose and the seconds that it took."""
+    """A sample of the cache, or a new one and the seconds that it took."""
     if ready:
         samples = Samples(config.data, config.seed)
         return samples.read(samples.path(0, 0, 0, config.stages[0].inputs)), None
@@ -162,12 +162,12 @@ def _one_sample(config: TrainConfig, device: torch.device, ready: int) -> tuple[
 
 
 def _seconds_of_step(config: TrainConfig, model: QuerySplat, sample: Sample) -> float:
-    """Of the second of two: the first one compiles."""
+    """Seconds of the second of two steps. The first one is slower, because it compiles."""
     anchors = anchored(sample) if model.config.queries == "anchored" else None
     seconds = 0.0
     for _ in range(2):
         start = time.perf_counter()
         generator = torch.Generator().manual_seed(0)
-        add_gradient(model, sample, anchors, weights(0, config.losses), config, share=1.0, generator=generator)
+        add_gradient(model, sample, anchors, StepSettings(config, weights(0, config.losses)), generator)
         seconds = time.perf_counter() - start
     return seconds

@@ -1,4 +1,4 @@
-"""What changes while a model is trained: rates, weights, the number of queries, which samples count, the average."""
+"""What changes during a training: learning rate, loss weights, number of queries, sample filter, weight average."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -9,13 +9,11 @@ from torch import Tensor, nn
 
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.training.config import LossSettings, OptimiserSettings, StageSettings
-
-PERTURBATION = 0.01
-"""Standard deviation of what tells a copied query from its original, that of queries at the start."""
+from querysplat_cli.training.policy import TRAINING_POLICY
 
 
 def rate(step: int, stage: StageSettings) -> float:
-    """The learning rate of a stage's step: a linear rise over the warm-up, then a cosine to zero."""
+    """The learning rate at step `step` of a stage: a linear rise over the warm-up, then a cosine to zero."""
     rise = max(1, round(stage.warm_up * stage.steps))
     if step < rise:
         return stage.lr * (step + 1) / rise
@@ -24,7 +22,7 @@ def rate(step: int, stage: StageSettings) -> float:
 
 @dataclass(frozen=True)
 class Weights:
-    """Of the losses at one step."""
+    """Weights of the losses at one step."""
 
     perceptual: float
     visibility: float
@@ -33,7 +31,7 @@ class Weights:
 
 
 def weights(step: int, losses: LossSettings) -> Weights:
-    """LPIPS ramps up after its start, early regularisation falls to zero."""
+    """The weight of LPIPS rises after its start; those of the Chamfer loss and the opacity floor fall to zero."""
     ramp = (step - losses.lpips_start) / max(1, losses.lpips_ramp)
     early = max(0.0, 1 - step / losses.anneal)
     return Weights(
@@ -42,16 +40,16 @@ def weights(step: int, losses: LossSettings) -> Weights:
 
 
 def grow_queries(model: QuerySplat, count: int, generator: torch.Generator) -> None:
-    """Have `count` learned queries: copies of those there are, in turn, the copies slightly perturbed.
+    """Give the model `count` learned queries. The new ones are copies of the others, in turn, with a little noise.
 
-    A model that has more keeps the first ones.
+    A model with more queries than that keeps the first `count`.
     """
     before = model.config.query_count
     with torch.no_grad():
         for name in ("geometry_queries", "appearance_queries"):
             queries = getattr(model, name)
             copies = queries[torch.arange(max(0, count - before)) % before]
-            noise = PERTURBATION * torch.randn(copies.shape, generator=generator).to(copies)
+            noise = TRAINING_POLICY.query_noise * torch.randn(copies.shape, generator=generator).to(copies)
             setattr(model, name, nn.Parameter(torch.cat([queries, copies + noise])[:count].clone()))
     model.config = replace(model.config, query_count=count)
 
@@ -59,7 +57,7 @@ def grow_queries(model: QuerySplat, count: int, generator: torch.Generator) -> N
 class RankFilter:
     """Leaves out samples whose loss ranks above a share of the latest ones.
 
-    The window is the same on every process when all see the same losses in the same order.
+    The window is the same on every process when all add the same losses in the same order.
     """
 
     def __init__(self, settings: OptimiserSettings, window: Sequence[float] = ()) -> None:
@@ -67,7 +65,7 @@ class RankFilter:
         self.window = list(window)
 
     def keeps(self, loss: float, progress: float) -> bool:
-        """Whether a sample counts, `progress` of the training being done."""
+        """Whether a sample of this loss gives a gradient. `progress` is the share of the training that is done."""
         settings = self._settings
         full = len(self.window) >= settings.window
         if progress < settings.keep_from or settings.keep >= 1 or not full:
@@ -75,7 +73,7 @@ class RankFilter:
         return loss <= sorted(self.window)[math.ceil(settings.keep * len(self.window)) - 1]
 
     def add(self, losses: Sequence[float]) -> None:
-        """Losses of a step, those of samples that were left out included."""
+        """Add the losses of a step, also those of samples that were left out."""
         self.window = (self.window + [loss for loss in losses if math.isfinite(loss)])[-self._settings.window :]
 
 
@@ -89,7 +87,7 @@ class Average:
         }
 
     def update(self, model: nn.Module, step: int) -> None:
-        """After a step. Early on the average is shorter, so that the start is soon forgotten."""
+        """Add the weights after `step`. The decay is lower in the first steps, so that initial weights fade soon."""
         decay = min(self._decay, (1 + step) / (10 + step))
         with torch.no_grad():
             for name, tensor in trained(model):
@@ -99,5 +97,5 @@ class Average:
 
 
 def trained(model: nn.Module) -> Iterator[tuple[str, nn.Parameter]]:
-    """Parameters that are not frozen, by name."""
+    """Names and values of the parameters that are not frozen."""
     return ((name, tensor) for name, tensor in model.named_parameters() if tensor.requires_grad)

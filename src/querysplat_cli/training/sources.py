@@ -1,4 +1,4 @@
-"""Where training scenes come from: made up, or photographed; each is drawn as photos, of which some are inputs."""
+"""Sources of training scenes: procedural ones and captured ones. A draw gives photos, some of which are inputs."""
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -12,22 +12,18 @@ import cv2
 import numpy as np
 
 from querysplat_cli.runtime.errors import QuerySplatError
-from querysplat_cli.scene.cameras import PhotoCamera
+from querysplat_cli.scene.cameras import Cameras, PhotoCamera
 from querysplat_cli.scene.formats.dataset import CapturedScene, fetch, find_scenes
 from querysplat_cli.scene.photos import load_photos, reduced
 from querysplat_cli.scene.views import Photo
 from querysplat_cli.training.config import SourceSettings
-from querysplat_cli.training.outdoors import make_outdoors, wander
-from querysplat_cli.training.procedural import cast, make_scene
+from querysplat_cli.training.outdoors import make_outdoors
+from querysplat_cli.training.photographer import cast, wander
+from querysplat_cli.training.policy import TRAINING_POLICY
+from querysplat_cli.training.rooms import make_room
+from querysplat_cli.training.solids import Scene
 
 VIDEOS = {".mp4", ".mov", ".mkv", ".avi", ".webm", ".m4v"}
-FRAMES = 150
-"""Of a video at most so many frames are used, evenly spaced."""
-LARGEST_SIDE = 1600
-ROOMS = 0.5
-"""Share of the procedural scenes that are rooms."""
-CLUTTER = 50
-"""Draws of a procedural scene until one has room for a photographer."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +38,7 @@ class Capture:
 
 @runtime_checkable
 class Source(Protocol):
-    """Scenes by number; a capture depends on the seed, the scene and the draw alone."""
+    """Scenes by number. A capture depends only on the seed, the scene and the draw."""
 
     def __len__(self) -> int: ...
 
@@ -52,7 +48,7 @@ class Source(Protocol):
 
 
 def open_source(settings: SourceSettings) -> Source:
-    """Raises QuerySplatError when a place is missing or holds nothing."""
+    """The source of these settings. Raises QuerySplatError when a place is missing or holds nothing."""
     return Procedural(settings) if settings.kind == "procedural" else Captured(settings)
 
 
@@ -81,7 +77,7 @@ def drawn_views(
 
 
 class Procedural:
-    """Ray-cast scenes with true cameras, photographed as a person with a phone would: noise, exposure, blur, JPEG."""
+    """Ray-cast scenes with true cameras, photographed as by a phone: noise, exposure, blur, JPEG."""
 
     def __init__(self, settings: SourceSettings) -> None:
         self._settings = settings
@@ -92,42 +88,41 @@ class Procedural:
     def capture(self, scene: int, draw: int) -> Capture:
         settings = self._settings
         chance = np.random.default_rng([settings.seed, scene, draw])
-        # Twice as many places as photos, so that inputs may stand next to one another or apart.
+        # Twice as many cameras as photos, so that inputs may be next to one another or apart.
         frames = 2 * (settings.inputs[1] + settings.targets)
         inputs, targets = drawn_views(chance, settings, frames)
         side = int(chance.integers(settings.size[0], settings.size[1] + 1))
-        height, width = round(side * chance.uniform(0.6, 0.8)), side
-        if chance.random() < 0.25:
+        height, width = round(side * chance.uniform(*TRAINING_POLICY.aspect)), side
+        if chance.random() < TRAINING_POLICY.portrait_share:
             height, width = width, height
-        for _ in range(CLUTTER):
-            seed = int(chance.integers(2**31))
-            made = make_scene(seed) if chance.random() < ROOMS else make_outdoors(seed)
-            try:
-                cameras = wander(made, frames, seed, height, width)
-                break
-            except ValueError:
-                continue
-        else:
-            raise QuerySplatError(f"no scene of seed {settings.seed} has room for a photographer")
-        chosen = sorted({*inputs, *targets})
+        made, cameras = self._scene(chance, frames, height, width)
         photos, known = [], {}
-        look = _Look.drawn(chance)
-        for frame in chosen:
-            pixels = look.photograph(cast(made, cameras[[frame]])[0][0].permute(1, 2, 0).numpy(), chance)
+        imperfections = _Imperfections.drawn(chance)
+        for frame in sorted({*inputs, *targets}):
+            image = cast(made, cameras[[frame]])[0][0].permute(1, 2, 0).numpy()
+            pixels = imperfections.photograph(image, chance)
             name = f"{frame:03d}.jpg"
             photos.append(Photo(name, Path(name), pixels))
-            lens = cameras.K[frame].double().numpy()
-            w2c = cameras.w2c[frame].double().numpy()
-            known[name] = PhotoCamera(
-                w2c, (lens[0, 0], lens[1, 1]), (lens[0, 2], lens[1, 2]), (0.0, 0.0, 0.0, 0.0), height, width
-            )
+            w2c, K = cameras.w2c[frame].double().numpy(), cameras.K[frame].double().numpy()
+            known[name] = PhotoCamera.pinhole(w2c, K, height, width)
         names = tuple(f"{frame:03d}.jpg" for frame in inputs)
         return Capture(f"procedural {scene}", tuple(photos), names, known if settings.cameras == "posed" else None)
 
+    def _scene(self, chance: np.random.Generator, frames: int, height: int, width: int) -> tuple[Scene, Cameras]:
+        """A scene with free space for a camera path, and the cameras on that path."""
+        for _ in range(TRAINING_POLICY.scene_tries):
+            seed = int(chance.integers(2**31))
+            made = make_room(seed) if chance.random() < TRAINING_POLICY.room_share else make_outdoors(seed)
+            try:
+                return made, wander(made, frames, seed, height, width)
+            except ValueError:
+                continue
+        raise QuerySplatError(f"no scene of seed {self._settings.seed} has room for a camera path")
+
 
 @dataclass(frozen=True)
-class _Look:
-    """How much a camera changes what it sees, from photo to photo and from pixel to pixel."""
+class _Imperfections:
+    """What a phone's camera does to a picture. The policy's fields of these names give the units."""
 
     exposure: float
     noise: float
@@ -135,10 +130,12 @@ class _Look:
     quality: int
 
     @staticmethod
-    def drawn(chance: np.random.Generator) -> "_Look":
-        exposure = float(chance.choice([0.0, 0.02, 0.08]))
-        return _Look(
-            exposure, float(chance.uniform(0, 0.02)), float(chance.uniform(0.3, 0.8)), int(chance.integers(80, 98))
+    def drawn(chance: np.random.Generator) -> "_Imperfections":
+        return _Imperfections(
+            exposure=float(chance.choice(TRAINING_POLICY.exposures)),
+            noise=float(chance.uniform(*TRAINING_POLICY.noise)),
+            blur=float(chance.uniform(*TRAINING_POLICY.blur)),
+            quality=int(chance.integers(*TRAINING_POLICY.jpeg_quality, endpoint=True)),
         )
 
     def photograph(self, picture: np.ndarray, chance: np.random.Generator) -> np.ndarray:
@@ -182,7 +179,7 @@ class Captured:
         chosen = sorted({*inputs, *targets})
         frames = [place.frames[i] for i in chosen]
         with TemporaryDirectory() as scratch:
-            loaded, unread = load_photos(fetch(frames, Path(scratch)), LARGEST_SIDE)
+            loaded, unread = load_photos(fetch(frames, Path(scratch)), TRAINING_POLICY.longest_side)
         if unread:
             raise QuerySplatError(f"{place.name}: {unread[0].name}: {unread[0].why}", "Download the scene again.")
         named = [
@@ -197,11 +194,11 @@ class Captured:
 
 @lru_cache(maxsize=1)
 def _film(path: Path) -> tuple[Photo, ...]:
-    """At most `FRAMES` frames of a video, evenly spaced."""
+    """At most the policy's `film_frames` frames of a video, evenly spaced."""
     try:
         with av.open(str(path)) as container:
             total = sum(1 for _ in container.decode(video=0))
-        step = max(1, -(-total // FRAMES))
+        step = max(1, -(-total // TRAINING_POLICY.film_frames))
         with av.open(str(path)) as container:
             frames = tuple(_frames(container, step))
     except (av.FFmpegError, OSError, IndexError) as error:
@@ -214,5 +211,5 @@ def _film(path: Path) -> tuple[Photo, ...]:
 def _frames(container: "av.container.InputContainer", step: int) -> Iterator[Photo]:
     for number, frame in enumerate(container.decode(video=0)):
         if number % step == 0:
-            pixels = reduced(frame.to_ndarray(format="rgb24"), LARGEST_SIDE)
+            pixels = reduced(frame.to_ndarray(format="rgb24"), TRAINING_POLICY.longest_side)
             yield Photo(f"{number:06d}.png", Path(f"{number:06d}.png"), pixels)

@@ -1,4 +1,4 @@
-"""Everything that a training needs to go on exactly where it was, in one file."""
+"""The file from which a training resumes exactly where it was."""
 
 import json
 from collections.abc import Mapping
@@ -45,7 +45,7 @@ def moments(optimiser: torch.optim.Optimizer, named: Mapping[str, nn.Parameter])
 def restore_moments(
     optimiser: torch.optim.Optimizer, named: Mapping[str, nn.Parameter], stored: Mapping[str, Tensor]
 ) -> None:
-    """The way back from `moments`."""
+    """Put the tensors of `moments` back into an optimiser."""
     for key, tensor in stored.items():
         name, _, kind = key.rpartition(".")
         parameter = named[name]
@@ -53,7 +53,7 @@ def restore_moments(
 
 
 def write_state(path: Path, state: TrainState) -> None:
-    """Replace `path`; killed at any moment, the one before is still there."""
+    """Replace `path`. If the process is killed meanwhile, the previous file stays."""
     kept = {name: tensor.detach().cpu().contiguous() for name, tensor in state.tensors.items()}
     facts = {"format": FORMAT, "step": state.step, **state.facts}
     with atomic_path(path) as draft:

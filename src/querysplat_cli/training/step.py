@@ -1,4 +1,4 @@
-"""One sample's part of a training step: photos in, gradients of the weights out, in the memory of a few views."""
+"""The gradient of one sample, computed in the memory of a few rendered views."""
 
 import math
 from collections.abc import Callable
@@ -19,7 +19,7 @@ from querysplat_cli.training.losses import (
     Perceptual,
     chamfer,
     depth_points,
-    drawn,
+    draw_indices,
     opacity_floor,
     picture_loss,
     unseen_loss,
@@ -30,8 +30,23 @@ from querysplat_cli.tto.rendering_loss import tensors
 
 
 @dataclass(frozen=True)
+class StepSettings:
+    """What the samples of one training step share.
+
+    `share` scales each sample's gradient. A sample whose loss `counts` rejects gives no gradient. `perceptual` is
+    LPIPS, or None without its weights.
+    """
+
+    config: TrainConfig
+    weights: Weights
+    share: float = 1.0
+    counts: Callable[[float], bool] = lambda loss: True
+    perceptual: Perceptual | None = None
+
+
+@dataclass(frozen=True)
 class SampleLoss:
-    """`parts` are the losses before their weights; `skipped` says why the sample gave no gradient, if it did not."""
+    """`parts` are the losses before their weights. `skipped` is the reason why the sample gave no gradient, or ""."""
 
     total: float
     parts: dict[str, float]
@@ -41,16 +56,13 @@ class SampleLoss:
 
 
 def anchored(sample: Sample) -> Anchors:
-    """The anchors of the inputs, and what the inputs say against their prior."""
-    depth, confidence = sample.geometry.depth, sample.geometry.confidence
-    assert depth is not None
-    assert confidence is not None
-    anchors, _ = build_anchors(sample.views, sample.cameras, depth, confidence, patch=sample.geometry.patch)
+    """The anchors of the inputs, with the rendering error of their prior in the inputs."""
+    anchors, _ = build_anchors(sample.views, sample.cameras, sample.geometry)
     return with_rendering_error(anchors, sample.views, sample.cameras)
 
 
 def decoded(model: QuerySplat, sample: Sample, anchors: Anchors | None, precision: str) -> Gaussians:
-    """Gaussians of the inputs alone, in float32, with a way back to the weights."""
+    """Gaussians of the inputs alone, in float32, with a graph back to the weights."""
     geometry, device = sample.geometry, sample.views.images.device
     with torch.autocast(device.type, torch.bfloat16, enabled=precision == "bf16"):
         memories = model.encode(geometry.features, sample.views.images, sample.cameras)
@@ -63,48 +75,42 @@ def add_gradient(
     model: QuerySplat,
     sample: Sample,
     anchors: Anchors | None,
-    weights: Weights,
-    config: TrainConfig,
-    *,
-    share: float,
+    step: StepSettings,
     generator: torch.Generator,
-    counts: Callable[[float], bool] = lambda loss: True,
-    perceptual: Perceptual | None = None,
 ) -> SampleLoss:
-    """Add `share` times the gradient of the sample's loss to the weights'.
+    """Add `step.share` times the gradient of the sample's loss to the gradients of the model's weights.
 
-    Views are rendered a few at once; what they send to the Gaussians is summed and goes back together. Nothing is
-    added where anything is not finite, or where `counts(loss)` says no.
+    Views are rendered a few at once. Their gradients with respect to the Gaussians are summed first, and go through
+    the model once. Nothing is added where a Gaussian, the loss or a gradient is not finite, or where
+    `step.counts(loss)` is False.
     """
-    gaussians = decoded(model, sample, anchors, config.optimiser.precision)
+    gaussians = decoded(model, sample, anchors, step.config.optimiser.precision)
     leaves = gaussians.map(lambda field: field.detach().requires_grad_())
     if not all(bool(field.isfinite().all()) for field in tensors(leaves)):
         return SampleLoss(math.nan, {}, math.nan, len(gaussians), "Gaussians are not finite")
-    pictures, psnr = _pictures(leaves, sample, weights, config, perceptual)
-    parts = {"pictures": pictures, **_regularise(leaves, sample, weights, config, generator)}
-    total = sum(getattr(weights, name, 1.0) * value for name, value in parts.items())
+    pictures, psnr = _pictures(leaves, sample, step)
+    parts = {"pictures": pictures, **_regularise(leaves, sample, step, generator)}
+    total = sum(getattr(step.weights, name, 1.0) * value for name, value in parts.items())
     gradients = [torch.zeros_like(leaf) if leaf.grad is None else leaf.grad for leaf in tensors(leaves)]
     result = SampleLoss(total, parts, psnr, len(gaussians))
     if not math.isfinite(total) or not all(bool(gradient.isfinite().all()) for gradient in gradients):
         return SampleLoss(total, parts, psnr, len(gaussians), "the loss or its gradient is not finite")
-    if not counts(total):
+    if not step.counts(total):
         return SampleLoss(total, parts, psnr, len(gaussians), "its loss ranks too high")
-    torch.autograd.backward(tensors(gaussians), [share * gradient for gradient in gradients])
+    torch.autograd.backward(tensors(gaussians), [step.share * gradient for gradient in gradients])
     return result
 
 
-def _pictures(
-    leaves: Gaussians, sample: Sample, weights: Weights, config: TrainConfig, perceptual: Perceptual | None
-) -> tuple[float, float]:
-    """Mean picture loss and PSNR (dB) of the targets; the gradient goes to `leaves`."""
-    count, at_once = len(sample.targets), config.optimiser.views_at_once
-    background = torch.full((3,), config.losses.background)
+def _pictures(leaves: Gaussians, sample: Sample, step: StepSettings) -> tuple[float, float]:
+    """Mean picture loss and PSNR (dB) of the targets; the gradient is added to that of `leaves`."""
+    count, at_once = len(sample.targets), step.config.optimiser.views_at_once
+    background = torch.full((3,), step.config.losses.background)
     total, decibels = 0.0, 0.0
     for start in range(0, count, at_once):
         rows = list(range(start, min(start + at_once, count)))
         photos, cameras = sample.targets[rows], sample.target_cameras[rows]
         picture = render(leaves, cameras, background=background).colour
-        loss = picture_loss(picture, photos.images, photos.masks, perceptual, weights.perceptual)
+        loss = picture_loss(picture, photos.images, photos.masks, step.perceptual, step.weights.perceptual)
         loss = loss * len(rows) / count
         loss.backward()
         total += float(loss.detach())
@@ -115,19 +121,18 @@ def _pictures(
     return total, decibels
 
 
-def _regularise(
-    leaves: Gaussians, sample: Sample, weights: Weights, config: TrainConfig, generator: torch.Generator
-) -> dict[str, float]:
-    """The losses of the Gaussians themselves; those without weight are left out. The gradient goes to `leaves`."""
+def _regularise(leaves: Gaussians, sample: Sample, step: StepSettings, generator: torch.Generator) -> dict[str, float]:
+    """The losses of the Gaussians themselves that have a weight; the gradient is added to that of `leaves`."""
     losses: dict[str, Tensor] = {}
+    weights, settings = step.weights, step.config.losses
     if weights.visibility:
         losses["visibility"] = unseen_loss(leaves.means, sample.target_cameras, RenderSettings().near)
     if weights.opacity_floor:
-        losses["opacity_floor"] = opacity_floor(leaves.opacities, config.losses.alpha_min)
+        losses["opacity_floor"] = opacity_floor(leaves.opacities, settings.alpha_min)
     if weights.chamfer and sample.geometry.depth is not None:
-        count = config.losses.chamfer_points
+        count = settings.chamfer_points
         points = depth_points(sample.views, sample.cameras, sample.geometry.depth, count, generator)
-        losses["chamfer"] = chamfer(leaves.means[drawn(len(leaves), count, generator)], points)
+        losses["chamfer"] = chamfer(leaves.means[draw_indices(len(leaves), count, generator)], points)
     for name, loss in losses.items():
         (getattr(weights, name) * loss).backward()
     return {name: float(loss.detach()) for name, loss in losses.items()}

@@ -1,8 +1,7 @@
-"""Paints of the procedural scenes: colour as a function of a place on a surface, compiled.
+"""Paints of the procedural scenes, compiled: linear RGB as a function of a point on a surface.
 
 Every paint has detail at all scales down to about a centimetre, so that it can be matched between photos.
 Detail finer than the pixel's `footprint` (metres) fades out, which keeps the pictures free of moiré.
-Colours are linear RGB.
 """
 
 import math
@@ -11,17 +10,19 @@ import numba as nb
 import numpy as np
 
 PAINTS = ("plaster", "brick", "planks", "tiles", "poster", "rug", "marble", "books", "leaves", "plain")
-"""A paint's number is its place here."""
+"""A paint's number is its index here."""
 
 
 @nb.njit(cache=True, error_model="numpy")
-def paint(number, point, u, v, width, height, first, second, grain, seed, footprint):  # type: ignore[no-untyped-def]
+def paint(number, point, face, colours, grain, seed, footprint):  # type: ignore[no-untyped-def]
     """Linear RGB of paint `number`.
 
-    `point` [3] is the place in the solid's own frame in metres, `u`, `v` the place on its face from the
-    middle, `width`, `height` the face's extent; `first` and `second` are the paint's two colours, `grain`
-    its scale (1: as built in reality), `seed` tells solids of one paint apart.
+    `point` is x, y, z in the solid's own frame. `face` is u, v from the middle of the point's face, and the face's
+    width and height. Lengths are in metres. `colours` are the paint's two colours, `grain` is the scale of its
+    pattern (1: as in reality), and `seed` differs between solids of one paint.
     """
+    u, v, width, height = face
+    first, second = colours
     x, y, z = point[0] / grain, point[1] / grain, point[2] / grain
     fine = footprint / grain
     a, b = u / grain, v / grain
@@ -48,7 +49,7 @@ def paint(number, point, u, v, width, height, first, second, grain, seed, footpr
 
 @nb.njit(cache=True, error_model="numpy")
 def chance(i, j, k, seed):  # type: ignore[no-untyped-def]
-    """A number in [0, 1) that depends on three integers and a seed as if by chance."""
+    """A pseudo-random number in [0, 1) from three integers and a seed."""
     # Odd constants and shifts in the manner of integer finalisers; wraps around in 64 bits.
     h = np.uint64(i) * np.uint64(0x9E3779B97F4A7C15) + np.uint64(j) * np.uint64(0xC2B2AE3D27D4EB4F)
     h += np.uint64(k) * np.uint64(0x165667B19E3779F9) + np.uint64(seed) * np.uint64(0x27D4EB2F165667C5)
@@ -62,7 +63,7 @@ def chance(i, j, k, seed):  # type: ignore[no-untyped-def]
 
 @nb.njit(cache=True, error_model="numpy")
 def _noise(x, y, z, seed):  # type: ignore[no-untyped-def]
-    """Smooth noise in [0, 1] with features of unit size: chance at the integers, blended between."""
+    """Smooth noise in [0, 1] with features of unit size, interpolated between `chance` at integer points."""
     fx, fy, fz = math.floor(x), math.floor(y), math.floor(z)
     i, j, k = np.int64(fx), np.int64(fy), np.int64(fz)
     x, y, z = x - fx, y - fy, z - fz

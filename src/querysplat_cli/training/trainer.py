@@ -1,4 +1,4 @@
-"""The training itself: samples, gradients, steps, and a state from which it goes on exactly."""
+"""The training loop: samples, gradients, optimiser steps, and a saved state from which it resumes exactly."""
 
 import math
 import time
@@ -18,19 +18,19 @@ from querysplat_cli.runtime.device import peak_gib, to_device
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.training.config import TrainConfig, as_table, from_table, with_queries
-from querysplat_cli.training.data import Kept, Samples
+from querysplat_cli.training.data import RecentResults, Samples
 from querysplat_cli.training.journal import Journal
 from querysplat_cli.training.losses import Perceptual
 from querysplat_cli.training.processes import Processes
 from querysplat_cli.training.schedule import Average, RankFilter, grow_queries, rate, trained, weights
 from querysplat_cli.training.state import TrainState, moments, read_state, restore_moments, write_state
-from querysplat_cli.training.step import SampleLoss, add_gradient, anchored
+from querysplat_cli.training.step import SampleLoss, StepSettings, add_gradient, anchored
 
 STATE, MODEL = "state.safetensors", "model.safetensors"
 ANCHORS_KEPT = 256
-"""Samples whose anchors stay in memory: they depend on no weight."""
-IDLE = ("save_every", "log_every")
-"""Settings that change nothing about the weights."""
+"""Samples whose anchors stay in memory. Anchors do not depend on the weights."""
+RESUMABLE = ("save_every", "log_every")
+"""Settings that may differ when a training is resumed: the weights do not depend on them."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class TrainReport:
 
 
 class Trainer:
-    """A model on its way. All processes hold the same weights, average and moments at every step."""
+    """A model in training. All processes hold the same weights, average and moments at every step."""
 
     def __init__(
         self,
@@ -89,9 +89,9 @@ class Trainer:
             self.model.decode = torch.compile(self.model.decode)  # type: ignore[method-assign]
 
     def run(self, samples: Samples, *, progress: Progress, tensorboard: bool = False) -> TrainReport:
-        """Train to the end, saving on the way; only the first process writes."""
+        """Train to the last step and save now and then. Only the first process writes files."""
         journal = Journal(self.folder, self.step, tensorboard=tensorboard) if self.processes.first else None
-        kept: Kept[Anchors] = Kept(ANCHORS_KEPT)
+        kept: RecentResults[Anchors] = RecentResults(ANCHORS_KEPT)
         begun, first, waited = time.perf_counter(), self.step, 0.0
         recent: list[SampleLoss] = []
         lines: list[dict[str, Any]] = []
@@ -131,8 +131,8 @@ class Trainer:
             peak_memory_gib=peak_gib(self.device),
         )
 
-    def _step(self, samples: Samples, kept: Kept[Anchors], before: int) -> tuple[list[SampleLoss], float]:
-        """One step of the optimiser; the samples' losses, and the seconds that were spent waiting for data."""
+    def _step(self, samples: Samples, kept: RecentResults[Anchors], before: int) -> tuple[list[SampleLoss], float]:
+        """One optimiser step. Returns the samples' losses, and the seconds spent on waiting for data."""
         config, stage = self.config, self.config.stages[self._stage]
         each = config.optimiser.accumulate
         share = 1 / (each * self.processes.world)
@@ -145,7 +145,7 @@ class Trainer:
             waited += time.perf_counter() - start
             anchors = None
             if self.model.config.queries == "anchored":
-                # Made where the sample is: the renderer's compiled code cannot run in two threads at once.
+                # Not in the reader's thread: the renderer's compiled code cannot run in two threads at once.
                 anchors = kept.get(path, lambda sample=sample: anchored(sample))  # type: ignore[misc]
             results.append(self._add(to_device(sample, self.device), to_device(anchors, self.device), number, share))
         self._advance(results, rate(self.step - before, stage))
@@ -153,29 +153,27 @@ class Trainer:
 
     def _add(self, sample: Any, anchors: Anchors | None, number: int, share: float) -> SampleLoss:
         seeds = np.random.SeedSequence([self.config.seed, self.step, number, self.processes.rank])
-        return add_gradient(
-            self.model,
-            sample,
-            anchors,
-            weights(self.step, self.config.losses),
+        step = StepSettings(
             self.config,
+            weights(self.step, self.config.losses),
             share=share,
-            generator=torch.Generator().manual_seed(int(seeds.generate_state(1)[0])),
             counts=lambda loss: self._filter.keeps(loss, self.step / self.config.steps),
             perceptual=self._perceptual,
         )
+        generator = torch.Generator().manual_seed(int(seeds.generate_state(1)[0]))
+        return add_gradient(self.model, sample, anchors, step, generator)
 
     def _advance(self, results: list[SampleLoss], lr: float) -> None:
-        """Join the processes' gradients and take a step, unless nothing or nothing finite came."""
+        """Sum the processes' gradients and take a step, unless all samples were skipped or the sum is not finite."""
         parameters = [parameter for _, parameter in trained(self.model)]
         self.processes.sum_gradients(parameters)
-        told = self.processes.gather([part for each in results for part in (each.total, float(not each.skipped))])
-        self._filter.add(told[::2])
+        gathered = self.processes.gather([part for each in results for part in (each.total, float(not each.skipped))])
+        self._filter.add(gathered[::2])
         for each in results:
             if each.skipped:
                 self.skipped[each.skipped] = self.skipped.get(each.skipped, 0) + 1
         norm = nn.utils.clip_grad_norm_(parameters, self.config.optimiser.clip)
-        if any(told[1::2]) and bool(norm.isfinite()):
+        if any(gathered[1::2]) and bool(norm.isfinite()):
             for group in self._optimiser.param_groups:
                 group["lr"] = lr
             self._optimiser.step()
@@ -246,7 +244,10 @@ class Trainer:
 
 
 def starting_model(config: TrainConfig) -> QuerySplat:
-    """The model before the first step, the same for the same seed; raises QuerySplatError where it cannot be had."""
+    """The model before the first step, which depends only on `config`.
+
+    Raises QuerySplatError when the checkpoint in `config.start` cannot be read, or has another configuration.
+    """
     wanted = with_queries(config.model, config.stages[0].queries)
     if config.start == "prior":
         return initial_model(wanted, config.seed)
@@ -261,15 +262,15 @@ def starting_model(config: TrainConfig) -> QuerySplat:
 
 
 def freeze(model: QuerySplat, config: TrainConfig) -> None:
-    """Have everything learn but the tensors whose names begin as `optimiser.frozen` says."""
+    """Train all tensors but those whose names begin with one of `optimiser.frozen`."""
     model.train()
     for name, parameter in model.named_parameters():
         parameter.requires_grad_(not name.startswith(config.optimiser.frozen))
 
 
 def _check_same(wanted: TrainConfig, found: TrainConfig, folder: Path) -> None:
-    idle = {name: getattr(wanted, name) for name in IDLE}
-    if replace(found, **idle) != wanted:
+    free = {name: getattr(wanted, name) for name in RESUMABLE}
+    if replace(found, **free) != wanted:
         raise QuerySplatError(
             f"{folder}: the training there has other settings", "Resume with its own, or choose another --output."
         )

@@ -1,4 +1,4 @@
-"""Cameras that are corrected while the scene is optimised."""
+"""Camera refinement: cameras are corrected while the scene is optimised."""
 
 from dataclasses import replace
 
@@ -9,19 +9,20 @@ from torch import Tensor
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.scene.sim3 import DegenerateAlignment, align_cameras, skew
+from querysplat_cli.scene.rotations import skew
+from querysplat_cli.scene.sim3 import DegenerateAlignment, align_cameras
+from querysplat_cli.tto.policy import TTO_POLICY
 
-RATE = 0.1
-"""Pixels a step, before the rate falls."""
-BETAS = (0.8, 0.95)
-"""Adam's; a camera takes few steps, one for each time that its view is drawn."""
+CAMERA_BETAS = (0.8, 0.95)
+"""Of Adam. They are short because a camera takes few steps, one for each time that its view is drawn."""
 
 
 class RefinedCameras:
-    """Cameras under small changes: a turn and a shift of each, and one focal factor for all.
+    """Cameras under small changes: a rotation and a translation of each, and one focal factor for all.
 
-    Changes are counted in pixels, of what lies at the view's median depth, or at the border for the focal factor, so
-    that one rate suits all. The gauge is fixed: a similarity keeps the cameras as a whole where they began.
+    Changes are measured in pixels, so that one rate suits all. A rotation or translation moves what lies at the view's
+    median depth by that many pixels; the focal factor moves the border by that many. The gauge is fixed: after every
+    step, a similarity aligns the cameras with those at the start.
     """
 
     def __init__(self, cameras: Cameras, gaussians: Gaussians) -> None:
@@ -34,7 +35,7 @@ class RefinedCameras:
         self._depths = _median_depths(cameras, gaussians)
         self._poses = [torch.zeros(6, dtype=torch.float64, requires_grad=True) for _ in range(len(cameras))]
         self._zoom = torch.zeros((), dtype=torch.float64, requires_grad=True)
-        self._adam = torch.optim.Adam(self._changes, lr=RATE, betas=BETAS)
+        self._adam = torch.optim.Adam(self._changes, lr=TTO_POLICY.camera_rate, betas=CAMERA_BETAS)
         self._before = [change.detach().clone() for change in self._changes]
 
     @property
@@ -42,7 +43,7 @@ class RefinedCameras:
         return [*self._poses, self._zoom]
 
     def current(self) -> Cameras:
-        """The cameras, differentiable in their changes."""
+        """The refined cameras, differentiable in their changes."""
         start = self._start
         poses = torch.stack(self._poses).to(start.w2c.device)
         w2c, K = start.w2c.double(), start.K.double()
@@ -55,17 +56,17 @@ class RefinedCameras:
         return cameras.transformed(align_cameras(w2c.detach(), start.w2c)).to(start.w2c.dtype)
 
     def step(self, share: float) -> None:
-        """One step of Adam at `share` of the rate, for the views that were seen since the last."""
+        """One step of Adam at `share` of the rate, for the views that were rendered since the last step."""
         for pose in self._poses:
             if pose.grad is not None and not pose.grad.any():
-                pose.grad = None  # or momentum would move it
+                pose.grad = None  # else momentum would move a camera whose view was not drawn
         self._before = [change.detach().clone() for change in self._changes]
-        self._adam.param_groups[0]["lr"] = RATE * share
+        self._adam.param_groups[0]["lr"] = TTO_POLICY.camera_rate * share
         self._adam.step()
         self._adam.zero_grad(set_to_none=True)
 
     def undo(self) -> None:
-        """Back before the last step."""
+        """The cameras before the last step."""
         with torch.no_grad():
             for change, before in zip(self._changes, self._before, strict=True):
                 change.copy_(before)
@@ -82,14 +83,17 @@ def refinable(cameras: Cameras) -> bool:
 
 
 def with_refined_focal(others: Cameras, before: Cameras, after: Cameras) -> Cameras:
-    """`others` with the focal factor that took `before` to `after`; what else changed leaves the world in place."""
+    """`others` with the focal factor by which `after` differs from `before`.
+
+    Rotations and translations are not applied: refinement leaves the world in place, and `others` belong to it.
+    """
     K = others.K.clone()
     K[:, :, :2] *= after.K[0, 0, 0] / before.K[0, 0, 0]
     return replace(others, K=K)
 
 
 def _median_depths(cameras: Cameras, gaussians: Gaussians) -> Float[Tensor, "views 1"]:
-    """Of the centres in each picture; of all that lie before the camera where none is in the picture."""
+    """Of the Gaussian centres in each picture, or of all in front of the camera where no centre is in the picture."""
     means, cameras = gaussians.means.detach().double(), cameras.to(torch.float64)
     depths = []
     for view, w2c in enumerate(cameras.w2c):

@@ -1,4 +1,4 @@
-"""More Gaussians where renders and photos disagree, as 3DGS adds them, chosen by the pictures' error alone."""
+"""More Gaussians where renders and photos disagree, as in 3DGS; chosen by the pictures' error alone."""
 
 import math
 from dataclasses import dataclass, fields, replace
@@ -7,25 +7,26 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from querysplat_cli.scene.gaussians import SH_0, Gaussians
-from querysplat_cli.splat.projection import rotation_matrices
+from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.rotations import quaternion_to_matrix
+from querysplat_cli.splat.blending_weights import blending_weights
 from querysplat_cli.splat.render import render
 from querysplat_cli.tto.rendering_loss import RenderingLoss
 
-APART = 0.5
-"""How far the two parts of a Gaussian lie from its centre, in standard deviations of its longest axis."""
+SPLIT_DISTANCE = 0.5
+"""From the centre of a Gaussian to the centres of its two parts, in standard deviations of its longest axis."""
 
 
 @dataclass(frozen=True)
 class Densified:
-    """More Gaussians, and the old row that each was made of: two rows name one that was split."""
+    """More Gaussians. `origin` is for each the row that it was made of; a Gaussian that was split has two."""
 
     gaussians: Gaussians
     origin: Int[Tensor, "n"]
 
 
 def densify(gaussians: Gaussians, target: RenderingLoss, count: int) -> Densified:
-    """Split, each once, those of the most `disagreement`, until there are `count` or all were split."""
+    """Split the Gaussians of the largest `disagreement`, each once, until there are `count` or all were split."""
     order = disagreement(gaussians, target).argsort(descending=True, stable=True)
     chosen, others = order.tensor_split([max(0, count - len(gaussians))])
     others = others.sort().values
@@ -35,18 +36,19 @@ def densify(gaussians: Gaussians, target: RenderingLoss, count: int) -> Densifie
 
 
 def split(gaussians: Gaussians) -> tuple[Gaussians, Gaussians]:
-    """Two halves of each Gaussian along its longest axis, `APART` standard deviations σ to either side.
+    """Two halves of each Gaussian along its longest axis, `SPLIT_DISTANCE` standard deviations σ to either side.
 
-    The two together have its centre and covariance, so σ' = w·σ with w² = 1 − APART². As 3DGS-MCMC (Kheradmand 2024)
-    asks, the integral of α stays as it was, over a picture that sees the axis from the side: 2wp − a·p² = opacity
-    for their opacity p, with a = w·exp(−APART²/w²)/2 from where they overlap.
+    With d for `SPLIT_DISTANCE`, the halves together keep the centre and the covariance when their standard deviation
+    along the axis is w·σ with w² = 1 − d². As in 3DGS-MCMC (Kheradmand 2024), they also keep the integral of α over a
+    picture that shows the axis from the side. Their opacity p then solves 2wp − a·p² = opacity, where
+    a = w·exp(−d²/w²)/2 is what their overlap takes.
     """
     longest = gaussians.scales.argmax(1)
     rows = torch.arange(len(longest), device=longest.device)
-    narrower = math.sqrt(1 - APART**2)
-    overlap = narrower * math.exp(-((APART / narrower) ** 2)) / 2
-    axis = rotation_matrices(gaussians.quats)[rows, :, longest]
-    aside = APART * gaussians.scales[rows, longest, None] * axis
+    narrower = math.sqrt(1 - SPLIT_DISTANCE**2)
+    overlap = narrower * math.exp(-((SPLIT_DISTANCE / narrower) ** 2)) / 2
+    axis = quaternion_to_matrix(gaussians.quats)[rows, :, longest]
+    aside = SPLIT_DISTANCE * gaussians.scales[rows, longest, None] * axis
     scales = gaussians.scales.clone()
     scales[rows, longest] *= narrower
     opacities = (narrower - (narrower**2 - overlap * gaussians.opacities).sqrt()) / overlap
@@ -56,15 +58,11 @@ def split(gaussians: Gaussians) -> tuple[Gaussians, Gaussians]:
 
 def disagreement(gaussians: Gaussians, target: RenderingLoss) -> Float[Tensor, "n"]:
     """The absolute error of every pixel of every view, times each Gaussian's blending weight in it, added up."""
-    grey = replace(gaussians.detach(), sh=torch.zeros_like(gaussians.sh[:, :1]).requires_grad_())
-    total = torch.zeros_like(grey.opacities)
+    total = torch.zeros_like(gaussians.opacities)
     for view in range(len(target.views)):
         camera, photo = target.cameras[[view]], target.views.images[view]
         with torch.no_grad():
             picture = render(gaussians, camera, background=target.background, settings=target.settings).colour[0]
             error = (picture - photo).abs().mean(0) * target.views.masks[view]
-        with torch.enable_grad():
-            red = render(grey, camera, settings=target.settings).colour[0, 0]
-            (slope,) = torch.autograd.grad((red * error).sum(), grey.sh)
-        total += slope[:, 0, 0] / SH_0
+        total += blending_weights(gaussians, camera, error[None], target.settings)
     return total

@@ -1,12 +1,11 @@
-"""Test-time optimisation in feature space (paper, section 3.4): the memories adapt, the network does not.
+"""Test-time optimisation in feature space (paper, section 3.5): the memories adapt, the network does not.
 
 Keys and values of both branches, or the tokens that they are made of, are optimised with rendering losses on
-the input views; decoders, queries and heads stay frozen.
+the input views. Decoders, queries and heads stay frozen.
 """
 
-from collections.abc import Callable
-from dataclasses import fields
-from typing import TypeVar
+from dataclasses import dataclass, fields, replace
+from typing import Generic, TypeVar
 
 import torch
 from jaxtyping import Bool
@@ -16,45 +15,68 @@ from querysplat_cli.model.anchors import Anchors
 from querysplat_cli.model.memories import Features, Memories
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.tto.optimise import Pruning, TtoResult, TtoSettings, TtoStep, optimise
+from querysplat_cli.tto.optimise import TtoResult, optimise
+from querysplat_cli.tto.options import NO_CALLBACKS, Callbacks, TtoSettings
 from querysplat_cli.tto.rendering_loss import RenderingLoss
+from querysplat_cli.tto.variables import Parametrisation
 
 M = TypeVar("M", bound=Memories | Features)
 
 
+@dataclass(frozen=True)
+class Start(Generic[M]):
+    """What optimisation starts with.
+
+    `gaussians` is the scene where the variables no longer decode to it, else None. `kept` marks the decoded Gaussians
+    that belong to the scene (None: all).
+    """
+
+    variables: M
+    anchors: Anchors | None
+    gaussians: Gaussians | None = None
+    kept: Bool[Tensor, "n"] | None = None
+
+    def narrowed(self, kept: Bool[Tensor, "m"]) -> "Start[M]":
+        """With only those of the scene's Gaussians that are `kept`."""
+        if self.gaussians is not None:
+            return replace(self, gaussians=self.gaussians[kept])
+        if self.kept is None:
+            return replace(self, kept=kept)
+        fewer = self.kept.clone()
+        fewer[self.kept] = kept
+        return replace(self, kept=fewer)
+
+
 def optimise_memories(
     model: QuerySplat,
-    memories: M,
-    anchors: Anchors | None,
+    start: Start[M],
     target: RenderingLoss,
     settings: TtoSettings,
     *,
     generator: torch.Generator,
-    progress: Callable[[TtoStep], None] = lambda step: None,
-    kept: Bool[Tensor, "n"] | None = None,
-    pruning: Pruning | None = None,
+    callbacks: Callbacks = NO_CALLBACKS,
     refine_cameras: bool = False,
 ) -> TtoResult[M]:
-    """`optimise` for the four memory tensors, or for the two of features; all at the same rate.
-
-    `kept` says which of the decoded Gaussians an earlier pruning left.
-    """
+    """`optimise` for the four tensors of memories, or for the two of features; all at the same rate."""
+    rates = {field.name: 1.0 for field in fields(start.variables)}
     return optimise(
-        memories,
-        lambda variables: decoded(model, variables, anchors, kept),
+        Parametrisation(start.variables, lambda variables: _decoded(model, replace(start, variables=variables)), rates),
         target,
         settings,
-        rates={field.name: 1.0 for field in fields(memories)},
         generator=generator,
-        progress=progress,
-        pruning=pruning,
+        callbacks=callbacks,
         refine_cameras=refine_cameras,
     )
 
 
-def decoded(
-    model: QuerySplat, variables: Memories | Features, anchors: Anchors | None, kept: Bool[Tensor, "n"] | None
-) -> Gaussians:
-    """The Gaussians of a scene of which some were pruned."""
-    gaussians = model.decode(variables, anchors)
-    return gaussians if kept is None else gaussians[kept]
+def gaussians_of(model: QuerySplat, start: Start[M]) -> Gaussians:
+    """The Gaussians of the scene."""
+    if start.gaussians is not None:
+        return start.gaussians
+    with torch.no_grad():
+        return _decoded(model, start)
+
+
+def _decoded(model: QuerySplat, start: Start[M]) -> Gaussians:
+    gaussians = model.decode(start.variables, start.anchors)
+    return gaussians if start.kept is None else gaussians[start.kept]

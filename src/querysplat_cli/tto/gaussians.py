@@ -1,9 +1,9 @@
-"""Test-time optimisation in Gaussian space: the Gaussians themselves adapt, from whatever made them.
+"""Test-time optimisation in Gaussian space: the Gaussians themselves adapt.
 
-Every variable is a number without units, so that one rate suits scenes of any size and Gaussians of any
-shape: centres move in units of the Gaussian's longest axis, scales are logarithms, opacities logits. The shortest
-axis sets no step: pictures blur a needle or an edge-on disc to half a pixel anyhow, and in units of its
-thickness it would hardly move.
+Every variable is a number without units, so that one rate suits scenes of any size and Gaussians of any shape.
+Centres move in units of the Gaussian's longest axis, scales are logarithms, and opacities are logits. The shortest axis
+sets no step. Pictures blur a needle or an edge-on disc to half a pixel, and in units of its thickness it would hardly
+move.
 """
 
 from collections.abc import Callable
@@ -17,19 +17,19 @@ from torch.nn import functional as F
 
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.tto.densify import densify
-from querysplat_cli.tto.optimise import Denser, Pruning, TtoResult, TtoSettings, TtoStep, optimise
+from querysplat_cli.tto.optimise import TtoResult, optimise
+from querysplat_cli.tto.options import NO_CALLBACKS, Callbacks, TtoSettings
+from querysplat_cli.tto.policy import TTO_POLICY
 from querysplat_cli.tto.rendering_loss import RenderingLoss
+from querysplat_cli.tto.variables import Denser, Parametrisation
 
-RATES = {"moves": 1.0, "turns": 0.5, "log_scales": 1.0, "logits": 2.0, "colours": 0.5, "bands": 0.1}
-"""Steps of the variables relative to the learning rate. Colours are SH numbers, of which 1 is 0.28 of a channel;
-what depends on direction learns slowly, since it can explain one view and spoil all others."""
-LARGEST = 8.0
-"""A log-scale, a logit or a move, in units of the start, stays within this of where it began."""
+LARGEST_CHANGE = 8.0
+"""Bound of a move or of a log-scale's change, so that no step overflows."""
 
 
 @dataclass(frozen=True)
 class Changes:
-    """Changes to N Gaussians; zeros leave them as they are."""
+    """Changes to N Gaussians. Zeros leave them as they are; units are those of `changed`."""
 
     moves: Float[Tensor, "n 3"]
     turns: Float[Tensor, "n 4"]
@@ -62,14 +62,13 @@ def optimise_gaussians(
     settings: TtoSettings,
     *,
     generator: torch.Generator,
-    progress: Callable[[TtoStep], None] = lambda step: None,
-    pruning: Pruning | None = None,
+    callbacks: Callbacks = NO_CALLBACKS,
     densify_to: int | None = None,
     refine_cameras: bool = False,
 ) -> TtoResult[Changes]:
     """`optimise` for changes to `gaussians`, which are split on the way until there are `densify_to`.
 
-    Changes are then those since the last time that some were split.
+    The variables of the result are the changes since the last split.
     """
 
     def denser(some: Gaussians, target: RenderingLoss, rounds: int) -> Denser[Changes]:
@@ -78,27 +77,32 @@ def optimise_gaussians(
         return Denser(Changes.none(more.gaussians), partial(changed, more.gaussians), more.origin)
 
     return optimise(
-        Changes.none(gaussians),
-        partial(changed, gaussians),
+        Parametrisation(
+            Changes.none(gaussians),
+            partial(changed, gaussians),
+            TTO_POLICY.gaussian_rates,
+            densify=denser if densify_to else None,
+        ),
         target,
         settings,
-        rates=RATES,
         generator=generator,
-        progress=progress,
-        pruning=pruning,
-        densifying=denser if densify_to else None,
+        callbacks=callbacks,
         refine_cameras=refine_cameras,
     )
 
 
 def changed(gaussians: Gaussians, changes: Changes) -> Gaussians:
-    """`gaussians` after `changes`: moves in the world, in units of the largest standard deviation of each."""
-    moves = LARGEST * torch.tanh(changes.moves / LARGEST)
+    """`gaussians` after `changes`.
+
+    Moves are in world axes, in units of each Gaussian's largest standard deviation; turns are added to the unit
+    quaternion; scales change by logarithms, opacities by logits.
+    """
+    moves = LARGEST_CHANGE * torch.tanh(changes.moves / LARGEST_CHANGE)
     logits = torch.logit(gaussians.opacities, eps=1e-6)
     return Gaussians(
         means=gaussians.means + moves * gaussians.scales.amax(1, keepdim=True),
         quats=F.normalize(F.normalize(gaussians.quats, dim=1) + changes.turns, dim=1),
-        scales=gaussians.scales * torch.exp(changes.log_scales.clamp(-LARGEST, LARGEST)),
+        scales=gaussians.scales * torch.exp(changes.log_scales.clamp(-LARGEST_CHANGE, LARGEST_CHANGE)),
         opacities=torch.sigmoid(logits + changes.logits),
         sh=gaussians.sh + torch.cat([changes.colours, changes.bands], 1),
     )

@@ -1,99 +1,40 @@
-"""The loop of test-time optimisation: whatever the variables are, never worse than before.
+"""The loop of test-time optimisation. Its result is never worse than its start, whatever the variables are.
 
-However many views there are, variables become Gaussians once a step: the gradients that the views send to
-the Gaussians are summed, chunk by chunk, and go back together.
+However many views there are, variables become Gaussians once a step: the gradients that the views send to the
+Gaussians are summed, view by view, and go back to the variables together.
 """
 
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, fields, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from itertools import islice
-from typing import Any, ClassVar, Generic, Protocol, TypeVar, runtime_checkable
+from typing import Generic
 
 import torch
-from jaxtyping import Int
-from torch import Tensor
 
 from querysplat_cli.prune.gaussians import Pruned
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.tto.cameras import RefinedCameras
 from querysplat_cli.tto.coverage_loss import CoverageLoss
-from querysplat_cli.tto.rendering_loss import RenderingLoss, tensors
-
-RISE = 2.0
-"""A step is undone when the loss of its views exceeds the least seen of them by this factor. Views that pull in
-different ways, and Adam's first steps, raise it by up to half on their own and come down again."""
-PRUNE_AFTER = 1 / 3
-"""The share of the steps after which Gaussians are pruned; the rest makes up for those that went."""
-DENSIFY_AFTER: tuple[float, ...] = (1 / 6, 1 / 3, 1 / 2)
-"""The shares of the steps after which Gaussians are split; what they gain, the rest has to find."""
-PATIENCE = 30
-"""Steps undone in a row before a run is given up; the rate has then fallen by 2³⁰."""
-
-
-Pruning = Callable[[Gaussians, RenderingLoss, float], Pruned]
-"""What chooses the Gaussians that stay, by how they look in the target's views and by the number of steps to come."""
-V = TypeVar("V", bound="Variables")
-
-
-@runtime_checkable
-class Variables(Protocol):
-    """A dataclass of tensors."""
-
-    __dataclass_fields__: ClassVar[dict[str, Any]]
-
-    def map(self: V, change: Callable[[Tensor], Tensor]) -> V: ...
-
-
-@dataclass(frozen=True)
-class Denser(Generic[V]):
-    """Variables of more Gaussians, what decodes them, and for each of their rows the one that it was made of. Two rows
-    name one that was split."""
-
-    variables: V
-    decode: Callable[[V], Gaussians]
-    origin: Int[Tensor, "n"]
-
-
-Densifying = Callable[[Gaussians, RenderingLoss, int], Denser[V]]
-"""What splits Gaussians, given how many times it will be asked, this time included."""
-
-
-@dataclass(frozen=True)
-class TtoSettings:
-    """How to optimise. `views_per_step` None takes every view in every step, as the paper's release does;
-    a number draws that many, each view once before any comes again. The rate rises over `warm_up` steps and
-    falls to a tenth along a cosine. With `seconds`, a run ends when they are over, and its rate falls with the time.
-    With `keep_cover`, what the scene covers between the views stays covered."""
-
-    steps: int
-    lr: float
-    views_per_step: int | None = None
-    warm_up: int = 0
-    seconds: float | None = None
-    keep_cover: bool = False
-
-
-@dataclass(frozen=True)
-class TtoStep:
-    """The state before a step: loss and PSNR (dB) on the views of that step, and the seconds since the start."""
-
-    step: int
-    loss: float
-    psnr: float
-    seconds: float
-    gaussians: int
+from querysplat_cli.tto.options import NO_CALLBACKS, Callbacks, TtoSettings, TtoStep
+from querysplat_cli.tto.policy import TTO_POLICY
+from querysplat_cli.tto.rendering_loss import LossAndGradient, RenderingLoss, tensors
+from querysplat_cli.tto.variables import Parametrisation, UndoableAdam, V, finite
 
 
 @dataclass(frozen=True)
 class TtoResult(Generic[V]):
-    """The better of the first and the last state, by the loss over all views; steps undone on the way.
+    """The better of the first and the last state, by the loss over all views.
 
-    `gaussians` is what the variables decode to, less what was `pruned`; `cameras` are those of the input views, which
-    were `cameras_before`. `interrupted` says that Ctrl-C ended the run early, `added` how many more Gaussians splitting
-    made.
+    variables, gaussians: what the variables are, and what they decode to, less what was `pruned`.
+    loss_before, loss_after: over all views.
+    history: every step that was not undone.
+    cameras_before, cameras: of the input views.
+    undone: how many steps were undone.
+    interrupted: Ctrl-C ended the run early.
+    added: how many Gaussians splitting added.
     """
 
     variables: V
@@ -110,164 +51,163 @@ class TtoResult(Generic[V]):
 
 
 def optimise(
-    variables: V,
-    decode: Callable[[V], Gaussians],
+    start: Parametrisation[V],
     target: RenderingLoss,
     settings: TtoSettings,
     *,
-    rates: Mapping[str, float],
     generator: torch.Generator,
-    progress: Callable[[TtoStep], None] = lambda step: None,
-    pruning: Pruning | None = None,
-    densifying: Densifying[V] | None = None,
+    callbacks: Callbacks = NO_CALLBACKS,
     refine_cameras: bool = False,
 ) -> TtoResult[V]:
-    """Adam (β 0.9, 0.999) on every tensor of `variables`, at `settings.lr` times its rate in `rates`.
+    """Adam (β 0.9, 0.999) on every tensor of the variables, at `settings.lr` times the tensor's own rate.
 
-    A step after which the loss rises beyond its noise, or anything stops being finite, is undone and the
-    rate halved. `pruning` chooses, at `PRUNE_AFTER`, the Gaussians that the rest goes on with. `refine_cameras`
-    corrects the cameras beside the variables. Ctrl-C ends the run and keeps what was reached. `densifying` splits
-    Gaussians, each time in the place of a step; it cannot go with `pruning`, which says what stays of those that there
-    were.
+    A step after which the loss rises beyond its noise, or anything stops being finite, is undone and the rate halved.
+    Pruning decides which Gaussians the rest of the run goes on with. `refine_cameras` corrects the cameras, too.
+    Ctrl-C ends the run, which keeps what was reached. Splitting takes the place of a step. It cannot go with pruning,
+    which marks rows of the Gaussians that there were at the start.
     """
-    assert not (pruning and densifying)
-    everything = list(range(len(target.views)))
+    assert not (callbacks.prune and start.densify)
+    views = list(range(len(target.views)))
     with torch.no_grad():
-        first = decode(variables)
-    losses = target.values(first, everything)
+        first = start.decode(start.variables)
+    losses = target.values(first, views)
     loss = sum(losses) / len(losses)
-    before = TtoResult(variables, first, loss, loss, (), target.cameras, target.cameras)
+    before = TtoResult(start.variables, first, loss, loss, (), target.cameras, target.cameras)
     if not settings.steps:
         return before
     refined = RefinedCameras(target.cameras, first) if refine_cameras else None
-    coverage_loss = CoverageLoss.of(first, target.cameras) if settings.keep_cover else None
-    run = _Run(variables, decode, settings.lr, rates, refined)
-    history: list[TtoStep] = []
-    start, undone, in_a_row, interrupted = time.perf_counter(), 0, 0, False
-    pruned: Pruned | None = None
-    waiting = DENSIFY_AFTER if densifying else ()
-    draws = _draws(len(everything), settings.views_per_step, generator)
+    coverage = CoverageLoss.of(first, target.cameras) if settings.keep_cover else None
+    run = _Run(start, settings, callbacks, target, losses, refined, coverage)
+    interrupted = False
     try:
-        for step, chosen in enumerate(islice(draws, settings.steps)):
-            done = _done(step, time.perf_counter() - start, settings)
-            if done >= 1:
-                break
-            gaussians = _staying(run.decode(run.variables), pruned)
-            target = run.with_refined_cameras(target)
-            if pruning and not pruned and done >= PRUNE_AFTER and _finite(tensors(gaussians)):
-                pruned = pruning(gaussians.detach(), target, step * (1 - done) / done)
-                gaussians = _staying(gaussians, pruned)
-                losses = [math.inf] * len(losses)
-            here = target.value_and_gradient(gaussians, chosen) if _finite(tensors(gaussians)) else None
-            if here:
-                here = coverage_loss.add_to(here, gaussians, step) if coverage_loss else here
-                here.send_back(gaussians, target.cameras)
-            if here is None or not run.finite_gradient() or _risen(here.losses, losses, chosen):
-                undone, in_a_row = undone + 1, in_a_row + 1
-                run.undo()
-                if in_a_row == PATIENCE:
-                    break
-                continue
-            in_a_row = 0
-            for view, loss in zip(chosen, here.losses, strict=True):
-                losses[view] = min(losses[view], loss)
-            seconds = time.perf_counter() - start
-            history.append(TtoStep(step, here.loss, here.psnr, seconds, len(gaussians)))
-            progress(history[-1])
-            if densifying and waiting and done >= waiting[0]:
-                run.go_on(densifying(gaussians.detach(), target, len(waiting)))
-                waiting = waiting[1:]
-                losses = [math.inf] * len(losses)
-                continue
-            run.step(_fall(step, done, settings))
+        run.take_steps(_draws(len(views), settings.views_per_step, generator))
     except KeyboardInterrupt:
         interrupted = True
-    found = replace(before, history=tuple(history), undone=undone, interrupted=interrupted)
-    last = run.variables.map(Tensor.detach)
-    with torch.no_grad():
-        gaussians = _staying(run.decode(last), pruned)
-        target = run.with_refined_cameras(target)
-    loss = target.value(gaussians, everything) if _finite(tensors(gaussians)) else math.inf
-    if loss < before.loss_before:
-        return replace(
-            found,
-            variables=last,
-            gaussians=gaussians,
-            loss_after=loss,
-            cameras=target.cameras,
-            pruned=pruned,
-            added=len(gaussians) - len(first) if densifying else 0,
-        )
-    return found
-
-
-def _staying(gaussians: Gaussians, pruned: Pruned | None) -> Gaussians:
-    return gaussians if pruned is None else gaussians[pruned.kept]
+    return run.result(replace(before, history=tuple(run.history), undone=run.undone, interrupted=interrupted))
 
 
 class _Run(Generic[V]):
-    """Variables under Adam, cameras where these are refined, and the way back over the last step."""
+    """The state of a run between its steps."""
 
     def __init__(
         self,
-        variables: V,
-        decode: Callable[[V], Gaussians],
-        lr: float,
-        rates: Mapping[str, float],
+        start: Parametrisation[V],
+        settings: TtoSettings,
+        callbacks: Callbacks,
+        target: RenderingLoss,
+        losses: list[float],
         refined: RefinedCameras | None,
+        coverage: CoverageLoss | None,
     ) -> None:
-        self._lr, self._rates, self._refined = lr, rates, refined
-        self._start(variables, decode)
+        self.history: list[TtoStep] = []
+        self.undone = 0
+        self._adam = UndoableAdam(start, settings.lr)
+        self._settings, self._callbacks, self._densify = settings, callbacks, start.densify
+        self._target, self._refined, self._coverage = target, refined, coverage
+        self._least_losses = losses
+        self._pruned: Pruned | None = None
+        self._splits_left = TTO_POLICY.densify_after if start.densify else ()
+        self._undone_in_a_row = 0
+        self._began = time.perf_counter()
 
-    def with_refined_cameras(self, target: RenderingLoss) -> RenderingLoss:
-        """The target as the cameras are now."""
-        return replace(target, cameras=self._refined.current()) if self._refined else target
+    def take_steps(self, draws: Iterator[list[int]]) -> None:
+        for step, chosen in enumerate(islice(draws, self._settings.steps)):
+            done = _done(step, time.perf_counter() - self._began, self._settings)
+            if done >= 1:
+                break
+            self._take(step, chosen, done)
+            if self._undone_in_a_row == TTO_POLICY.patience:
+                break
 
-    def _start(self, variables: V, decode: Callable[[V], Gaussians]) -> None:
-        leaves = variables.map(lambda tensor: tensor.detach().clone().requires_grad_())
-        self.variables, self.decode = leaves, decode  # at once, wherever Ctrl-C comes
-        self._before = variables.map(lambda tensor: tensor.detach().clone())
-        named = {field.name: getattr(self.variables, field.name) for field in fields(self.variables)}
-        groups = [{"params": [tensor], "rate": self._rates[name]} for name, tensor in named.items()]
-        self._adam = torch.optim.Adam(groups, lr=self._lr, fused=True)
+    def result(self, found: TtoResult[V]) -> TtoResult[V]:
+        """`found`, which is the start, with the last state if that is better."""
+        variables = self._adam.variables()
+        with torch.no_grad():
+            gaussians = self._decoded().detach()
+        loss = math.inf
+        if finite(tensors(gaussians)):
+            loss = self._target.value(gaussians, list(range(len(self._target.views))))
+        if not loss < found.loss_before:
+            return found
+        return replace(
+            found,
+            variables=variables,
+            gaussians=gaussians,
+            loss_after=loss,
+            cameras=self._target.cameras,
+            pruned=self._pruned,
+            added=len(gaussians) - len(found.gaussians) if self._densify else 0,
+        )
 
-    def finite_gradient(self) -> bool:
-        return _finite([tensor.grad for tensor in tensors(self.variables) if tensor.grad is not None])
-
-    def step(self, share: float) -> None:
-        """One step at `share` of the rate."""
-        for before, now in zip(tensors(self._before), tensors(self.variables), strict=True):
-            before.copy_(now.detach())
-        for group in self._adam.param_groups:
-            group["lr"] = self._lr * group["rate"] * share
-        self._adam.step()
-        self._adam.zero_grad(set_to_none=True)
+    def _take(self, step: int, chosen: list[int], done: float) -> None:
+        gaussians = self._pruned_in_time(self._decoded(), step, done)
+        loss = self._send_back(gaussians, chosen, step)
+        if loss is None or not self._adam.gradient_is_finite() or self._has_risen(loss, chosen):
+            self._undo()
+            return
+        self._note(loss, chosen, step, len(gaussians))
+        if self._splits_left and done >= self._splits_left[0]:
+            self._split(gaussians)
+            return
+        share = _rate_share(step, done, self._settings)
+        self._adam.step(share)
         if self._refined:
             self._refined.step(share)
 
-    def go_on(self, denser: Denser[V]) -> None:
-        """With more rows. Each keeps what Adam knows of the one it was made of, unless that one was split."""
-        known = [self._adam.state[tensor] for tensor in tensors(self.variables)]
-        self._start(denser.variables, denser.decode)
-        origin = denser.origin
-        split = origin.bincount()[origin] > 1
-        for tensor, state in zip(tensors(self.variables), known, strict=True):
-            self._adam.state[tensor] = {name: part[origin] if part.dim() else part for name, part in state.items()}
-            if state:
-                self._adam.state[tensor]["exp_avg"][split] = 0
-                self._adam.state[tensor]["exp_avg_sq"][split] = 0
+    def _decoded(self) -> Gaussians:
+        """The Gaussians that stay, for a target whose cameras are the refined ones."""
+        gaussians = self._adam.gaussians()
+        if self._refined:
+            self._target = replace(self._target, cameras=self._refined.current())
+        return gaussians if self._pruned is None else gaussians[self._pruned.kept]
 
-    def undo(self) -> None:
-        """Back before the last step, at half the rate and without momentum."""
+    def _pruned_in_time(self, gaussians: Gaussians, step: int, done: float) -> Gaussians:
+        prune = self._callbacks.prune
+        if not prune or self._pruned or done < TTO_POLICY.prune_after or not finite(tensors(gaussians)):
+            return gaussians
+        self._pruned = prune(gaussians.detach(), self._target, step * (1 - done) / done)
+        self._forget_losses()
+        return gaussians[self._pruned.kept]
+
+    def _send_back(self, gaussians: Gaussians, chosen: list[int], step: int) -> LossAndGradient | None:
+        """The loss, whose gradient is sent to the variables; None where the Gaussians are not finite."""
+        if not finite(tensors(gaussians)):
+            return None
+        loss = self._target.value_and_gradient(gaussians, chosen)
+        if self._coverage:
+            loss = self._coverage.add_to(loss, gaussians, step)
+        loss.send_back(gaussians, self._target.cameras)
+        return loss
+
+    def _has_risen(self, loss: LossAndGradient, chosen: list[int]) -> bool:
+        least = sum(self._least_losses[view] for view in chosen) / len(chosen)
+        # Written so that NaN counts as risen.
+        return not loss.loss <= TTO_POLICY.rise * least + 1e-4
+
+    def _undo(self) -> None:
+        self.undone += 1
+        self._undone_in_a_row += 1
         if self._refined:
             self._refined.undo()
-        self._lr /= 2
-        self._start(self._before, self.decode)
+        self._adam.undo()
 
+    def _note(self, loss: LossAndGradient, chosen: list[int], step: int, count: int) -> None:
+        self._undone_in_a_row = 0
+        for view, value in zip(chosen, loss.losses, strict=True):
+            self._least_losses[view] = min(self._least_losses[view], value)
+        seconds = time.perf_counter() - self._began
+        self.history.append(TtoStep(step, loss.loss, loss.psnr, seconds, count))
+        self._callbacks.progress(self.history[-1])
 
-def _risen(now: list[float], least: list[float], chosen: list[int]) -> bool:
-    mean = sum(least[view] for view in chosen) / len(chosen)
-    return not sum(now) / len(now) <= RISE * mean + 1e-4
+    def _split(self, gaussians: Gaussians) -> None:
+        assert self._densify
+        self._adam.go_on_with(self._densify(gaussians.detach(), self._target, len(self._splits_left)))
+        self._splits_left = self._splits_left[1:]
+        self._forget_losses()
+
+    def _forget_losses(self) -> None:
+        """Losses of other Gaussians are no measure for a rise."""
+        self._least_losses = [math.inf] * len(self._least_losses)
 
 
 def _done(step: int, seconds: float, settings: TtoSettings) -> float:
@@ -276,13 +216,9 @@ def _done(step: int, seconds: float, settings: TtoSettings) -> float:
     return max(step / settings.steps, in_time if step else 0.0)
 
 
-def _fall(step: int, done: float, settings: TtoSettings) -> float:
+def _rate_share(step: int, done: float, settings: TtoSettings) -> float:
     cosine = 0.55 + 0.45 * math.cos(math.pi * done)
     return cosine * min(1.0, (step + 1) / max(1, settings.warm_up))
-
-
-def _finite(some: list[Tensor]) -> bool:
-    return all(bool(tensor.detach().isfinite().all()) for tensor in some)
 
 
 def _draws(views: int, at_once: int | None, generator: torch.Generator) -> Iterator[list[int]]:

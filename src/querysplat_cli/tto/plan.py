@@ -1,35 +1,12 @@
-"""What to optimise, for how many steps, and with how many views each."""
+"""The plan of an optimisation: in which spaces, for how many steps, and with how many views a step."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from querysplat_cli.tto.optimise import PRUNE_AFTER, TtoSettings
-
-Space = Literal["features", "gaussians", "both"]
-"""The memories that the Gaussians are decoded from, the Gaussians themselves, or first the one and then the other."""
-
-LEARNING_RATE = 0.02
-RESUMED_LEARNING_RATE, RESUMED_WARM_UP = 0.005, 10
-"""For memories that were optimised before: Adam's first steps move every number by as much, whatever its gradient,
-which helps a fresh scene (held out, dtu106 gains 0.3 dB and fortress loses 0.1) but leads an optimised one uphill."""
-RELEASE_STEPS, RELEASE_LEARNING_RATE = 20, 5e-3
-"""The authors' release, for learned queries."""
-VIEWS_PER_STEP = 3
-FEW_VIEWS, PASSES = 4, 40
-"""Of so few photos, an automatic plan shows each at most so many times: they are known by heart then. What lies between
-them stays covered, because much of it is seen by one of them or by none; five photos of kermit already lose by that."""
-STEPS = (30, 150)
-"""Fewest and most steps of an automatic plan; what more of them bring on held-out photos is little."""
-QUERIES = 10_000
-"""With those beyond the photos' borders, about as many as leave an automatic plan forty-five steps. Photos that would
-carry more are cut more coarsely: finer queries show more only after steps for which there is no time."""
-MOST_STEPS = 300
-"""However much time there is."""
-WORK = 14.0
-DECODING, SPLATTING = (0.045, 1.2e-6), (0.05, 1.55e-6)
-"""An automatic plan stays within `WORK` seconds. A step takes these, and these for each Gaussian, to decode the
-memories and to splat three views of 448 × 336, on the two cores that this was measured on. It counts on these
-figures and never on a clock, so the same seed gives the same scene however busy the machine is."""
+from querysplat_cli.runtime.choices import Space
+from querysplat_cli.tto.options import TtoSettings
+from querysplat_cli.tto.policy import TTO_POLICY
 
 
 @dataclass(frozen=True)
@@ -45,39 +22,55 @@ def plan_tto(
     *,
     views: int,
     gaussians: int,
-    staying: int | None = None,
+    target_count: int | None = None,
     space: Space = "features",
-    lr: float | None = None,
     resumed: bool = False,
     seconds: float | None = None,
 ) -> tuple[TtoRun, ...]:
-    """Runs of `steps` steps together, or of as many as usually pay (None); with `seconds`, for no longer than these,
-    and None is then as many as ever pay. `staying` are those of the `gaussians` that pruning will leave."""
-    splatted = gaussians if staying is None else PRUNE_AFTER * gaussians + (1 - PRUNE_AFTER) * staying
-    cost = SPLATTING[0] + SPLATTING[1] * splatted
-    if space != "gaussians":
-        cost += DECODING[0] + DECODING[1] * gaussians
+    """Runs for a scene of so many views and Gaussians, of which pruning leaves `target_count`.
+
+    They take `steps` steps together, or an automatic number (None). With `seconds` they last no longer than that, and
+    an automatic number is then the most steps that improve a scene.
+    """
     if steps is None:
-        steps = min(max(int(WORK / cost), STEPS[0]), STEPS[1]) if seconds is None else MOST_STEPS
-        if views <= FEW_VIEWS and seconds is None:
-            steps = min(steps, PASSES * views // min(views, VIEWS_PER_STEP))
-    usual = RESUMED_LEARNING_RATE if resumed else LEARNING_RATE
+        steps = (
+            TTO_POLICY.most_timed_steps
+            if seconds is not None
+            else _automatic_steps(views, gaussians, target_count, space)
+        )
     settings = TtoSettings(
         steps=steps,
-        lr=usual if lr is None else lr,
-        views_per_step=VIEWS_PER_STEP if views > VIEWS_PER_STEP else None,
-        warm_up=RESUMED_WARM_UP if resumed else 0,
+        lr=TTO_POLICY.resumed_learning_rate if resumed else TTO_POLICY.learning_rate,
+        views_per_step=TTO_POLICY.views_per_step if views > TTO_POLICY.views_per_step else None,
+        warm_up=TTO_POLICY.resumed_warm_up if resumed else 0,
         seconds=seconds,
-        keep_cover=1 < views <= FEW_VIEWS,
+        keep_cover=1 < views <= TTO_POLICY.few_views,
     )
     return _runs(space, settings)
 
 
-def plan_release(
-    steps: int, *, space: Space = "features", lr: float | None = None, seconds: float | None = None
-) -> tuple[TtoRun, ...]:
-    """As the authors' release does: every view in every step."""
-    return _runs(space, TtoSettings(steps, RELEASE_LEARNING_RATE if lr is None else lr, seconds=seconds))
+def plan_release(steps: int, *, space: Space = "features", seconds: float | None = None) -> tuple[TtoRun, ...]:
+    """Runs as in the authors' release: every step renders every view."""
+    return _runs(space, TtoSettings(steps, TTO_POLICY.release_learning_rate, seconds=seconds))
+
+
+def with_learning_rate(plan: Sequence[TtoRun], lr: float | None) -> tuple[TtoRun, ...]:
+    """The same runs at another learning rate; None leaves each its own."""
+    return tuple(run if lr is None else replace(run, settings=replace(run.settings, lr=lr)) for run in plan)
+
+
+def _automatic_steps(views: int, gaussians: int, target_count: int | None, space: Space) -> int:
+    policy = TTO_POLICY
+    splatted: float = gaussians
+    if target_count is not None:
+        splatted = policy.prune_after * gaussians + (1 - policy.prune_after) * target_count
+    cost = policy.splatting_seconds[0] + policy.splatting_seconds[1] * splatted
+    if space != "gaussians":
+        cost += policy.decoding_seconds[0] + policy.decoding_seconds[1] * gaussians
+    steps = min(max(int(policy.work_seconds / cost), policy.fewest_steps), policy.most_steps)
+    if views <= policy.few_views:
+        steps = min(steps, policy.passes * views // min(views, policy.views_per_step))
+    return steps
 
 
 def _runs(space: Space, settings: TtoSettings) -> tuple[TtoRun, ...]:

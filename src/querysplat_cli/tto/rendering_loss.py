@@ -16,8 +16,11 @@ from querysplat_cli.splat.similarity import photometric_loss
 
 @dataclass(frozen=True)
 class LossAndGradient:
-    """The loss of each view, the mean PSNR in dB, and the gradient of the mean loss: with respect to the Gaussians, and
-    to w2c and K of all views where the cameras ask for one."""
+    """The loss of each view, the mean PSNR in dB, and the gradient of the mean loss.
+
+    `gradient` is with respect to the Gaussians, `camera_gradient` with respect to w2c and K of all views (None where
+    the cameras require no gradient).
+    """
 
     losses: list[float]
     psnr: float
@@ -29,7 +32,7 @@ class LossAndGradient:
         return sum(self.losses) / len(self.losses)
 
     def send_back(self, gaussians: Gaussians, cameras: Cameras) -> None:
-        """Add the gradient to what `gaussians`, and `cameras` where they ask for it, were made from."""
+        """Propagate the gradient to what `gaussians` were made from, and `cameras` where they require it."""
         made, slopes = tensors(gaussians), tensors(self.gradient)
         if self.camera_gradient:
             made += [cameras.w2c, cameras.K]
@@ -39,10 +42,10 @@ class LossAndGradient:
 
 @dataclass(frozen=True)
 class RenderingLoss:
-    """L1 + 0.2·D-SSIM between renders and photos (paper, section 3.3; the LPIPS term needs its weights).
+    """L1 + 0.2·D-SSIM between renders and photos (paper, section 3.4; the LPIPS term needs its weights).
 
-    The loss of a set of views is the mean of the views' losses. They are rendered one after another, and what
-    one sends to the Gaussians is added up, so that memory does not grow with their number.
+    The loss of a set of views is the mean of the views' losses. Views are rendered one after another, and their
+    gradients with respect to the Gaussians are added up, so that memory does not grow with the number of views.
     """
 
     views: Views
@@ -64,7 +67,7 @@ class RenderingLoss:
         with torch.no_grad():
             return _decibels([self._view(gaussians, self.cameras, view)[1] for view in chosen])
 
-    def value_and_gradient(self, gaussians: Gaussians, chosen: list[int]) -> "LossAndGradient":
+    def value_and_gradient(self, gaussians: Gaussians, chosen: list[int]) -> LossAndGradient:
         """The loss over the views `chosen`, and its gradient with respect to every Gaussian parameter."""
         leaves = gaussians.map(lambda field: field.detach().requires_grad_())
         asked = self.cameras.w2c.requires_grad

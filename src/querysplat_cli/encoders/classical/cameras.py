@@ -1,4 +1,4 @@
-"""Where the photos were taken from: structure from motion, and what can be said when it finds nothing."""
+"""Cameras of photos by structure from motion, and what is done when that finds none."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -6,14 +6,15 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from querysplat_cli.encoders.base import PosedViews
-from querysplat_cli.encoders.classical.epipolar import median_epipolar_error, supported
+from querysplat_cli.encoders.base import CameraRequest, PosedViews
+from querysplat_cli.encoders.classical.camera_warnings import camera_warnings
+from querysplat_cli.encoders.classical.epipolar import epipolar_support, median_epipolar_error
 from querysplat_cli.encoders.classical.mapping import map_photos
-from querysplat_cli.encoders.classical.matches import DEFAULT_FOCAL, Matches, matched
+from querysplat_cli.encoders.classical.matches import Matches, matched
+from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
 from querysplat_cli.encoders.classical.pure_rotation import placed_alone, placed_by_rotation
-from querysplat_cli.encoders.classical.sparse_model import SparseModel, normalised
+from querysplat_cli.encoders.classical.sparse_model import SparseModel, in_first_camera_frame
 from querysplat_cli.encoders.classical.triangulation import triangulated
-from querysplat_cli.encoders.classical.trust import camera_warnings
 from querysplat_cli.runtime.errors import ImpossibleScene
 from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.cameras import PhotoCamera
@@ -21,15 +22,13 @@ from querysplat_cli.scene.match_cameras import match_cameras
 from querysplat_cli.scene.undistort import undistorted
 from querysplat_cli.scene.views import LeftOut, Photo
 
-THOROUGH_PHOTOS = 20
-"""Up to this many photos, those that were not placed are worth a slow second search for matches."""
-FEW_FEATURES = 0.2
-"""A photo with less than this share of the usual number of features is blurred, dark or plain."""
-
 
 @dataclass(frozen=True)
 class Placement:
-    """Cameras of some photos, by photo number. `epipolar_error` is that of the matches, in longer sides of a photo."""
+    """Cameras of some photos, by photo number.
+
+    `epipolar_error` is the median distance of the matches from their epipolar lines, in longer sides of a photo.
+    """
 
     model: SparseModel
     left_out: tuple[LeftOut, ...] = ()
@@ -37,46 +36,40 @@ class Placement:
     epipolar_error: float | None = None
 
 
-def estimate_cameras(
-    photos: Sequence[Photo],
-    *,
-    max_size: int,
-    seed: int,
-    progress: Progress,
-    known: Mapping[str, PhotoCamera] | None = None,
-) -> PosedViews:
-    """Cameras of the photos, and the photos undistorted at a longer side of at most `max_size` pixels.
+def estimate_cameras(photos: Sequence[Photo], request: CameraRequest, progress: Progress) -> PosedViews:
+    """Cameras of the photos, and the photos undistorted. Photos keep their order.
 
-    The first photo used is the origin and the median depth of the points, over all views that see them, is 1;
-    that holds for `known` cameras too, whose poses are otherwise kept. Photos stay in their order. Where
-    the camera only turned, all cameras stand at one place and there are no points; a single photo gets EXIF's
-    field of view, or 45°. Raises ImpossibleScene when no two photos can be related.
+    The camera of the first photo used is the origin. The median depth of the points, over all views that observe
+    them, is 1. Known cameras keep their poses up to this origin and unit. Where the camera turned without moving,
+    all cameras stand at one place and there are no points. A single photo gets EXIF's field of view, or else 45°.
+    Raises ImpossibleScene when no two photos can be related.
     """
     originals, copies = _without_copies(photos)
-    if known is not None:
-        placement = _place_known(originals, known, seed=seed, progress=progress)
+    if request.known is not None:
+        placement = _place_known(originals, request.known, seed=request.seed, progress=progress)
     elif len(originals) == 1:
         placement = _place_alone(originals[0])
     else:
-        placement = _place(originals, seed=seed, progress=progress)
+        placement = _place(originals, seed=request.seed, progress=progress)
     progress("removing lens distortion", 0.9)
-    model = normalised(placement.model)
+    model = in_first_camera_frame(placement.model)
     used = sorted(model.cameras)
-    views, cameras = undistorted([originals[i] for i in used], [model.cameras[i] for i in used], max_size=max_size)
+    photo_cameras = tuple(model.cameras[i] for i in used)
+    views, cameras = undistorted([originals[i] for i in used], photo_cameras, max_size=request.max_size)
     return PosedViews(
         views,
         cameras,
-        torch.from_numpy(model.points).float(),
-        tuple(torch.from_numpy(model.seen[i]) for i in used),
-        (*copies, *placement.left_out),
-        placement.warnings,
-        tuple(model.cameras[i] for i in used),
-        placement.epipolar_error and placement.epipolar_error * max(cameras.height, cameras.width),
+        points=torch.from_numpy(model.points).float(),
+        visibility=tuple(torch.from_numpy(model.seen[i]) for i in used),
+        left_out=(*copies, *placement.left_out),
+        warnings=placement.warnings,
+        photo_cameras=photo_cameras,
+        epipolar_error_px=placement.epipolar_error and placement.epipolar_error * max(cameras.height, cameras.width),
     )
 
 
 def _without_copies(photos: Sequence[Photo]) -> tuple[list[Photo], list[LeftOut]]:
-    """The photos that differ from all before them, and the copies."""
+    """The photos that differ from all earlier ones, and the copies."""
     if not photos:
         raise ImpossibleScene("there is no photo to make a scene of", "Give at least two photos of one place.")
     originals, copies = dict[tuple[tuple[int, ...], bytes], Photo](), []
@@ -89,7 +82,7 @@ def _without_copies(photos: Sequence[Photo]) -> tuple[list[Photo], list[LeftOut]
 
 def _place(photos: Sequence[Photo], *, seed: int, progress: Progress) -> Placement:
     matches, model = _mapped(photos, seed=seed, progress=progress, thorough=False)
-    if len(photos) <= THOROUGH_PHOTOS and _missing(matches, model):
+    if len(photos) <= CAMERA_POLICY.thorough_photos and _missing(matches, model):
         more, second = _mapped(photos, seed=seed, progress=progress, thorough=True)
         if second and (model is None or _better(second, more, model)):
             matches, model = more, second
@@ -98,15 +91,15 @@ def _place(photos: Sequence[Photo], *, seed: int, progress: Progress) -> Placeme
             f"no two of the {len(photos)} photos show the same thing",
             "Take photos that overlap by at least half, from places a step apart.",
         )
-    # Asked first: with a wrong focal length, structure from motion explains a turning camera as a moving one.
+    # Tested first: with a wrong focal length, structure from motion explains a turning camera as a moving one.
     turned = placed_by_rotation(matches)
     if turned:
-        sentence = "the camera turned but did not move, so nothing tells how far away things are"
+        sentence = "the camera turned but did not move, so distances cannot be measured"
         return Placement(turned, _left_out(photos, matches, turned), (sentence,))
     if model is None:
         raise ImpossibleScene(
-            f"the {len(photos)} photos overlap too little to tell where they were taken from",
-            "Add photos between those far apart, so that neighbours overlap by at least half.",
+            f"the {len(photos)} photos overlap too little to find their cameras",
+            "Add photos between those that are far apart, so that neighbours overlap by at least half.",
         )
     return Placement(
         model, _left_out(photos, matches, model), camera_warnings(model, matches), median_epipolar_error(model, matches)
@@ -122,9 +115,9 @@ def _mapped(
 
 
 def _missing(matches: Matches, model: SparseModel | None) -> list[int]:
-    """Photos that a longer search may place: not the blurred ones, nor those of another place."""
+    """Photos without a camera that a longer search may place: neither blurred ones nor those of another place."""
     placed = set(model.cameras) if model else set()
-    enough = FEW_FEATURES * float(np.median(matches.features))
+    enough = CAMERA_POLICY.few_features * float(np.median(matches.features))
     missing = []
     for photo, features in enumerate(matches.features):
         partners = matches.partners(photo)
@@ -135,15 +128,15 @@ def _missing(matches: Matches, model: SparseModel | None) -> list[int]:
 
 
 def _better(second: SparseModel, matches: Matches, first: SparseModel) -> bool:
-    return len(second.cameras) > len(first.cameras) and supported(second, matches).sound
+    return len(second.cameras) > len(first.cameras) and epipolar_support(second, matches).sound
 
 
 def _place_alone(photo: Photo) -> Placement:
     longer = max(photo.height, photo.width)
-    focal = photo.focal or DEFAULT_FOCAL * longer
+    focal = photo.focal or CAMERA_POLICY.assumed_focal * longer
     field = np.degrees(2 * np.arctan(longer / focal / 2))
-    source = "its EXIF data" if photo.focal else "assumption"
-    sentence = f"one photo has no parallax: depth is a guess, and the field of view ({field:.0f}°) is by {source}"
+    source = "taken from EXIF" if photo.focal else "assumed"
+    sentence = f"one photo has no parallax: depth is a guess, and the field of view ({field:.0f}°) is {source}"
     return Placement(placed_alone(focal, (photo.height, photo.width)), (), (sentence,))
 
 
@@ -161,19 +154,24 @@ def _place_known(
         progress("triangulating", 0.6)
         model = triangulated(list(cameras.values()), matches, seed=seed)
     numbers = list(cameras)
-    lenses = {numbers[i]: camera for i, camera in model.cameras.items()}
-    own = SparseModel(lenses, model.points, {numbers[i]: rows for i, rows in model.seen.items()})
-    return Placement(own, tuple(left_out), camera_warnings(model, matches), median_epipolar_error(model, matches))
+    renumbered = SparseModel(
+        {numbers[i]: camera for i, camera in model.cameras.items()},
+        model.points,
+        {numbers[i]: rows for i, rows in model.seen.items()},
+    )
+    return Placement(
+        renumbered, tuple(left_out), camera_warnings(model, matches), median_epipolar_error(model, matches)
+    )
 
 
 def _left_out(photos: Sequence[Photo], matches: Matches, model: SparseModel) -> tuple[LeftOut, ...]:
-    usual = float(np.median(matches.features))
+    enough = CAMERA_POLICY.few_features * float(np.median(matches.features))
     reasons = []
     for number, photo in enumerate(photos):
         if number in model.cameras:
             continue
         partners = matches.partners(number)
-        if matches.features[number] < FEW_FEATURES * usual:
+        if matches.features[number] < enough:
             why = "it has too little detail to match: blurred, dark or plain"
         elif set(partners) & set(model.cameras):
             why = "it overlaps too little with the photos used"

@@ -1,40 +1,30 @@
-"""What the views say about each other's depth: confirmation, and free space."""
+"""Comparing the depths of all views: which ones others confirm, and which guesses stand in free space."""
 
 import cv2
 import numba as nb
 import numpy as np
 
-AGREEMENT = (0.02, 0.1)
-"""Two views confirm each other up to one pixel of disparity, but within these relative depth differences."""
-FORGIVEN = 0.3
-"""Matching cost that takes nothing from the confidence."""
-SPECK = 24
-"""A confirmed patch of fewer pixels is an accident."""
-SPECK_STEP = 0.03
-"""Relative change of depth between neighbours of one patch."""
-GUESS = 0.25
-"""Confidence below which a depth is a guess."""
-MEASURED = 0.5
-"""Confidence from which a depth says that the space before it is empty."""
-IN_FRONT = 0.05
-"""A guess may stand before a measured surface by this fraction of its depth."""
-IN_FRONT_OF_GUESS = 0.1
-"""The same before another guess; up to `IN_FRONT` the two support each other."""
-OTHER_COLOUR, SAME_COLOUR = 0.05, 0.1
-"""Colour difference above which a guess cannot be what another view sees, and below which it can."""
-COLOUR_WINDOW = 7
-"""Colours are compared as means over so many pixels a side."""
-PUSH = 0.9
-"""A guess's inverse depth is lowered by this factor until it hides nothing."""
+from querysplat_cli.encoders.classical.policy import DEPTH_POLICY
+
+# Plain numbers, since a compiled kernel cannot read a dataclass.
+_LEAST_AGREEMENT, _MOST_AGREEMENT = DEPTH_POLICY.agreement
+_MEASURED_CONFIDENCE = DEPTH_POLICY.measured_confidence
+_IN_FRONT = DEPTH_POLICY.in_front
+_IN_FRONT_OF_GUESS = DEPTH_POLICY.in_front_of_guess
+_OTHER_COLOUR, _SAME_COLOUR = DEPTH_POLICY.other_colour, DEPTH_POLICY.same_colour
+_PUSH_BACK = DEPTH_POLICY.push_back
 
 
 def confirm(
     inverse: np.ndarray, match: np.ndarray, K: np.ndarray, w2c: np.ndarray, sources: list[list[int]]
 ) -> np.ndarray:
-    """Confidence [views, height, width] in [0, 1]: how many of its sources put a surface where a view saw one.
+    """Confidence [views, height, width] in [0, 1] of depths that the views' sources confirm.
 
-    `inverse` depths and `match` (0 perfect, 1 none) are [views, height, width]; cameras in float64.
+    It is 1 where two sources find the same surface, 1/2 where one of several does, and less where the match is poor.
+    `inverse` depth and matching cost `match` (0 perfect, 1 none) are [views, height, width]. `K` [views, 3, 3] and
+    `w2c` [views, 4, 4] are in float64. `sources` are the views that each view was measured against.
     """
+    policy = DEPTH_POLICY
     confidence = np.zeros(inverse.shape, np.float32)
     for v, others in enumerate(sources):
         if not others:
@@ -43,8 +33,8 @@ def confirm(
         baselines = np.array([np.linalg.norm((w2c[s] @ np.linalg.inv(w2c[v]))[:3, 3]) * K[s, 0, 0] for s in others])
         votes = np.zeros(inverse.shape[1:], np.float32)
         _vote(votes, inverse, inverse[v], views, leads, shifts, baselines)
-        confidence[v] = np.minimum(votes / min(2, len(others)), 1) * np.clip(1 + FORGIVEN - match[v], 0, 1)
-        confidence[v] *= _patches(inverse[v], confidence[v] >= GUESS)
+        confidence[v] = np.minimum(votes / min(2, len(others)), 1) * np.clip(1 + policy.forgiven_cost - match[v], 0, 1)
+        confidence[v] *= _outside_specks(inverse[v], confidence[v] >= policy.guess_confidence)
     return confidence
 
 
@@ -57,20 +47,21 @@ def carve(
     others: list[list[int]],
     least: list[float],
 ) -> np.ndarray:
-    """Inverse depth [views, height, width] with guesses pushed back along their rays out of free space.
+    """Inverse depth [views, height, width] in which no guess stands in free space: guesses move back along their rays.
 
-    A guess must not hide what another view measured. It must not hide other guesses of another colour either,
-    unless as many views agree with it in depth and colour. `pictures` are [views, height, width, 3] in [0, 1],
-    `others` are the views to ask for each view, `least` is the smallest inverse depth of each view.
+    A guess must not hide a surface that another view measured. It must not hide guesses of another colour either,
+    unless as many views agree with it in depth and colour. `pictures` are [views, height, width, 3] in [0, 1].
+    For each view, `others` are the views to compare with, and `least` is the smallest inverse depth.
     """
+    window = DEPTH_POLICY.colour_window
     carved = inverse.copy()
-    blurred = np.stack([cv2.blur(picture, (COLOUR_WINDOW, COLOUR_WINDOW)) for picture in pictures])
-    for v, asked in enumerate(others):
-        guess = confidence[v] < GUESS
-        if not asked or not guess.any():
+    blurred = np.stack([cv2.blur(picture, (window, window)) for picture in pictures])
+    for v, compared in enumerate(others):
+        guess = confidence[v] < DEPTH_POLICY.guess_confidence
+        if not compared or not guess.any():
             continue
-        known = inverse, confidence, blurred
-        _carve_view(carved[v], guess, blurred[v], *known, *_projections(v, asked, K, w2c), least[v])
+        maps = inverse, confidence, blurred
+        _carve_view(carved[v], guess, blurred[v], *maps, *_projections(v, compared, K, w2c), least[v])
         carved[v][guess] = cv2.medianBlur(carved[v], 5)[guess]
     return carved
 
@@ -78,7 +69,7 @@ def carve(
 def _projections(
     view: int, others: list[int], K: np.ndarray, w2c: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Numbers of the other views, and A, b so that a pixel p of inverse depth q falls on A·p + q·b in them."""
+    """Numbers of the other views, and A, b for each: a pixel p of inverse depth q projects to A·p + q·b there."""
     back, to_rays = np.linalg.inv(w2c[view]), np.linalg.inv(K[view])
     relative = [w2c[s] @ back for s in others]
     leads = np.stack([K[s] @ T[:3, :3] @ to_rays for s, T in zip(others, relative, strict=True)])
@@ -86,18 +77,18 @@ def _projections(
     return np.array(others), leads, shifts
 
 
-def _patches(inverse: np.ndarray, sure: np.ndarray) -> np.ndarray:
-    """False on sure pixels that form a small island of their own."""
+def _outside_specks(inverse: np.ndarray, sure: np.ndarray) -> np.ndarray:
+    """False on `sure` pixels that form a small patch of their own; True elsewhere."""
     nothing = -30000
-    levels = np.clip(np.log(inverse) / SPECK_STEP * 16, -20000, 20000).astype(np.int16)
+    levels = np.clip(np.log(inverse) / DEPTH_POLICY.speck_step * 16, -20000, 20000).astype(np.int16)
     levels[~sure] = nothing
-    cv2.filterSpeckles(levels, nothing, SPECK, 16)
+    cv2.filterSpeckles(levels, nothing, DEPTH_POLICY.speck_pixels, 16)
     return (levels != nothing) | ~sure
 
 
 @nb.njit(cache=True, error_model="numpy")
 def _surface(x, y, inverse_here, inverse, view, lead, shift):
-    """Depth of the point in `view` over the depth measured there, and where; 0 outside the picture."""
+    """Depth of the point in `view` over the view's own depth there, and that pixel; 0 outside the picture."""
     height, width = inverse.shape[1:]
     z = lead[2, 0] * x + lead[2, 1] * y + lead[2, 2] + inverse_here * shift[2]
     if z <= 1e-6:
@@ -117,7 +108,7 @@ def _vote(votes, inverse, own, views, leads, shifts, baselines):
             here = float(own[y, x])
             for n in range(len(views)):
                 ratio, _, _ = _surface(x + 0.5, y + 0.5, here, inverse, views[n], leads[n], shifts[n])
-                tolerance = min(max(1 / (baselines[n] * here), AGREEMENT[0]), AGREEMENT[1])
+                tolerance = min(max(1 / (baselines[n] * here), _LEAST_AGREEMENT), _MOST_AGREEMENT)
                 if ratio > 0 and abs(ratio - 1) < tolerance:
                     votes[y, x] += 1
 
@@ -130,25 +121,26 @@ def _carve_view(carved, guess, colour, inverse, confidence, blurred, views, lead
             if not guess[y, x]:
                 continue
             here = float(carved[y, x])
-            known = inverse, confidence, blurred
-            while here > least and _hides(x + 0.5, y + 0.5, here, colour[y, x], *known, views, leads, shifts):
-                here *= PUSH
+            maps = inverse, confidence, blurred
+            while here > least and _hides(x + 0.5, y + 0.5, here, colour[y, x], *maps, views, leads, shifts):
+                here *= _PUSH_BACK
             carved[y, x] = max(here, least)
 
 
 @nb.njit(cache=True, error_model="numpy")
 def _hides(x, y, here, colour, inverse, confidence, blurred, views, leads, shifts):
+    """Whether a guess of this inverse depth hides a measured surface, or more guesses than support it."""
     balance = 0
     for n in range(len(views)):
         ratio, column, row = _surface(x, y, here, inverse, views[n], leads[n], shifts[n])
         if ratio <= 0:
             continue
-        if ratio < 1 - IN_FRONT and confidence[views[n], row, column] >= MEASURED:
+        if ratio < 1 - _IN_FRONT and confidence[views[n], row, column] >= _MEASURED_CONFIDENCE:
             return True
-        strange = _difference(colour, blurred[views[n], row, column])
-        if ratio < 1 - IN_FRONT_OF_GUESS and strange > OTHER_COLOUR:
+        difference = _difference(colour, blurred[views[n], row, column])
+        if ratio < 1 - _IN_FRONT_OF_GUESS and difference > _OTHER_COLOUR:
             balance += 1
-        elif abs(ratio - 1) < IN_FRONT and strange < SAME_COLOUR:
+        elif abs(ratio - 1) < _IN_FRONT and difference < _SAME_COLOUR:
             balance -= 1
     return balance > 0
 

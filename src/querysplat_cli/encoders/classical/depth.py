@@ -1,4 +1,4 @@
-"""Depth of every view, from photos whose cameras are known (classical multi-view stereo)."""
+"""Depth of every view by classical multi-view stereo, from photos with cameras."""
 
 from dataclasses import replace
 
@@ -8,28 +8,24 @@ import torch
 
 from querysplat_cli.encoders.base import Geometry, PosedViews
 from querysplat_cli.encoders.classical.consistency import carve, confirm
-from querysplat_cli.encoders.classical.features import PATCH, patch_features
-from querysplat_cli.encoders.classical.fill import fill
+from querysplat_cli.encoders.classical.fill_depth import fill_depth
 from querysplat_cli.encoders.classical.neighbours import InverseRange, choose_sources, inverse_range, nearest_views
-from querysplat_cli.encoders.classical.patchmatch import Planes, Source, refine
-from querysplat_cli.encoders.classical.semiglobal import aggregate, choose
+from querysplat_cli.encoders.classical.patch_features import PATCH, patch_features
+from querysplat_cli.encoders.classical.patchmatch import Planes, Source, refine_planes
+from querysplat_cli.encoders.classical.policy import DEPTH_POLICY
+from querysplat_cli.encoders.classical.semiglobal import aggregate_costs, best_planes
 from querysplat_cli.encoders.classical.sweep import cost_volume
 from querysplat_cli.runtime.progress import Progress
-
-PLANES = (48, 256)
-"""Fewest and most planes of a sweep."""
-STEEP = 0.02
-"""Relative change of inverse depth from pixel to pixel that is taken for an edge, not a slope."""
 
 
 def estimate_geometry(posed: PosedViews, *, seed: int, progress: Progress) -> Geometry:
     """Depth, confidence and patch features of every view.
 
-    A sweep at half size finds the surfaces, two rounds of plane refinement sharpen them, the second one
-    knowing what the other views found. Confidence is near 1 where two other views confirm the depth, about
-    1/2 where one does, and 0 where it had to be filled in; a filled depth never stands before what other
-    views measured. Without parallax there is nothing to measure: depth is then constant, of confidence 0,
-    and `warnings` says so. `seed` is not needed: nothing here is random.
+    A sweep at half size finds the surfaces. Two rounds of plane refinement sharpen them; the second one also compares
+    with the depths of the other views. Confidence is near 1 where two other views confirm a depth, about 1/2 where
+    one does, and 0 where the depth was filled in. A filled depth never stands in front of what other views measured.
+    Without parallax, the depth is constant with confidence 0, and `warnings` says so. `seed` is unused: nothing is
+    random here.
     """
     del seed
     views = posed.views
@@ -38,26 +34,26 @@ def estimate_geometry(posed: PosedViews, *, seed: int, progress: Progress) -> Ge
     ranges = [inverse_range(posed, v) for v in range(len(views))]
     if not any(sources):
         depth = np.stack([np.full(masks.shape[1:], 1 / limits.middle, np.float32) for limits in ranges])
-        doubt = "depth is a guess: there is no parallax to measure it by"
-        return _geometry(posed, depth, np.zeros_like(depth), (doubt,))
+        warning = "depth is a guess: there is no parallax to measure it by"
+        return _geometry(posed, depth, np.zeros_like(depth), (warning,))
     photos = _as_sources(posed)
     planes = []
     for v, chosen in enumerate(sources):
         planes.append(_first_planes(photos, v, chosen, ranges[v]))
         progress(views.names[v], 0.6 * (v + 1) / len(views))
-    known = [replace(photo, inverse=found.inverse) for photo, found in zip(photos, planes, strict=True)]
+    measured = [replace(photo, inverse=found.inverse) for photo, found in zip(photos, planes, strict=True)]
     inverse, match = np.empty(masks.shape, np.float32), np.ones(masks.shape, np.float32)
     for v, chosen in enumerate(sources):
         inverse[v] = planes[v].inverse
         if chosen:
-            found, match[v] = refine(known[v], [known[s] for s in chosen], planes[v], ranges[v])
+            found, match[v] = refine_planes(measured[v], [measured[s] for s in chosen], planes[v], ranges[v])
             inverse[v] = found.inverse
         progress(f"refining {views.names[v]}", 0.6 + 0.3 * (v + 1) / len(views))
     K, w2c = (part.double().numpy() for part in (posed.cameras.K, posed.cameras.w2c))
     confidence = confirm(inverse, match, K, w2c, sources) * masks
     pictures = views.images.permute(0, 2, 3, 1).contiguous().numpy()
     for v in range(len(views)):
-        inverse[v] = fill(inverse[v], confidence[v], pictures[v], masks[v])
+        inverse[v] = fill_depth(inverse[v], confidence[v], pictures[v], masks[v])
         inverse[v] = np.clip(inverse[v], ranges[v].far, ranges[v].near)
     progress("clearing free space", 0.95)
     least = [limits.far for limits in ranges]
@@ -71,7 +67,7 @@ def _geometry(posed: PosedViews, depth: np.ndarray, confidence: np.ndarray, warn
 
 
 def _as_sources(posed: PosedViews) -> list[Source]:
-    """Every view as grey picture and camera, with no depth known yet."""
+    """Every view as a grey picture with its camera, without depth."""
     views, cameras = posed.views, posed.cameras
     photos = []
     for image, mask, K, w2c in zip(views.images, views.masks, cameras.K, cameras.w2c, strict=True):
@@ -82,19 +78,19 @@ def _as_sources(posed: PosedViews) -> list[Source]:
 
 
 def _first_planes(photos: list[Source], view: int, sources: list[int], limits: InverseRange) -> Planes:
-    """The surfaces of one view, as far as it and its sources tell; constant where it has no source."""
+    """The surfaces of one view from its own sources; constant where it has none."""
     grey = photos[view].grey
     if not sources:
         flat = np.zeros_like(grey)
         return Planes(np.full_like(grey, limits.middle), flat, flat)
     others = [photos[s] for s in sources]
     start = _swept(_halved(photos[view]), [_halved(other) for other in others], limits)
-    found, _ = refine(photos[view], others, start, limits)
+    found, _ = refine_planes(photos[view], others, start, limits)
     return found
 
 
 def _halved(photo: Source) -> Source:
-    """The same view at half the size; a pixel that lacks one of its four has no picture."""
+    """The same view at half the size. A pixel has no picture where one of its four pixels has none."""
     height, width = photo.grey.shape
     blocks = photo.grey.reshape(height // 2, 2, width // 2, 2)
     grey = np.where(blocks.min((1, 3)) < 0, np.float32(-1), blocks.mean((1, 3)))
@@ -102,16 +98,16 @@ def _halved(photo: Source) -> Source:
 
 
 def _swept(view: Source, others: list[Source], limits: InverseRange) -> Planes:
-    """Surfaces at the size of `view`, given back at twice that size."""
+    """Surfaces by a sweep at the size of `view`, enlarged to twice that size."""
     relative = [other.seen_from(view) for other in others]
     # About one pixel of disparity from plane to plane in the source with the longest baseline.
     shift = max(np.linalg.norm(T[:3, 3]) * other.K[0, 0] for other, T in zip(others, relative, strict=True))
-    planes = int(np.clip(shift * (limits.near - limits.far), *PLANES))
+    planes = int(np.clip(shift * (limits.near - limits.far), *DEPTH_POLICY.planes))
     steps = np.linspace(limits.far, limits.near, planes)
     costs = cost_volume(view.grey, view.K, [(o.grey, o.K, T) for o, T in zip(others, relative, strict=True)], steps)
-    inverse = np.interp(choose(aggregate(costs, view.grey)), np.arange(planes), steps).astype(np.float32)
+    inverse = np.interp(best_planes(aggregate_costs(costs, view.grey)), np.arange(planes), steps).astype(np.float32)
     smooth = cv2.medianBlur(inverse, 5)
     slope_y, slope_x = (slope / 2 for slope in np.gradient(smooth))
-    edge = np.abs(slope_x) + np.abs(slope_y) > STEEP * smooth
+    edge = np.abs(slope_x) + np.abs(slope_y) > DEPTH_POLICY.edge_slope * smooth
     slope_x[edge] = slope_y[edge] = 0
     return Planes(*(part.repeat(2, 0).repeat(2, 1) for part in (inverse, slope_x, slope_y)))

@@ -1,4 +1,4 @@
-"""Do cameras agree with the matches between their photos?"""
+"""How well cameras agree with the matches between their photos."""
 
 from dataclasses import dataclass
 
@@ -6,25 +6,17 @@ import cv2
 import numpy as np
 
 from querysplat_cli.encoders.classical.matches import Matches, Pair
+from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
 from querysplat_cli.encoders.classical.sparse_model import SparseModel
 from querysplat_cli.scene.cameras import PhotoCamera
-
-TOLERANCE = 4.0
-"""Pixels that a match may lie from where the cameras expect it (COLMAP's threshold for verified pairs)."""
-
-
-AGREEING = 0.8
-"""Share of the matches between placed photos that a sound model explains."""
-COVERED = 0.3
-"""Share of the matched features that became points in a sound model."""
 
 
 @dataclass(frozen=True)
 class Support:
-    """How far matches speak for a model.
+    """How well matches support a model.
 
-    `explained` of all `matches` between its photos agree with its cameras; `coverage` is the share of the
-    matched features that became points.
+    `explained` of all `matches` between its photos agree with its cameras. `coverage` is the share of the matched
+    features that became points.
     """
 
     explained: int
@@ -37,26 +29,26 @@ class Support:
 
     @property
     def sound(self) -> bool:
-        return self.share >= AGREEING and self.coverage >= COVERED
+        return self.share >= CAMERA_POLICY.agreeing_share and self.coverage >= CAMERA_POLICY.covered_share
 
     @property
     def score(self) -> float:
         """Larger for the better of two models of the same photos."""
-        return self.explained * min(1.0, self.coverage / COVERED)
+        return self.explained * min(1.0, self.coverage / CAMERA_POLICY.covered_share)
 
 
-def supported(model: SparseModel, matches: Matches) -> Support:
-    """How many verified matches lie within `TOLERANCE` of their epipolar lines.
+def epipolar_support(model: SparseModel, matches: Matches) -> Support:
+    """How many verified matches lie within `epipolar_tolerance` of their epipolar lines.
 
-    Pairs were verified one by one, each with its own geometry, so a folded or bent model that keeps its own
-    points' reprojection error small still contradicts them.
+    Each pair was verified with a geometry of its own. So a folded or bent model contradicts the matches, even where
+    the reprojection error of its own points is small.
     """
     explained = total = 0
     matched = dict.fromkeys(model.cameras, 1)
     for pair in matches.pairs:
         if pair.first in model.cameras and pair.second in model.cameras:
             cameras = model.cameras[pair.first], model.cameras[pair.second]
-            explained += int((epipolar_error(pair, *cameras) < TOLERANCE).sum())
+            explained += int((epipolar_error(pair, *cameras) < CAMERA_POLICY.epipolar_tolerance).sum())
             total += len(pair)
             for photo in (pair.first, pair.second):
                 matched[photo] = max(matched[photo], len(pair))
@@ -65,9 +57,9 @@ def supported(model: SparseModel, matches: Matches) -> Support:
 
 
 def median_epipolar_error(model: SparseModel, matches: Matches) -> float | None:
-    """The median distance of matches from their epipolar lines, as a share of a photo's longer side; None without any.
+    """The median distance of matches from their epipolar lines, in longer sides of a photo; None without matches.
 
-    Unlike the error of points, it does not leave out what fits badly.
+    Unlike the reprojection error of points, it does not leave out the matches that fit badly.
     """
     shares = []
     for pair in matches.pairs:
@@ -80,7 +72,7 @@ def median_epipolar_error(model: SparseModel, matches: Matches) -> float | None:
 def rays(pixels: np.ndarray, camera: PhotoCamera) -> np.ndarray:
     """Camera coordinates [n, 2] at z = 1 of a photo's pixels [n, 2], centres at +0.5, distortion removed."""
     K = np.array([[camera.focal[0], 0, camera.principal[0]], [0, camera.focal[1], camera.principal[1]], [0, 0, 1]])
-    # OpenCV needs no shift here: pixels and principal point are counted from the same corner.
+    # OpenCV needs no shift here: pixels and principal point use the same origin.
     flat = cv2.undistortPoints(pixels.reshape(-1, 1, 2), K, np.array(camera.distortion))
     return np.asarray(flat.reshape(-1, 2), dtype=np.float64)
 

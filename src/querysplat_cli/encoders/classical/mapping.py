@@ -1,21 +1,21 @@
 """Structure from motion: matches in, cameras and points out (COLMAP's incremental mapper)."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
 import pycolmap
 
-from querysplat_cli.encoders.classical.adjustment import refined
-from querysplat_cli.encoders.classical.epipolar import supported
+from querysplat_cli.encoders.classical.bundle_adjustment import bundle_adjusted
+from querysplat_cli.encoders.classical.camera_warnings import has_ordinary_lens
+from querysplat_cli.encoders.classical.epipolar import epipolar_support
 from querysplat_cli.encoders.classical.matches import Matches
+from querysplat_cli.encoders.classical.policy import CAMERA_POLICY, Attempt
 from querysplat_cli.encoders.classical.sparse_model import SparseModel
-from querysplat_cli.encoders.classical.trust import has_ordinary_lens
 from querysplat_cli.scene.cameras import PhotoCamera
 
-DISTORTION: dict[str, Callable[..., tuple[float, float, float, float]]] = {
+COLMAP_DISTORTION: dict[str, Callable[..., tuple[float, float, float, float]]] = {
     "SIMPLE_PINHOLE": lambda: (0.0, 0.0, 0.0, 0.0),
     "PINHOLE": lambda: (0.0, 0.0, 0.0, 0.0),
     "SIMPLE_RADIAL": lambda k: (k, 0.0, 0.0, 0.0),
@@ -25,58 +25,30 @@ DISTORTION: dict[str, Callable[..., tuple[float, float, float, float]]] = {
 """OpenCV's (k1, k2, p1, p2) from the extra parameters of COLMAP's lens models."""
 
 
-@dataclass(frozen=True)
-class Attempt:
-    """How much the mapper asks of its first pair and of the photos it adds.
-
-    Angles in degrees: between the rays of the first pair (`start_angle`) and of any point (`point_angle`).
-    `fit_lens` False keeps the focal length at its first guess.
-    """
-
-    start_angle: float
-    start_inliers: int
-    point_angle: float
-    pose_inliers: int
-    forward_motion: float
-    fit_lens: bool = True
-
-
-ATTEMPTS = (
-    # Handfuls of photos need less than COLMAP asks of a thousand, and all their two-view tracks.
-    Attempt(start_angle=4.0, start_inliers=50, point_angle=1.5, pose_inliers=20, forward_motion=0.95),
-    Attempt(start_angle=1.0, start_inliers=20, point_angle=0.5, pose_inliers=15, forward_motion=1.0),
-    Attempt(start_angle=12.0, start_inliers=80, point_angle=1.5, pose_inliers=20, forward_motion=0.95),
-    # Where the camera hardly moved, nothing holds the focal length.
-    Attempt(start_angle=0.2, start_inliers=20, point_angle=0.1, pose_inliers=15, forward_motion=1.0, fit_lens=False),
-)
-EXTENDING = Attempt(start_angle=1.0, start_inliers=20, point_angle=0.5, pose_inliers=12, forward_motion=1.0)
-
-
 def map_photos(matches: Matches, *, seed: int) -> SparseModel | None:
     """The model that explains most of the matches, or None when no two photos make one.
 
-    Each attempt starts from other photos; the first that places all photos which matches connect, in
-    agreement with those matches, ends the search.
+    The search ends with the first attempt whose model is sound and contains all photos that matches connect.
     """
     connected = len(matches.largest_group())
     best: tuple[float, pycolmap.Reconstruction, Attempt] | None = None
-    for attempt in ATTEMPTS:
+    for attempt in CAMERA_POLICY.attempts:
         for reconstruction in _mapped(matches, attempt, seed):
             model = from_colmap(reconstruction)
-            support, ordinary = supported(model, matches), has_ordinary_lens(model)
+            support, ordinary = epipolar_support(model, matches), has_ordinary_lens(model)
             score = support.score if ordinary else support.score / 2
             if best is None or score > best[0]:
                 best = score, reconstruction, attempt
             if len(model.cameras) >= connected and support.sound and ordinary:
-                return from_colmap(refined(reconstruction, fit_lens=attempt.fit_lens))
+                return from_colmap(bundle_adjusted(reconstruction, fit_lens=attempt.fit_lens))
     if best is None:
         return None
     _, reconstruction, attempt = best
-    return from_colmap(refined(_extended(reconstruction, matches, seed), fit_lens=attempt.fit_lens))
+    return from_colmap(bundle_adjusted(_extended(reconstruction, matches, seed), fit_lens=attempt.fit_lens))
 
 
 def from_colmap(reconstruction: pycolmap.Reconstruction) -> SparseModel:
-    """COLMAP's placed images and their points, numbered as our photos."""
+    """COLMAP's placed images and their points, by our photo numbers."""
     ids = sorted(reconstruction.points3D)
     row = {point: i for i, point in enumerate(ids)}
     points = np.array([reconstruction.points3D[point].xyz for point in ids]).reshape(-1, 3)
@@ -99,7 +71,7 @@ def _photo_camera(camera: pycolmap.Camera, pose: np.ndarray) -> PhotoCamera:
         w2c,
         (float(camera.focal_length_x), float(camera.focal_length_y)),
         (float(camera.principal_point_x), float(camera.principal_point_y)),
-        DISTORTION[camera.model_name](*extra),
+        COLMAP_DISTORTION[camera.model_name](*extra),
         camera.height,
         camera.width,
     )
@@ -108,7 +80,7 @@ def _photo_camera(camera: pycolmap.Camera, pose: np.ndarray) -> PhotoCamera:
 def _mapped(
     matches: Matches, attempt: Attempt, seed: int, start: pycolmap.Reconstruction | None = None
 ) -> list[pycolmap.Reconstruction]:
-    """COLMAP's models of the photos, or the one that grows from `start`."""
+    """COLMAP's models of the photos, or the one that extends `start`."""
     options = _options(attempt, seed)
     with TemporaryDirectory(dir=matches.folder) as folder:
         before = Path(folder, "before")
@@ -123,9 +95,9 @@ def _mapped(
 
 
 def _extended(model: pycolmap.Reconstruction, matches: Matches, seed: int) -> pycolmap.Reconstruction:
-    """The model with those photos added that have only a few matches with it, if it stays as sound."""
-    for grown in _mapped(matches, EXTENDING, seed, model):
-        if supported(from_colmap(grown), matches).score > supported(from_colmap(model), matches).score:
+    """The model, extended by photos that have few matches with it where that raises its score."""
+    for grown in _mapped(matches, CAMERA_POLICY.extending, seed, model):
+        if epipolar_support(from_colmap(grown), matches).score > epipolar_support(from_colmap(model), matches).score:
             model = grown
     return model
 
@@ -134,7 +106,7 @@ def _options(attempt: Attempt, seed: int) -> pycolmap.IncrementalPipelineOptions
     options = pycolmap.IncrementalPipelineOptions()
     options.min_model_size = 2
     options.extract_colors = False
-    # One thread and one seed: the same photos give the same bits.
+    # With one thread and one seed, the same photos give the same bits.
     options.num_threads = 1
     options.random_seed = seed
     options.mapper.init_min_tri_angle = attempt.start_angle

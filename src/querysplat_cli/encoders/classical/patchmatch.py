@@ -1,9 +1,8 @@
 """PatchMatch refinement (Bleyer et al. 2011; red and black pixels as in Galliani et al. 2015).
 
-Every pixel carries a plane, held as its inverse depth and that inverse depth's slope along x and y: a plane in
-space is exactly linear in inverse depth over the picture. Pixels take over a neighbour's plane, or a small
-change of their own, where that explains the sources better; so surfaces seen at a slant match, and depth is
-found between and beyond the planes of the sweep.
+Every pixel has a plane, stored as its inverse depth and the slopes of the inverse depth along x and y: in a picture,
+the inverse depth of a plane is exactly linear. A pixel takes a neighbour's plane, or a small change of its own, where
+that explains the sources better. So slanted surfaces match well, and depths between the planes of the sweep are found.
 """
 
 from dataclasses import dataclass
@@ -12,23 +11,21 @@ import numba as nb
 import numpy as np
 
 from querysplat_cli.encoders.classical.neighbours import InverseRange
-from querysplat_cli.encoders.classical.sweep import FLAT, UNSEEN
+from querysplat_cli.encoders.classical.policy import DEPTH_POLICY
 
-REACH = 4
-"""The window reaches this many pixels to each side, taking every second one: 25 samples."""
-SIMILAR = 0.08
-"""Brightness difference ([0, 1]) at which a sample's weight in the window has fallen to 1/e."""
-PULL = 0.15
-"""Cost of leaving the starting depth, so that plain surfaces stay where the sweep's smoothness put them."""
-DISAGREE = 0.4
-"""Cost of a depth that the source's own depth contradicts."""
-TOLERANCE = 0.02
-"""Relative depth difference from which the two costs above are paid in full."""
+# Plain numbers, since a compiled kernel cannot read a dataclass.
+_REFINEMENT_REACH = DEPTH_POLICY.refinement_reach
+_SIMILAR_BRIGHTNESS = DEPTH_POLICY.similar_brightness
+_PRIOR_COST = DEPTH_POLICY.prior_cost
+_CONTRADICTION_COST = DEPTH_POLICY.contradiction_cost
+_FULL_COST_DIFFERENCE = DEPTH_POLICY.full_cost_difference
+_UNSEEN_COST = DEPTH_POLICY.unseen_cost
+_CORRELATION_FLOOR = DEPTH_POLICY.correlation_floor
 
 
 @dataclass(frozen=True)
 class Planes:
-    """A plane for each pixel: `inverse` depth [height, width] and its change per pixel along x and y."""
+    """A plane for each pixel [height, width]: its `inverse` depth, and how that changes per pixel along x and y."""
 
     inverse: np.ndarray
     slope_x: np.ndarray
@@ -37,8 +34,11 @@ class Planes:
 
 @dataclass(frozen=True)
 class Source:
-    """A view, [height, width]: grey in [0, 1] (negative: no picture), intrinsics, world-to-camera, and its inverse
-    depth where that is known already (zero: unknown)."""
+    """A view that another one is compared with.
+
+    `grey` [height, width] is in [0, 1], negative where there is no picture. `K` [3, 3] has pixel centres at +0.5,
+    `w2c` is [4, 4]. `inverse` [height, width] is the view's inverse depth, 0 where it is unknown.
+    """
 
     grey: np.ndarray
     K: np.ndarray
@@ -50,10 +50,13 @@ class Source:
         return np.asarray(self.w2c @ np.linalg.inv(other.w2c))
 
 
-def refine(view: Source, sources: list[Source], start: Planes, limits: InverseRange) -> tuple[Planes, np.ndarray]:
-    """Better planes, and how badly they match: 0 perfect, 1 not at all, [height, width].
+def refine_planes(
+    view: Source, sources: list[Source], start: Planes, limits: InverseRange
+) -> tuple[Planes, np.ndarray]:
+    """Better planes, and their matching cost [height, width] from 0 (perfect) to 1 (no match).
 
-    The prior that plain surfaces keep to is `start`. Deterministic: the changes tried are a fixed pattern.
+    Leaving `start` costs something, which keeps even surfaces smooth. The changes that are tried follow a fixed
+    pattern, so equal inputs give equal bits.
     """
     to_rays = np.linalg.inv(view.K)
     relative = [source.seen_from(view) for source in sources]
@@ -80,7 +83,7 @@ def refine(view: Source, sources: list[Source], start: Planes, limits: InverseRa
 
 @nb.njit(cache=True, error_model="numpy", parallel=True, fastmath=True)
 def _improve(state, colour, turn, grey, leads, shifts, pictures, known, prior, least, most):
-    """Improve the pixels of one colour of the chessboard; turn 0 only measures them."""
+    """Improve the pixels of one colour of the chessboard. Turn 0 only measures their cost."""
     height, width = grey.shape
     for y in nb.prange(height):
         samples = np.empty(25, np.float32)
@@ -122,7 +125,7 @@ def _improve(state, colour, turn, grey, leads, shifts, pictures, known, prior, l
 
 @nb.njit(cache=True, error_model="numpy", inline="always")
 def _best_towards(state, x, y, direction, width, height):
-    """The best matched of the pixels 1, 3 and 7 to one side; all have the other colour."""
+    """The pixel of lowest cost among those 1, 3 and 7 to one side; all have the other colour."""
     step_x = (1, -1, 0, 0)[direction]
     step_y = (0, 0, 1, -1)[direction]
     best_x, best_y, best = -1, -1, np.float32(1e9)
@@ -135,7 +138,7 @@ def _best_towards(state, x, y, direction, width, height):
 
 @nb.njit(cache=True, error_model="numpy", inline="always")
 def _noise(x, y, turn, which):
-    """A number in [-1, 1) that depends on the arguments alone."""
+    """A pseudo-random number in [-1, 1) that depends on the arguments alone."""
     bits = np.uint32(x * 73856093) ^ np.uint32(y * 19349663) ^ np.uint32((3 * turn + which + 1) * 83492791)
     bits = (bits ^ (bits >> np.uint32(13))) * np.uint32(0x5BD1E995)
     bits = (bits ^ (bits >> np.uint32(15))) * np.uint32(0x27D4EB2D)
@@ -144,14 +147,14 @@ def _noise(x, y, turn, which):
 
 @nb.njit(cache=True, error_model="numpy", fastmath=True, forceinline=True)
 def _window(grey, x, y, samples, weights):
-    """Fill the reference samples and their weights (which sum to one); return their mean and variance."""
+    """Fill the reference samples and their weights, which sum to one; return the mean and the variance."""
     height, width = grey.shape
     total = mean = square = np.float32(0)
     n = 0
-    for dy in range(-REACH, REACH + 1, 2):
-        for dx in range(-REACH, REACH + 1, 2):
+    for dy in range(-_REFINEMENT_REACH, _REFINEMENT_REACH + 1, 2):
+        for dx in range(-_REFINEMENT_REACH, _REFINEMENT_REACH + 1, 2):
             value = grey[min(max(y + dy, 0), height - 1), min(max(x + dx, 0), width - 1)]
-            weight = np.exp(-abs(value - grey[y, x]) / np.float32(SIMILAR)) if value >= 0 else np.float32(0)
+            weight = np.exp(-abs(value - grey[y, x]) / np.float32(_SIMILAR_BRIGHTNESS)) if value >= 0 else np.float32(0)
             samples[n], weights[n] = value, weight
             total += weight
             mean += weight * value
@@ -160,14 +163,14 @@ def _window(grey, x, y, samples, weights):
     mean /= total
     for i in range(n):
         weights[i] /= total
-    return mean, max(square / total - mean * mean, np.float32(0)) + np.float32(FLAT)
+    return mean, max(square / total - mean * mean, np.float32(0)) + np.float32(_CORRELATION_FLOOR)
 
 
 @nb.njit(cache=True, error_model="numpy", fastmath=True, forceinline=True)
 def _cost(x, y, inverse, slope_x, slope_y, samples, weights, mean, spread, leads, shifts, pictures, known, prior):
-    """One minus the correlation, averaged over the two best sources, and what the plane pays besides."""
+    """The mean over the two best sources of one minus the correlation, plus the costs of prior and contradiction."""
     count, height, width = pictures.shape
-    best = second = np.float32(UNSEEN)
+    best = second = np.float32(_UNSEEN_COST)
     for s in range(count):
         lead, shift = leads[s], shifts[s]
         px, py = np.float32(x + 0.5), np.float32(y + 0.5)
@@ -184,8 +187,8 @@ def _cost(x, y, inverse, slope_x, slope_y, samples, weights, mean, spread, leads
         z_x, z_y = lead[2, 0] + slope_x * shift[2], lead[2, 1] + slope_y * shift[2]
         there = square = product = np.float32(0)
         n = 0
-        for dy in range(-REACH, REACH + 1, 2):
-            for dx in range(-REACH, REACH + 1, 2):
+        for dy in range(-_REFINEMENT_REACH, _REFINEMENT_REACH + 1, 2):
+            for dx in range(-_REFINEMENT_REACH, _REFINEMENT_REACH + 1, 2):
                 depth = np.float32(1) / max(z + dx * z_x + dy * z_y, np.float32(1e-3))
                 at_x = (u + dx * u_x + dy * u_y) * depth - np.float32(0.5)
                 at_y = (v + dx * v_x + dy * v_y) * depth - np.float32(0.5)
@@ -201,12 +204,12 @@ def _cost(x, y, inverse, slope_x, slope_y, samples, weights, mean, spread, leads
                 square += weighted * value
                 product += weighted * samples[n]
                 n += 1
-        variance = max(square - there * there, np.float32(0)) + np.float32(FLAT)
+        variance = max(square - there * there, np.float32(0)) + np.float32(_CORRELATION_FLOOR)
         cost = np.float32(1) - (product - there * mean) / np.sqrt(variance * spread)
         if known[s, row, column] > 0:
             # z is depth there over depth here, so this is the relative difference of the two depths.
             apart = abs(z / inverse * known[s, row, column] - np.float32(1))
-            cost += np.float32(DISAGREE) * min(apart / np.float32(TOLERANCE), np.float32(1))
+            cost += np.float32(_CONTRADICTION_COST) * min(apart / np.float32(_FULL_COST_DIFFERENCE), np.float32(1))
         if count == 1:
             best = second = cost
         elif cost < best:
@@ -214,5 +217,5 @@ def _cost(x, y, inverse, slope_x, slope_y, samples, weights, mean, spread, leads
         elif cost < second:
             second = cost
     apart = abs(inverse / prior - np.float32(1))
-    pull = np.float32(PULL) * min(apart / np.float32(TOLERANCE), np.float32(1))
+    pull = np.float32(_PRIOR_COST) * min(apart / np.float32(_FULL_COST_DIFFERENCE), np.float32(1))
     return (best + second) * np.float32(0.5) + pull

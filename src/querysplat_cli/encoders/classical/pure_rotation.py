@@ -1,4 +1,4 @@
-"""Photos from one place: the camera turned, and nothing tells how far away things are."""
+"""Photos from one place: where the camera only turned, distances cannot be measured."""
 
 from collections.abc import Sequence
 
@@ -6,36 +6,25 @@ import numpy as np
 from scipy.optimize import minimize_scalar
 
 from querysplat_cli.encoders.classical.matches import Matches, Pair
+from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
 from querysplat_cli.encoders.classical.sparse_model import SparseModel
 from querysplat_cli.scene.cameras import PhotoCamera
 
-TOLERANCE = 0.002
-"""Longer sides between a match and where a rotation expects it: a little more than features scatter, and
-less than the smallest motion from which depth can be measured."""
-EXPLAINED = 0.9
-"""Share of the matches that rotations alone must explain."""
-ASKED = 30
-"""The decision is made on this many pairs, those with most matches."""
-FOCALS = (0.4, 2.0)
-"""Focal lengths, in longer sides, that are tried: beyond them a shift passes for a rotation."""
-TURNED = np.radians(3)
-"""Only a camera that turned by this much tells its own focal length."""
-
 
 def placed_by_rotation(matches: Matches) -> SparseModel | None:
-    """All photos of the largest group at one place, or None when turning the camera does not explain them.
+    """All photos of the largest group at one place, or None when rotations do not explain the matches.
 
-    Turning by R maps pixels by K·R·K⁻¹, which also fixes the focal length where EXIF does not give it. The
+    A rotation R maps pixels by K·R·K⁻¹. That also determines the focal length where EXIF does not give it. The
     model has no points, and its scale means nothing.
     """
     group = set(matches.largest_group())
     pairs = sorted((pair for pair in matches.pairs if pair.first in group), key=len, reverse=True)
     if not pairs:
         return None
-    asked = pairs[:ASKED]
-    focals = _focals(matches, asked)
-    errors = [_errors(pair, matches, focals, _rotation(pair, matches, focals)) for pair in asked]
-    if np.mean(np.concatenate(errors) < TOLERANCE) < EXPLAINED:
+    tested = pairs[: CAMERA_POLICY.rotation_pairs]
+    focals = _focals(matches, tested)
+    errors = [_errors(pair, matches, focals, _rotation(pair, matches, focals)) for pair in tested]
+    if np.mean(np.concatenate(errors) < CAMERA_POLICY.rotation_tolerance) < CAMERA_POLICY.rotation_share:
         return None
     placed = {min(group): np.eye(3)}
     while len(placed) < len(group):
@@ -50,7 +39,7 @@ def placed_by_rotation(matches: Matches) -> SparseModel | None:
 
 
 def placed_alone(focal: float, size: tuple[int, int], photo: int = 0) -> SparseModel:
-    """One photo at the origin, with a focal length that somebody stated."""
+    """One photo at the origin, with the given focal length in pixels of its (height, width) `size`."""
     return SparseModel({photo: _camera(np.eye(3), focal, size)}, np.zeros((0, 3)), {photo: np.zeros(0, np.int64)})
 
 
@@ -62,7 +51,7 @@ def _camera(rotation: np.ndarray, focal: float, size: tuple[int, int]) -> PhotoC
 
 
 def _focals(matches: Matches, pairs: Sequence[Pair]) -> list[float]:
-    """Focal lengths of all photos: EXIF's, else the one, in longer sides, with which rotations fit best."""
+    """Focal lengths of all photos in pixels: EXIF's, or else one common ratio with which rotations fit best."""
     stated = [matches.focal(photo) for photo in range(len(matches.sizes))]
     if all(matches.focals):
         return stated
@@ -73,13 +62,13 @@ def _focals(matches: Matches, pairs: Sequence[Pair]) -> list[float]:
     def mean_error(logarithm: float) -> float:
         tried = focals(float(np.exp(logarithm)))
         errors = [_errors(pair, matches, tried, _rotation(pair, matches, tried)) for pair in pairs]
-        return float(np.minimum(np.concatenate(errors), 2 * TOLERANCE).mean())
+        return float(np.minimum(np.concatenate(errors), 2 * CAMERA_POLICY.rotation_tolerance).mean())
 
-    start = min(np.log(np.geomspace(FOCALS[0], FOCALS[1], 12)), key=mean_error)
+    start = min(np.log(np.geomspace(*CAMERA_POLICY.rotation_focals, 12)), key=mean_error)
     best = minimize_scalar(mean_error, bounds=(start - 0.15, start + 0.15), method="bounded", options={"xatol": 1e-3})
     found = focals(float(np.exp(best.x)))
     largest = max(_angle(_rotation(pair, matches, found)) for pair in pairs)
-    return found if largest > TURNED else stated
+    return found if largest > np.radians(CAMERA_POLICY.informative_turn) else stated
 
 
 def _angle(rotation: np.ndarray) -> float:
@@ -101,11 +90,11 @@ def _rotation(pair: Pair, matches: Matches, focals: Sequence[float]) -> np.ndarr
 
 
 def _errors(pair: Pair, matches: Matches, focals: Sequence[float], rotation: np.ndarray) -> np.ndarray:
-    """Longer sides between where the rotation takes the first photo's features and where they are."""
+    """Distances, in longer sides, between the first photo's features after the rotation and their matches."""
     one = _directions(pair.first_pixels, matches.sizes[pair.first], focals[pair.first])
     turned = one @ rotation.T
     height, width = matches.sizes[pair.second]
-    # A ray that leaves the second camera's front half has no pixel there.
+    # A ray that points behind the second camera has no pixel there.
     depth = np.where(turned[:, 2] > 1e-3, turned[:, 2], 1e-3)
     expected = turned[:, :2] / depth[:, None] * focals[pair.second] + [width / 2, height / 2]
     return np.asarray(np.linalg.norm(expected - pair.second_pixels, axis=1) / max(height, width))

@@ -1,21 +1,21 @@
-"""Semi-global matching (Hirschmüller 2008): depth that agrees with the match and, along eight paths, with
-itself."""
+"""Semi-global matching (Hirschmüller 2008): depth that matches well and is smooth along eight paths."""
 
 import numba as nb
 import numpy as np
 
-SMALL_STEP = 6
-"""Penalty for moving to the next plane, in units of the 8-bit cost."""
-LARGE_STEP = 60
-"""Penalty for any larger jump between pixels of the same brightness; divided by the contrast between them."""
-CONTRAST = 0.03
-"""Brightness difference ([0, 1]) at which a jump costs half."""
-OUTSIDE = np.uint16(20000)
+from querysplat_cli.encoders.classical.policy import DEPTH_POLICY
+
+# Plain numbers, since a compiled kernel cannot read a dataclass.
+_SMALL_STEP = DEPTH_POLICY.small_step
+_LARGE_STEP = DEPTH_POLICY.large_step
+_CONTRAST = DEPTH_POLICY.contrast
+_OUTSIDE_COST = np.uint16(20000)
 """Path cost beyond the first and the last plane."""
-LARGEST = np.uint16(LARGE_STEP)
+_LARGEST_JUMP = np.uint16(_LARGE_STEP)
+"""Penalty of a jump where there is no neighbour to compare brightness with."""
 
 
-def aggregate(costs: np.ndarray, grey: np.ndarray) -> np.ndarray:
+def aggregate_costs(costs: np.ndarray, grey: np.ndarray) -> np.ndarray:
     """Sum of the eight path costs [height, width, planes], as unsigned 16-bit numbers."""
     sums = np.zeros((2, *costs.shape), np.uint16)
     _two_passes(costs, grey, sums)
@@ -23,10 +23,10 @@ def aggregate(costs: np.ndarray, grey: np.ndarray) -> np.ndarray:
     return sums[0]
 
 
-def choose(sums: np.ndarray) -> np.ndarray:
+def best_planes(sums: np.ndarray) -> np.ndarray:
     """The best plane of each pixel [height, width], refined between planes by a parabola."""
     plane = np.empty(sums.shape[:2], np.float32)
-    _choose(sums, plane)
+    _best_planes(sums, plane)
     return plane
 
 
@@ -48,10 +48,10 @@ def _one_pass(costs, grey, turn, sums):
     lows_now = np.zeros((3, width + 2), np.uint16)
     along = np.zeros((2, planes + 2), np.uint16)
     for buffer in (before, now):
-        buffer[:, 1 : width + 1, 0] = OUTSIDE
-        buffer[:, 1 : width + 1, planes + 1] = OUTSIDE
-    along[:, 0] = OUTSIDE
-    along[:, planes + 1] = OUTSIDE
+        buffer[:, 1 : width + 1, 0] = _OUTSIDE_COST
+        buffer[:, 1 : width + 1, planes + 1] = _OUTSIDE_COST
+    along[:, 0] = _OUTSIDE_COST
+    along[:, planes + 1] = _OUTSIDE_COST
     for r in range(height):
         y = r if turn == 0 else height - 1 - r
         along[0, 1 : planes + 1] = 0
@@ -61,7 +61,7 @@ def _one_pass(costs, grey, turn, sums):
             here = grey[y, x]
             for path in range(3):
                 from_x = x + path - 1
-                jump = _jump(here, grey[y - step, from_x]) if r > 0 and 0 <= from_x < width else LARGEST
+                jump = _jump(here, grey[y - step, from_x]) if r > 0 and 0 <= from_x < width else _LARGEST_JUMP
                 lows_now[path, x + 1] = _step(
                     costs[y, x],
                     before[path, from_x + 1],
@@ -70,7 +70,7 @@ def _one_pass(costs, grey, turn, sums):
                     now[path, x + 1],
                     sums[y, x],
                 )
-            jump = _jump(here, grey[y, x - step]) if c > 0 else LARGEST
+            jump = _jump(here, grey[y, x - step]) if c > 0 else _LARGEST_JUMP
             low_along = _step(costs[y, x], along[c % 2], low_along, jump, along[1 - c % 2], sums[y, x])
         before, now = now, before
         lows_before, lows_now = lows_now, lows_before
@@ -78,15 +78,15 @@ def _one_pass(costs, grey, turn, sums):
 
 @nb.njit(cache=True, error_model="numpy", inline="always")
 def _jump(here, there):
-    return np.uint16(max(SMALL_STEP + 1, LARGE_STEP / (1 + abs(here - there) / CONTRAST)))
+    return np.uint16(max(_SMALL_STEP + 1, _LARGE_STEP / (1 + abs(here - there) / _CONTRAST)))
 
 
 @nb.njit(cache=True, error_model="numpy")
 def _step(cost, previous, low, jump, result, total):
-    """One step of one path: fill `result` (padded by one plane either side), add it to `total`, return its least."""
+    """One step of one path: fill `result` (padded by a plane on either side), add it to `total`, return its minimum."""
     least = np.uint16(65535)
     ceiling = np.uint16(low + jump)
-    small = np.uint16(SMALL_STEP)
+    small = np.uint16(_SMALL_STEP)
     for d in range(len(cost)):
         best = min(previous[d + 1], np.uint16(min(previous[d], previous[d + 2]) + small))
         value = np.uint16(np.uint16(cost[d]) + min(best, ceiling) - low)
@@ -97,7 +97,7 @@ def _step(cost, previous, low, jump, result, total):
 
 
 @nb.njit(cache=True, error_model="numpy", parallel=True)
-def _choose(sums, plane):
+def _best_planes(sums, plane):
     height, width, planes = sums.shape
     for y in nb.prange(height):
         for x in range(width):

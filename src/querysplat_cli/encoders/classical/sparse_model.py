@@ -1,4 +1,4 @@
-"""What structure from motion finds: cameras and the points they share."""
+"""The result of structure from motion: cameras, and points that they share."""
 
 from dataclasses import dataclass, replace
 
@@ -11,8 +11,7 @@ from querysplat_cli.scene.cameras import PhotoCamera
 class SparseModel:
     """Cameras by photo number, and scene points [n, 3] in float64.
 
-    `seen` holds, for each photo, the rows of the points that its camera observes; points that nothing
-    observes do not occur.
+    `seen` holds, for each photo, the rows of the points that its camera observes. Every point is observed.
     """
 
     cameras: dict[int, PhotoCamera]
@@ -20,20 +19,20 @@ class SparseModel:
     seen: dict[int, np.ndarray]
 
     def depths(self, photo: int) -> np.ndarray:
-        """Camera z of the points that a photo sees, in scene units."""
+        """Camera z of the points that a photo's camera observes, in scene units."""
         w2c = self.cameras[photo].w2c
         return np.asarray(self.points[self.seen[photo]] @ w2c[2, :3] + w2c[2, 3])
 
     def centre(self, photo: int) -> np.ndarray:
-        """Where a photo was taken from [3]."""
+        """The camera centre of a photo [3], in the world."""
         w2c = self.cameras[photo].w2c
         return np.asarray(-w2c[:3, :3].T @ w2c[:3, 3])
 
 
-def normalised(model: SparseModel) -> SparseModel:
-    """The same model with the first photo's camera as origin and a median observed depth of 1.
+def in_first_camera_frame(model: SparseModel) -> SparseModel:
+    """The same model with the first photo's camera as origin and a median depth of 1.
 
-    The median is taken over what all cameras see; without points the scale is kept.
+    The median is over all observations of all cameras. Without points the scale is kept.
     """
     first = min(model.cameras)
     origin = model.cameras[first].w2c
@@ -46,7 +45,7 @@ def normalised(model: SparseModel) -> SparseModel:
         w2c[:3, :3] = rotation
         w2c[:3, 3] = scale * (camera.w2c[:3, 3] - rotation @ origin[:3, 3])
         cameras[photo] = replace(camera, w2c=w2c)
-    # Exact by definition; the products above leave rounding.
+    # The products above leave rounding errors; the first pose is exact by definition.
     cameras[first] = replace(cameras[first], w2c=np.eye(4))
     points = scale * (model.points @ origin[:3, :3].T + origin[:3, 3])
     return SparseModel(cameras, points, model.seen)

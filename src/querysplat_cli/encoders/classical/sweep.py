@@ -1,21 +1,21 @@
 """Plane sweep: how well each depth of each pixel explains the neighbouring views.
 
 Planes are fronto-parallel to the reference camera and evenly spaced in inverse depth. The match is zero-mean
-normalised cross-correlation over a square window; of several sources the best two count, because a point
-hidden in one view is usually visible in another, and a single good match is easily an accident.
+normalised cross-correlation over a square window. Of several sources the best two count: a point that is hidden in
+one view is usually visible in another, and a single good match is easily an accident.
 """
 
 import numba as nb
 import numpy as np
 
-REACH = 2
-"""The correlation window reaches this many pixels to each side."""
-WORST = 127
+from querysplat_cli.encoders.classical.policy import DEPTH_POLICY
+
+WORST_COST = 127
 """Cost of no correlation at all, in the 8-bit volume; 0 is a perfect match."""
-UNSEEN = 0.8
-"""Cost, of 1, in a source that does not see the point: a depth must not win by leaving the pictures."""
-FLAT = 2e-5
-"""Variance added to both windows ([0, 1]² grey): noise in flat regions then correlates with nothing."""
+# Plain numbers, since a compiled kernel cannot read a dataclass.
+_SWEEP_REACH = DEPTH_POLICY.sweep_reach
+_UNSEEN_COST = DEPTH_POLICY.unseen_cost
+_CORRELATION_FLOOR = DEPTH_POLICY.correlation_floor
 
 
 def cost_volume(
@@ -24,10 +24,11 @@ def cost_volume(
     sources: list[tuple[np.ndarray, np.ndarray, np.ndarray]],
     inverse_depths: np.ndarray,
 ) -> np.ndarray:
-    """Matching costs [height, width, planes], 0 to 127.
+    """Matching costs [height, width, planes], 0 to 127, in 8 bits.
 
-    `reference` is grey [height, width] in [0, 1], negative where there is no picture, with intrinsics `K`
-    (pixel centres at +0.5); each source is (grey, K, T) with T [4, 4] from the reference camera to its own.
+    `reference` is grey [height, width] in [0, 1], negative where there is no picture, with intrinsics `K` [3, 3]
+    (pixel centres at +0.5). Each source is (grey, K, T) with T [4, 4] from the reference camera to its own.
+    `inverse_depths` are those of the planes, in 1 / scene units.
     """
     homographies = np.array(
         [[plane_homography(K, source_K, T, inverse) for _, source_K, T in sources] for inverse in inverse_depths],
@@ -39,7 +40,7 @@ def cost_volume(
 
 
 def plane_homography(K: np.ndarray, source_K: np.ndarray, transform: np.ndarray, inverse_depth: float) -> np.ndarray:
-    """Reference pixel → source pixel for the plane z = 1/inverse_depth, up to a positive factor."""
+    """The homography [3, 3] from reference to source pixels for the plane z = 1 / inverse_depth, up to a factor > 0."""
     induced = transform[:3, :3] + inverse_depth * np.outer(transform[:3, 3], [0, 0, 1.0])
     return np.asarray(source_K @ induced @ np.linalg.inv(K))
 
@@ -48,7 +49,7 @@ def plane_homography(K: np.ndarray, source_K: np.ndarray, transform: np.ndarray,
 def _sweep(reference, pictures, homographies, costs):
     planes, count = homographies.shape[:2]
     height, width = reference.shape
-    weight = np.float32(1) / np.float32((2 * REACH + 1) ** 2)
+    weight = np.float32(1) / np.float32((2 * _SWEEP_REACH + 1) ** 2)
     mean, square, scratch = np.empty_like(reference), np.empty_like(reference), np.empty_like(reference)
     _box(reference, mean, scratch)
     _box(reference * reference, square, scratch)
@@ -56,7 +57,7 @@ def _sweep(reference, pictures, homographies, costs):
         warped, product = np.empty_like(reference), np.empty_like(reference)
         sums, squares, products = np.empty_like(reference), np.empty_like(reference), np.empty_like(reference)
         rows = np.empty_like(reference)
-        best, second = np.full_like(reference, UNSEEN), np.full_like(reference, UNSEEN)
+        best, second = np.full_like(reference, _UNSEEN_COST), np.full_like(reference, _UNSEEN_COST)
         for s in range(count):
             _warp(pictures[s], homographies[plane, s], warped)
             _box(warped, sums, rows)
@@ -73,8 +74,8 @@ def _sweep(reference, pictures, homographies, costs):
                     if warped[y, x] < 0:
                         continue
                     m, here = sums[y, x] * weight, mean[y, x] * weight
-                    variance = max(squares[y, x] * weight - m * m, np.float32(0)) + np.float32(FLAT)
-                    spread = max(square[y, x] * weight - here * here, np.float32(0)) + np.float32(FLAT)
+                    variance = max(squares[y, x] * weight - m * m, np.float32(0)) + np.float32(_CORRELATION_FLOOR)
+                    spread = max(square[y, x] * weight - here * here, np.float32(0)) + np.float32(_CORRELATION_FLOOR)
                     cost = np.float32(1) - (products[y, x] * weight - m * here) / np.sqrt(variance * spread)
                     if count == 1:
                         best[y, x] = second[y, x] = cost
@@ -85,13 +86,13 @@ def _sweep(reference, pictures, homographies, costs):
                         second[y, x] = cost
         for y in range(height):
             for x in range(width):
-                cost = min(best[y, x] + second[y, x], np.float32(2)) * np.float32(0.5 * WORST)
+                cost = min(best[y, x] + second[y, x], np.float32(2)) * np.float32(0.5 * WORST_COST)
                 costs[plane, y, x] = np.uint8(max(cost, np.float32(0)))
 
 
 @nb.njit(cache=True, error_model="numpy", fastmath=True, forceinline=True)
 def _warp(picture, homography, warped):
-    """Bilinear samples of `picture` at the mapped pixel centres; −1 where there is none."""
+    """Fill `warped` with bilinear samples of `picture` at the mapped pixel centres; −1 where there is none."""
     height, width = picture.shape
     h = homography
     for y in range(warped.shape[0]):
@@ -116,20 +117,20 @@ def _warp(picture, homography, warped):
 
 @nb.njit(cache=True, error_model="numpy", fastmath=True, forceinline=True)
 def _box(image, sums, rows):
-    """Sums over the window around each pixel, the border repeated; `rows` is scratch."""
+    """Fill `sums` with sums over the window around each pixel, the border repeated; `rows` is scratch."""
     height, width = image.shape
     for y in range(height):
         total = np.float32(0)
-        for x in range(-REACH, REACH + 1):
+        for x in range(-_SWEEP_REACH, _SWEEP_REACH + 1):
             total += image[y, min(max(x, 0), width - 1)]
         rows[y, 0] = total
         for x in range(1, width):
-            total += image[y, min(x + REACH, width - 1)] - image[y, max(x - REACH - 1, 0)]
+            total += image[y, min(x + _SWEEP_REACH, width - 1)] - image[y, max(x - _SWEEP_REACH - 1, 0)]
             rows[y, x] = total
     for y in range(height):
         for x in range(width):
             sums[y, x] = 0
-        for dy in range(-REACH, REACH + 1):
+        for dy in range(-_SWEEP_REACH, _SWEEP_REACH + 1):
             there = min(max(y + dy, 0), height - 1)
             for x in range(width):
                 sums[y, x] += rows[there, x]

@@ -1,4 +1,4 @@
-"""Points for cameras that somebody else has found."""
+"""Scene points for cameras that are given."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,7 +14,10 @@ from querysplat_cli.scene.cameras import PhotoCamera, rescaled
 
 
 def triangulated(cameras: Sequence[PhotoCamera], matches: Matches, *, seed: int) -> SparseModel:
-    """The given cameras, one for each photo and scaled to the size of the matches, with the points that these make."""
+    """The given cameras, one for each photo, with the points that the matches make.
+
+    The cameras come back in pixels of the photos at the size of the matches; their poses are kept.
+    """
     scaled = [rescaled(camera, *size) for camera, size in zip(cameras, matches.sizes, strict=True)]
     if not matches.pairs:
         return SparseModel(

@@ -1,4 +1,4 @@
-"""Alternating attention: every view alone, then all views together. What VGGT and VGGT-Omega share."""
+"""Alternating attention inside views and between views: the part that VGGT and VGGT-Omega share."""
 
 from collections.abc import Iterator
 
@@ -7,14 +7,17 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from querysplat_cli.encoders.transformer.blocks import Block
-from querysplat_cli.encoders.transformer.config import CHUNK, VgmConfig
+from querysplat_cli.encoders.transformer.config import VIEW_CHUNK, VgmConfig
 from querysplat_cli.encoders.transformer.rotary import Rotation
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.fit import normalised
 
 
 class Aggregator(nn.Module):
-    """Photos to tokens. A subclass makes `patch_embed`, the blocks between views, and the rotation."""
+    """Photos to tokens. A subclass provides `patch_embed`, the blocks between views, and the rotary embedding.
+
+    With `rotate_across`, patch positions also enter the attention between views.
+    """
 
     rotate_across = False
     patch_embed: nn.Module
@@ -31,17 +34,20 @@ class Aggregator(nn.Module):
         return nn.ModuleList(Block(config.width, config.heads, normed=True, masked=masked) for _ in range(config.depth))
 
     def across_blocks(self) -> nn.ModuleList:
-        """The blocks in which views see one another."""
+        """The blocks with attention between views."""
         raise NotImplementedError
 
     def rotation(self, rows: int, columns: int) -> Rotation:
-        """Of a grid of patches."""
+        """The rotary embedding of a grid of patches."""
         raise NotImplementedError
 
     def first_tokens(
         self, images: Float[Tensor, "views 3 height width"], chunk: int
     ) -> Float[Tensor, "views tokens channels"]:
-        """Camera token, registers and patches, as they enter the blocks. The first view has specials of its own."""
+        """Camera token, registers and patches, as they enter the blocks.
+
+        The first view has camera and register tokens of its own; all other views share one set.
+        """
         start = self.config.special_tokens
         count = images.shape[-2] // self.config.patch * (images.shape[-1] // self.config.patch)
         tokens = torch.empty(
@@ -55,12 +61,13 @@ class Aggregator(nn.Module):
 
     @torch.no_grad()
     def layers(
-        self, images: Float[Tensor, "views 3 height width"], chunk: int = CHUNK
+        self, images: Float[Tensor, "views 3 height width"], chunk: int = VIEW_CHUNK
     ) -> Iterator[Float[Tensor, "views tokens channels"]]:
-        """The tokens after each block of `config.layers`: [after the frame block ; after the other] by channel.
+        """The tokens of each layer in `config.layers`.
 
-        `images` in [0, 1], sides multiples of the patch. Work on single views is done `chunk` views at a time,
-        which changes nothing but time and memory.
+        A layer joins, along the channels, the tokens after its attention inside views and those after its attention
+        between views. `images` are in [0, 1]; their sides are multiples of the patch, and QuerySplatError is raised
+        otherwise. Work on single views is done `chunk` views at a time, which changes only time and memory.
         """
         start, patch = self.config.special_tokens, self.config.patch
         if images.shape[-2] % patch or images.shape[-1] % patch:

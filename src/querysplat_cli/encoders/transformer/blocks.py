@@ -1,4 +1,4 @@
-"""The transformer block of both VGMs, under the names of their checkpoints."""
+"""The transformer block of both VGMs. Its parts have the names of the checkpoints."""
 
 import torch
 from jaxtyping import Float
@@ -33,7 +33,7 @@ class MaskedLinear(Linear):
 
 
 class PatchConvolution(nn.Module):
-    """A name space of the checkpoints: patches to tokens."""
+    """Patches to tokens. It exists for the name `proj` of the checkpoints."""
 
     def __init__(self, width: int, patch: int) -> None:
         super().__init__()
@@ -41,7 +41,7 @@ class PatchConvolution(nn.Module):
 
 
 class Attention(nn.Module):
-    """Self-attention; with `normed`, queries and keys are normed head by head, before any rotation."""
+    """Self-attention. With `normed`, queries and keys are normalised head by head before any rotation."""
 
     def __init__(self, width: int, heads: int, *, normed: bool, masked: bool) -> None:
         super().__init__()
@@ -51,10 +51,10 @@ class Attention(nn.Module):
         self.k_norm = LayerNorm(width // heads) if normed else nn.Identity()
         self.proj = Linear(width, width)
 
-    def project(
+    def queries_keys_values(
         self, tokens: Float[Tensor, "groups tokens width"], rotation: Rotation | None
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """Queries, keys and values [groups, heads, tokens, channels], ready for the product."""
+        """Queries, keys and values [groups, heads, tokens, channels], normalised and rotated."""
         query, key, value = self.qkv(tokens).unflatten(-1, (3, self.heads, -1)).permute(2, 0, 3, 1, 4).unbind(0)
         query, key = self.q_norm(query), self.k_norm(key)
         if rotation:
@@ -64,7 +64,7 @@ class Attention(nn.Module):
     def forward(
         self, tokens: Float[Tensor, "groups tokens width"], rotation: Rotation | None = None
     ) -> Float[Tensor, "groups tokens width"]:
-        attended = F.scaled_dot_product_attention(*self.project(tokens, rotation))
+        attended = F.scaled_dot_product_attention(*self.queries_keys_values(tokens, rotation))
         return self.proj(attended.transpose(1, 2).flatten(2))
 
 
@@ -81,7 +81,7 @@ class Mlp(nn.Module):
 
 
 class Block(nn.Module):
-    """x + γ₁·attention(norm(x)), then x + γ₂·MLP(norm(x)) (spec, section 12)."""
+    """x + γ₁·attention(norm(x)), then x + γ₂·MLP(norm(x)); see docs/reference/official-checkpoint.md."""
 
     def __init__(self, width: int, heads: int, *, normed: bool, masked: bool, eps: float = 1e-5) -> None:
         super().__init__()
@@ -95,17 +95,17 @@ class Block(nn.Module):
     def forward(
         self, tokens: Float[Tensor, "groups tokens width"], rotation: Rotation | None = None
     ) -> Float[Tensor, "groups tokens width"]:
-        """Every group attends to itself alone."""
+        """Each group attends to itself only."""
         tokens = tokens + self.ls1(self.attn(self.norm1(tokens), rotation))
         return tokens + self.ls2(self.mlp(self.norm2(tokens)))
 
     def within_(self, tokens: Float[Tensor, "views tokens width"], rotation: Rotation | None, chunk: int) -> None:
-        """`forward` in place, `chunk` views at a time: the wide intermediate results exist for those alone."""
+        """`forward` in place, `chunk` views at a time: wide intermediate results exist for these views only."""
         for part in tokens.split(chunk):
             part.copy_(self(part, rotation))
 
     def across_(self, tokens: Float[Tensor, "views tokens width"], rotation: Rotation | None, chunk: int) -> None:
-        """In place, all tokens of all views as one sequence. All but the attention goes `chunk` views at a time."""
+        """In place, with the tokens of all views as one sequence. Only the attention takes all views at once."""
         views, count, width = tokens.shape
         shape = (1, self.attn.heads, views * count, width // self.attn.heads)
         query, key, value = (
@@ -114,8 +114,8 @@ class Block(nn.Module):
         parts = tokens.split(chunk)
         spans = [slice(i * chunk * count, (i * chunk + len(part)) * count) for i, part in enumerate(parts)]
         for part, span in zip(parts, spans, strict=True):
-            projected = self.attn.project(self.norm1(part), rotation)
-            for whole, piece in zip((query, key, value), projected, strict=True):
+            pieces = self.attn.queries_keys_values(self.norm1(part), rotation)
+            for whole, piece in zip((query, key, value), pieces, strict=True):
                 whole[0, :, span] = piece.transpose(0, 1).flatten(1, 2)
         attended = F.scaled_dot_product_attention(query, key, value)[0]
         del query, key, value

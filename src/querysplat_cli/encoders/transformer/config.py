@@ -1,21 +1,21 @@
-"""Sizes of a VGM that is a network."""
+"""Sizes of a learned VGM."""
 
 from dataclasses import dataclass, fields
 from typing import Any
 
 from querysplat_cli.runtime.errors import QuerySplatError
 
-CHUNK = 16
-"""Views that go through the parts that look at single views at once."""
+VIEW_CHUNK = 16
+"""Views that pass at once through the parts that work on single views."""
 
 
 @dataclass(frozen=True)
 class VgmConfig:
     """Sizes of a VGM; the defaults are those of VGGT-Omega 1B.
 
-    `layers` are the blocks whose tokens are handed on, counted from 0. In `register_blocks` only the camera
-    and register tokens look at other views. `storage_tokens` are the patch encoder's own; `pretrained_image`
-    is the side, in pixels, of the pictures that a learned grid of positions was trained for.
+    `layers` are the blocks whose tokens become features, counted from 0. In `register_blocks` only the camera and
+    register tokens attend to other views. `storage_tokens` is the number of tokens that stay inside the patch
+    encoder. `pretrained_image` is the side, in pixels, of the pictures of the training.
     """
 
     width: int = 1024
@@ -35,32 +35,35 @@ class VgmConfig:
 
     @property
     def special_tokens(self) -> int:
-        """Camera and register tokens, which come before a view's patches."""
+        """The number of camera and register tokens, which come before the patches of a view."""
         return 1 + self.registers
 
     def working_bytes(self, views: int, size: int, half: bool, *, mixed: bool, depth: bool) -> int:
-        """About the most that a pass over `views` pictures of `size` × `size` pixels holds, besides the weights.
+        """About the most memory in bytes of a pass over `views` pictures of `size` × `size` pixels, without weights.
 
-        That is, in units of a float32 tensor of all tokens: the tokens, those after the frame block of a layer
-        that is handed on, queries, keys, values and result of the attention, and the layers kept so far; or,
-        where the layer is joined, that and the layer. Then what a chunk of views takes in an MLP.
+        The largest terms are the tokens of all views, their queries, keys, values and attended values, the layers
+        kept so far, one chunk of views inside an MLP, and the maps of the depth head. `half` says whether attention
+        and MLP work in half precision, `mixed` whether only the mixture of the layers is kept.
         """
         tokens = self.special_tokens + (size // self.patch) ** 2
         whole = views * tokens * self.width * 4
         share = 0.5 if half else 1.0
         kept = 2 * (1 if mixed else len(self.layers)) + 2 * len(self.layers) * (depth and mixed)
-        chunk = min(views, CHUNK) * tokens * self.width * 4
+        chunk = min(views, VIEW_CHUNK) * tokens * self.width * 4
         pyramid = 8 * size**2 * self.depth_channels * 4 if depth else 0
         return int(max(2 + 4 * share, 4) * whole + kept * whole + (3 + 8 * share) * chunk) + pyramid
 
     @staticmethod
     def from_dict(values: dict[str, Any]) -> "VgmConfig":
-        """Raises QuerySplatError when a name is not a field, or a value of another kind."""
+        """The configuration in a checkpoint's metadata.
+
+        Raises QuerySplatError when a name is no field, or a value has the wrong type.
+        """
         kinds = {field.name: type(field.default) for field in fields(VgmConfig)}
         chosen: dict[str, Any] = {
             name: tuple(value) if isinstance(value, list) else value for name, value in values.items()
         }
         wrong = [name for name, value in chosen.items() if not isinstance(value, kinds.get(name, type(None)))]
         if wrong:
-            raise QuerySplatError(f"wrong setting of a VGM: {', '.join(wrong)}", "See docs/method.md for the names.")
+            raise QuerySplatError(f"wrong VGM settings: {', '.join(wrong)}", "See docs/method.md for the names.")
         return VgmConfig(**chosen)

@@ -1,4 +1,7 @@
-"""Layers of a VGM to one map of each view: the part that both depth heads share (spec, sections 12 and 15)."""
+"""The dense prediction transformer (DPT) that both depth heads share: layers of tokens to one map of each view.
+
+Its parts have the names of the checkpoints; see docs/reference/official-checkpoint.md.
+"""
 
 from collections.abc import Sequence
 
@@ -8,10 +11,11 @@ from torch import Tensor, nn
 from torch.nn import functional as F
 
 POSITION_GAIN = 0.1
+"""Weight of the positions that are added to the maps."""
 
 
 class ResidualUnit(nn.Module):
-    """Two 3 × 3 convolutions, each after a ReLU, added to the input, or with `rectified` to its positive part."""
+    """Two 3 × 3 convolutions, each after a ReLU, added to the input; with `rectified`, to its positive part."""
 
     def __init__(self, channels: int, *, rectified: bool) -> None:
         super().__init__()
@@ -25,7 +29,7 @@ class ResidualUnit(nn.Module):
 
 
 class Fusion(nn.Module):
-    """Adds the next finer map to the coarser one, and resizes to `size`."""
+    """Adds the next finer map to the coarser one (with `joins`), and resizes the sum."""
 
     def __init__(self, channels: int, *, joins: bool, rectified: bool) -> None:
         super().__init__()
@@ -43,7 +47,7 @@ class Fusion(nn.Module):
 
 
 class Scratch(nn.Module):
-    """Every level to one width, and four fusions from coarse to fine. A name space of the checkpoints."""
+    """Convolutions that bring every level to one width, and fusions from coarse to fine."""
 
     def __init__(self, levels: Sequence[int], channels: int, *, rectified: bool) -> None:
         super().__init__()
@@ -53,7 +57,7 @@ class Scratch(nn.Module):
 
 
 class Pyramid(nn.Module):
-    """Four layers of tokens to maps at 4, 2, 1 and 1/2 times the patch grid, and these to one."""
+    """Four layers of tokens to maps of 4, 2, 1 and 1/2 times the patch grid, which are fused to one map."""
 
     def __init__(self, inputs: int, levels: Sequence[int], scratch: Scratch) -> None:
         super().__init__()
@@ -73,15 +77,15 @@ class Pyramid(nn.Module):
     def levels(
         self, layers: Sequence[Float[Tensor, "n patches inputs"]], grid: tuple[int, int], aspect: float
     ) -> list[Tensor]:
-        """The four maps. `layers` are patch tokens, `grid` their rows and columns, `aspect` is width / height."""
+        """The four maps. `layers` are patch tokens, `grid` is (rows, columns), `aspect` is width / height."""
         maps = []
-        for layer, project, scale in zip(layers, self.projects, self.resize_layers, strict=True):
-            found = project(self.norm(layer.to(self.norm.weight.dtype)).mT.unflatten(2, grid))
+        for layer, narrow, scale in zip(layers, self.projects, self.resize_layers, strict=True):
+            found = narrow(self.norm(layer.to(self.norm.weight.dtype)).mT.unflatten(2, grid))
             maps.append(scale(with_position(found, aspect)))
         return maps
 
     def fuse(self, levels: Sequence[Tensor], size: tuple[int, int]) -> list[Float[Tensor, "n channels h w"]]:
-        """The maps after each fusion, coarsest first; the last is of `size`."""
+        """The maps after each fusion, coarsest first. The last one has the (height, width) `size`."""
         narrow = [getattr(self.scratch, f"layer{i}_rn")(level) for i, level in enumerate(levels, start=1)]
         x, fused = narrow[-1], []
         for i in range(len(levels), 0, -1):
@@ -93,12 +97,12 @@ class Pyramid(nn.Module):
 
 
 def resize(x: Float[Tensor, "n channels h w"], size: tuple[int, int]) -> Float[Tensor, "n channels height width"]:
-    """Bilinear, corners on corners."""
+    """Resized bilinearly, with corner pixels on corner pixels."""
     return x if x.shape[-2:] == size else F.interpolate(x, size, mode="bilinear", align_corners=True)
 
 
 def with_position(x: Float[Tensor, "n channels h w"], aspect: float) -> Float[Tensor, "n channels h w"]:
-    """x + 0.1·P, where P are sines and cosines of the place in a picture whose half diagonal is 1."""
+    """x + 0.1·P, where P are sines and cosines of the position in a picture whose half diagonal is 1."""
     _, channels, height, width = x.shape
     diagonal = (aspect**2 + 1) ** 0.5
     quarter = channels // 4

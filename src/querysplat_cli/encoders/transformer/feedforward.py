@@ -1,29 +1,34 @@
-"""Encoders that are networks: one pass finds cameras, features and depth together."""
+"""Learned encoders: one pass of a network finds cameras, features and depth together."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 
 import torch
 
-from querysplat_cli.encoders.base import EncoderOptions, Geometry, PosedViews
+from querysplat_cli.encoders.base import CameraRequest, EncoderOptions, Geometry, PosedViews
 from querysplat_cli.encoders.transformer.config import VgmConfig
 from querysplat_cli.encoders.transformer.vgm import Vgm, VgmOutput, load_vgm
 from querysplat_cli.runtime.errors import ImpossibleScene, QuerySplatError
 from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.runtime.weight_registry import find_weights
-from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.fit import network_views
 from querysplat_cli.scene.views import Photo, Views
 
-SAMPLES = 16
+POINT_SPACING = 16
 """Pixels between the scene points that are taken from a depth map."""
 
 
 class FeedForwardEncoder:
-    """A frozen VGM. Its features belong to the cameras of the same pass, in a frame of its own."""
+    """A learned VGM as an encoder.
+
+    Cameras, depth and features are in the frame of the pass that found them, unchanged. The last pass is kept, with
+    the views that it was made for.
+    """
 
     own_frame = True
 
-    def __init__(self, name: str, make: type[Vgm], default: VgmConfig, options: EncoderOptions) -> None:
+    def __init__(
+        self, name: str, make: Callable[[VgmConfig], Vgm], default: VgmConfig, options: EncoderOptions
+    ) -> None:
         self.name = name
         self.size = default.pretrained_image
         self._options = options
@@ -35,24 +40,21 @@ class FeedForwardEncoder:
     def patch(self) -> int:
         return self._model.config.patch
 
-    def estimate_cameras(
-        self,
-        photos: Sequence[Photo],
-        *,
-        max_size: int,
-        seed: int,
-        progress: Progress,
-        known: Mapping[str, PhotoCamera] | None = None,
-    ) -> PosedViews:
-        """Cameras as the VGM predicts them, for photos cut or padded to its size (see `Encoder`)."""
-        if known:
+    def estimate_cameras(self, photos: Sequence[Photo], request: CameraRequest, progress: Progress) -> PosedViews:
+        """The cameras that the network predicts, for photos cut or padded to its size.
+
+        Points come from the depth maps; there are none without depth. Raises QuerySplatError for known cameras or a
+        size below a patch, and ImpossibleScene when a camera is not finite.
+        """
+        if request.known:
             raise QuerySplatError(
                 f"--poses: {self.name} finds cameras itself and can take none",
                 "Leave --poses out, or use another preset.",
             )
-        if max_size < self.patch:
-            raise QuerySplatError(f"--max-size {max_size} is less than a patch of {self.patch}", "Use a larger size.")
-        views = network_views(photos, max_size, self.patch, self._options.fit)
+        size = request.max_size
+        if size < self.patch:
+            raise QuerySplatError(f"--max-size {size} is less than a patch of {self.patch}", "Use a larger size.")
+        views = network_views(photos, size, self.patch, self._options.fit)
         found = self._predict(views, progress)
         cameras = found.cameras
         if not bool(cameras.w2c.isfinite().all() and cameras.K.isfinite().all()):
@@ -61,24 +63,24 @@ class FeedForwardEncoder:
             )
         points, visibility = torch.zeros(0, 3), (torch.zeros(0, dtype=torch.long),) * len(views)
         if found.depth is not None:
-            rows, columns = (torch.arange(SAMPLES // 2, side, SAMPLES) for side in found.depth.shape[1:])
+            rows, columns = (torch.arange(POINT_SPACING // 2, side, POINT_SPACING) for side in found.depth.shape[1:])
             depth = found.depth[:, rows[:, None], columns]
             points = cameras.unproject(depth, columns + 0.5, rows + 0.5).flatten(0, 2)
             visibility = torch.arange(len(points)).split(depth[0].numel())
         return PosedViews(views, cameras, points, visibility)
 
     def estimate_geometry(self, posed: PosedViews, *, seed: int, progress: Progress) -> Geometry:
-        """What the pass over exactly these views found; another set of views is another pass."""
+        """Depth and features of the pass that made `posed.views`. Another `Views` object costs another pass."""
         found = self._predict(posed.views, progress)
         return Geometry(found.depth, found.confidence, found.features, self.patch)
 
     def free(self) -> None:
-        """The weights, and the last pass."""
+        """Release the weights and the last pass."""
         self._model.to("meta")
         self._last = None
 
     def bytes_needed(self, views: int, size: int) -> int | None:
-        """Weights and `VgmConfig.working_bytes`."""
+        """The weights, and what `VgmConfig.working_bytes` estimates."""
         options = self._options
         weights = sum(tensor.nbytes for tensor in self._model.state_dict().values())
         return weights + self._model.config.working_bytes(
@@ -99,6 +101,6 @@ class FeedForwardEncoder:
 
 
 def _maps_on_cpu(found: VgmOutput) -> VgmOutput:
-    """Features stay where they are: they are large, and the model that reads them is there too."""
+    """Cameras and maps on the CPU. Features are large and stay on the device, where the model reads them."""
     depth, confidence = (each if each is None else each.cpu() for each in (found.depth, found.confidence))
     return VgmOutput(found.cameras.to("cpu"), found.features, depth, confidence)

@@ -1,4 +1,4 @@
-"""Rotary position embedding on a grid of patches, as both VGMs use it."""
+"""Rotary position embedding on a grid of patches, in the two variants of the VGMs."""
 
 import math
 from dataclasses import dataclass
@@ -10,10 +10,10 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class Rotation:
-    """Turns pairs of channels of each patch's queries and keys by angles that depend on where the patch is.
+    """Rotates pairs of channels of each patch's queries and keys by angles that depend on the patch's position.
 
-    The head's channels fall into `parts` equal parts; in each, channel c is paired with the one half a part
-    further. `cos` and `sin` have a row for each patch; tokens before the patches stay as they are.
+    The channels of a head form `parts` equal parts. In each part, a channel is paired with the one half a part
+    further. `cos` and `sin` have a row for each patch. Tokens that come before the patches are not rotated.
     """
 
     cos: Float[Tensor, "patches channels"]
@@ -21,7 +21,7 @@ class Rotation:
     parts: int
 
     def apply(self, x: Float[Tensor, "groups heads tokens channels"]) -> Float[Tensor, "groups heads tokens channels"]:
-        """In the precision of the angles, and back in that of `x`."""
+        """The rotated tokens in the precision of `x`; the rotation is done in that of the angles."""
         before = x.shape[-2] - len(self.cos)
         patches = x[..., before:, :].to(self.cos.dtype)
         first, second = patches.unflatten(-1, (self.parts, 2, -1)).unbind(-2)
@@ -31,9 +31,10 @@ class Rotation:
 
 
 def axial_rotation(periods: Float[Tensor, "quarter"], rows: int, columns: int) -> Rotation:
-    """VGGT-Omega's (spec, section 12): coordinates in [−1, 1] of the longer side, angles 2π·coordinate/period.
+    """VGGT-Omega's: coordinates in [−1, 1] along the longer side, angles 2π·coordinate / period.
 
-    The angles of the row fill a quarter of the head, those of the column the next, and both are repeated.
+    The angles of the row fill a quarter of the head, those of the column the next quarter, and both are repeated.
+    See docs/reference/official-checkpoint.md.
     """
     longer = max(rows, columns)
     row, column = (
@@ -46,10 +47,10 @@ def axial_rotation(periods: Float[Tensor, "quarter"], rows: int, columns: int) -
 
 
 def split_rotation(channels: int, rows: int, columns: int, like: Tensor) -> Rotation:
-    """VGGT's (spec, section 15): half of the head turns with the row, half with the column, counted from 1.
+    """VGGT's: half of the head rotates with the row, half with the column, both counted from 1.
 
-    Angles are position·100^(−2j/h) in a half of h channels. VGGT gives the other tokens position 0, which
-    turns them by nothing.
+    Angles are position·100^(−2j/h) in a half of h channels. The other tokens have position 0, so they are not
+    rotated. `like` gives device and dtype. See docs/reference/official-checkpoint.md.
     """
     half = channels // 2
     frequencies = 100.0 ** (-torch.arange(0, half, 2, device=like.device, dtype=like.dtype) / half)

@@ -1,4 +1,4 @@
-"""A VGM that is a network: aggregator, camera head, depth head, and how they are loaded."""
+"""A learned VGM: aggregator, camera head and depth head, and how they are loaded."""
 
 import json
 from collections.abc import Callable, Sequence
@@ -13,20 +13,21 @@ from querysplat_cli.encoders.transformer.aggregator import Aggregator
 from querysplat_cli.encoders.transformer.config import VgmConfig
 from querysplat_cli.encoders.transformer.pose import decode_pose
 from querysplat_cli.runtime.checkpoint_files import check_tensors, fill, read_tensors
+from querysplat_cli.runtime.choices import Precision
 from querysplat_cli.runtime.errors import QuerySplatError
-from querysplat_cli.runtime.precision import Precision, weight_dtypes
+from querysplat_cli.runtime.precision import weight_dtypes
 from querysplat_cli.scene.cameras import Cameras
 
 DEPTH_CHUNK = 8
-"""Views in the depth head at once."""
+"""Views that pass through the depth head at once."""
 
 
 @dataclass(frozen=True)
 class VgmOutput:
-    """What one pass of a VGM finds.
+    """The result of one pass.
 
-    `features` are the layers asked for, or their mixture alone; `depth` (camera z) and `confidence` in [0, 1)
-    are None where depth was not asked for.
+    `features` are the cached layers, or only their mixture. `depth` is camera z, `confidence` is in [0, 1); both are
+    None where no depth was asked for.
     """
 
     cameras: Cameras
@@ -36,19 +37,26 @@ class VgmOutput:
 
 
 class Vgm(nn.Module):
-    """Photos to cameras, features and depth. The parts bear the names of the checkpoint."""
+    """Photos to cameras, features and depth. Its parts have the names of the checkpoint.
 
-    config: VgmConfig
+    A subclass adds its heads. `config` gives the sizes of all parts.
+    """
+
     aggregator: Aggregator
 
+    def __init__(self, config: VgmConfig, aggregator: Aggregator) -> None:
+        super().__init__()
+        self.config = config
+        self.aggregator = aggregator
+
     def pose(self, last: Float[Tensor, "views specials channels"]) -> Float[Tensor, "views 9"]:
-        """Pose encodings, from the camera and register tokens of the last layer."""
+        """Pose encodings (see `pose.py`) from the camera and register tokens of the last layer."""
         raise NotImplementedError
 
     def depth(
         self, layers: Sequence[Float[Tensor, "views patches channels"]], grid: tuple[int, int]
     ) -> tuple[Float[Tensor, "views height width"], Float[Tensor, "views height width"]]:
-        """Depth and confidence, from the patch tokens of the layers."""
+        """Depth and confidence (≥ 1) from the patch tokens of the layers."""
         raise NotImplementedError
 
     @torch.no_grad()
@@ -60,9 +68,10 @@ class Vgm(nn.Module):
         depth: bool = True,
         progress: Callable[[float], None] = lambda fraction: None,
     ) -> VgmOutput:
-        """One pass. With a `mixture` of the layers, only their weighted sum is kept, made layer by layer.
+        """One pass over images in [0, 1].
 
-        The other tokens of a mixture are those of the last layer.
+        With a `mixture` (a weight for each layer), the features are the weighted sum of the layers' patch tokens, with
+        the camera and register tokens of the last layer. It is summed layer by layer, which saves memory.
         """
         height, width = images.shape[-2:]
         start, patch = self.config.special_tokens, self.config.patch
@@ -102,10 +111,10 @@ def load_vgm(
     precision: Precision = "fp32",
     device: torch.device = torch.device("cpu"),  # noqa: B008 - immutable
 ) -> Vgm:
-    """A frozen VGM from its checkpoint: aggregator at `precision`, heads in float32.
+    """A frozen VGM from its checkpoint: the aggregator at `precision`, the heads in float32.
 
-    Parts of other models in the same file are left alone. A .safetensors file may carry another configuration
-    than `default` in its metadata. Raises QuerySplatError when the file is damaged or its tensors do not fit.
+    The metadata of a .safetensors file may replace the configuration `default`. Tensors of other models in the same
+    file are ignored. Raises QuerySplatError when the file is damaged or its tensors do not fit.
     """
     tensors, metadata = read_tensors(path)
     config = default

@@ -1,4 +1,4 @@
-"""VGGT's aggregator (spec, section 15): DINOv2 with registers, then alternating attention."""
+"""VGGT's aggregator: DINOv2 with registers, then alternating attention (docs/reference/official-checkpoint.md)."""
 
 import torch
 from jaxtyping import Float
@@ -12,10 +12,11 @@ from querysplat_cli.encoders.transformer.rotary import Rotation, split_rotation
 from querysplat_cli.runtime.precision import LayerNorm
 
 VIT_EPS = 1e-6
+"""The epsilon of the patch encoder's layer norms."""
 
 
 class PatchEncoder(nn.Module):
-    """Each view alone, with a learned grid of positions; class and register tokens stay inside."""
+    """Patch tokens of each view alone, with a learned grid of positions. Class and register tokens stay inside."""
 
     def __init__(self, config: VgmConfig) -> None:
         super().__init__()
@@ -23,7 +24,7 @@ class PatchEncoder(nn.Module):
         self.cls_token = nn.Parameter(torch.zeros(1, 1, width))
         self.pos_embed = nn.Parameter(torch.zeros(1, 1 + self.side**2, width))
         self.register_tokens = nn.Parameter(torch.zeros(1, config.storage_tokens, width))
-        # Stored, without effect.
+        # In the checkpoint, but unused.
         self.mask_token = nn.Parameter(torch.zeros(1, width))
         self.patch_embed = PatchConvolution(width, config.patch)
         self.blocks = nn.ModuleList(
@@ -43,7 +44,7 @@ class PatchEncoder(nn.Module):
         return self.norm(tokens)[:, before.shape[1] :]
 
     def positions(self, rows: int, columns: int) -> Float[Tensor, "1 patches channels"]:
-        """The learned grid, resized to another one where that is needed."""
+        """The learned grid of positions, resized where the patch grid differs from that of the training."""
         grid = self.pos_embed[:, 1:]
         if (rows, columns) == (self.side, self.side):
             return grid
@@ -52,7 +53,7 @@ class PatchEncoder(nn.Module):
 
 
 class VggtAggregator(Aggregator):
-    """Positions turn inside views and between them."""
+    """Patch positions enter the attention inside views and between them."""
 
     rotate_across = True
 

@@ -1,4 +1,4 @@
-"""VGGT's camera and depth heads (spec, section 15)."""
+"""VGGT's camera and depth heads (docs/reference/official-checkpoint.md)."""
 
 from collections.abc import Sequence
 
@@ -12,7 +12,7 @@ from querysplat_cli.encoders.transformer.dpt import Pyramid, Scratch, resize, wi
 
 
 class CameraHead(nn.Module):
-    """Camera tokens of all views to pose encodings, refined again and again."""
+    """Camera tokens of all views to pose encodings, in a fixed number of refinements."""
 
     def __init__(self, inputs: int, heads: int = 16, blocks: int = 4, refinements: int = 4) -> None:
         super().__init__()
@@ -27,7 +27,7 @@ class CameraHead(nn.Module):
         self.pose_branch = Mlp(inputs, inputs // 2, 9)
 
     def forward(self, camera: Float[Tensor, "views inputs"]) -> Float[Tensor, "refinements views 9"]:
-        """The encoding after each refinement; the last one counts."""
+        """The encoding after each refinement. The last one is the result."""
         tokens, raw, found = self.token_norm(camera)[None], None, []
         for _ in range(self.refinements):
             pose = self.empty_pose_tokens if raw is None else raw
@@ -40,7 +40,10 @@ class CameraHead(nn.Module):
 
 
 class DepthScratch(Scratch):
-    """With the last convolutions. The ReLUs of the release work in place: skips carry positive parts."""
+    """With the last convolutions.
+
+    The ReLUs of the release work in place, so its skip connections add the positive part of the input (`rectified`).
+    """
 
     def __init__(self, levels: Sequence[int], channels: int) -> None:
         super().__init__(levels, channels, rectified=True)
@@ -62,7 +65,7 @@ class DepthHead(Pyramid):
     def forward(
         self, layers: Sequence[Float[Tensor, "views patches inputs"]], grid: tuple[int, int]
     ) -> tuple[Float[Tensor, "views height width"], Float[Tensor, "views height width"]]:
-        """Depth, and confidence above 1, at the size of the picture, whose patches are square."""
+        """Depth, and confidence above 1, at the size of the picture. `grid` is (rows, columns) of patches."""
         aspect = grid[1] / grid[0]
         levels = self.levels(layers, grid, aspect)
         *_, finest = self.fuse(levels, (2 * levels[0].shape[-2], 2 * levels[0].shape[-1]))

@@ -1,4 +1,4 @@
-"""VGGT 1B at 518 pixels (Meta and Oxford; `facebook/VGGT-1B`): the paper's ablation backbone."""
+"""VGGT 1B at 518 pixels (Meta and Oxford; `facebook/VGGT-1B`), the backbone of the paper's ablation."""
 
 from collections.abc import Sequence
 
@@ -10,17 +10,15 @@ from querysplat_cli.encoders.transformer.vgm import Vgm
 from querysplat_cli.encoders.vggt.aggregator import VggtAggregator
 from querysplat_cli.encoders.vggt.heads import CameraHead, DepthHead
 
-CONFIG = VgmConfig(registers=4, register_blocks=(), patch=14, pretrained_image=518)
+VGGT_CONFIG = VgmConfig(registers=4, register_blocks=(), patch=14, pretrained_image=518)
 
 
 class Vggt(Vgm):
-    """Its point and track heads are left out."""
+    """VGGT without its point and track heads, which are not used."""
 
     def __init__(self, config: VgmConfig) -> None:
-        super().__init__()
-        self.config = config
+        super().__init__(config, VggtAggregator(config))
         inputs = 2 * config.width
-        self.aggregator = VggtAggregator(config)
         self.camera_head = CameraHead(inputs, config.camera_heads, config.camera_blocks)
         self.depth_head = DepthHead(inputs, config.patch, config.depth_channels, config.depth_levels)
 

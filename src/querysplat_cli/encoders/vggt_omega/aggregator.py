@@ -1,4 +1,7 @@
-"""VGGT-Omega's aggregator (spec, section 12): a DINOv3-style patch encoder, then alternating attention."""
+"""VGGT-Omega's aggregator: a DINOv3-style patch encoder, then alternating attention.
+
+See docs/reference/official-checkpoint.md.
+"""
 
 import torch
 from jaxtyping import Float
@@ -12,7 +15,7 @@ from querysplat_cli.runtime.precision import LayerNorm
 
 
 class RotaryEmbedding(nn.Module):
-    """Holds the stored periods."""
+    """The rotary embedding with the periods of the checkpoint."""
 
     def __init__(self, head_width: int) -> None:
         super().__init__()
@@ -25,14 +28,14 @@ class RotaryEmbedding(nn.Module):
 
 
 class PatchEncoder(nn.Module):
-    """Each view alone; the class and storage tokens stay inside."""
+    """Patch tokens of each view alone. The class and storage tokens stay inside."""
 
     def __init__(self, config: VgmConfig) -> None:
         super().__init__()
         width = config.width
         self.cls_token = nn.Parameter(torch.zeros(1, 1, width))
         self.storage_tokens = nn.Parameter(torch.zeros(1, config.storage_tokens, width))
-        # Stored, without effect.
+        # In the checkpoint, but unused.
         self.mask_token = nn.Parameter(torch.zeros(1, width))
         self.patch_embed = PatchConvolution(width, config.patch)
         self.rope_embed = RotaryEmbedding(width // config.heads)
@@ -44,7 +47,7 @@ class PatchEncoder(nn.Module):
     def first_tokens(
         self, images: Float[Tensor, "views 3 height width"]
     ) -> tuple[Float[Tensor, "views tokens channels"], Rotation]:
-        """Class, storage and patch tokens before the blocks, and the rotation of the patches."""
+        """Class, storage and patch tokens as they enter the blocks, and the rotation of the patches."""
         patches = self.patch_embed.proj(images).to(self.cls_token.dtype)
         before = torch.cat([self.cls_token, self.storage_tokens], 1).expand(len(images), -1, -1)
         return torch.cat([before, patches.flatten(2).mT], 1), self.rope_embed(*patches.shape[-2:])
@@ -58,7 +61,10 @@ class PatchEncoder(nn.Module):
 
 
 class OmegaAggregator(Aggregator):
-    """Positions turn inside views only; in some blocks only camera and register tokens meet."""
+    """Patch positions enter only the attention inside views.
+
+    In the blocks `config.register_blocks`, only camera and register tokens attend across views.
+    """
 
     def __init__(self, config: VgmConfig) -> None:
         super().__init__(config, masked=True)

@@ -1,4 +1,4 @@
-"""VGGT-Omega's camera and depth heads (spec, section 12)."""
+"""VGGT-Omega's camera and depth heads (docs/reference/official-checkpoint.md)."""
 
 from collections.abc import Sequence
 
@@ -11,12 +11,13 @@ from querysplat_cli.encoders.transformer.blocks import Block
 from querysplat_cli.encoders.transformer.dpt import Pyramid, Scratch, with_position
 
 LEAST_FIELD = 0.01
-"""Radians: the smallest field of view that the camera head can say."""
+"""The smallest field of view that the camera head can predict, in radians."""
 SHUFFLE = 4
+"""Each pixel of the fused map becomes so many pixels of depth a side."""
 
 
 class CameraHead(nn.Module):
-    """Camera and register tokens of all views, as one sequence, to a pose encoding of each view. One pass."""
+    """Camera and register tokens of all views, as one sequence, to a pose encoding of each view."""
 
     def __init__(self, inputs: int, heads: int = 16, blocks: int = 4) -> None:
         super().__init__()
@@ -32,7 +33,7 @@ class CameraHead(nn.Module):
 
 
 def activate_pose(raw: Float[Tensor, "views 9"]) -> Float[Tensor, "views 9"]:
-    """Fields of view positive; the rest as it is."""
+    """The encoding with positive fields of view; the other numbers are unchanged."""
     return torch.cat([raw[:, :7], F.relu(raw[:, 7:]) + LEAST_FIELD], 1)
 
 
@@ -47,7 +48,7 @@ class DepthHead(Pyramid):
     def forward(
         self, layers: Sequence[Float[Tensor, "views patches inputs"]], grid: tuple[int, int]
     ) -> tuple[Float[Tensor, "views height width"], Float[Tensor, "views height width"]]:
-        """Depth, and confidence above 1, at the size of the picture, whose patches are square."""
+        """Depth, and confidence above 1, at the size of the picture. `grid` is (rows, columns) of patches."""
         aspect = grid[1] / grid[0]
         levels = self.levels(layers, grid, aspect)
         *_, finest = self.fuse(levels, (levels[0].shape[-2], levels[0].shape[-1]))

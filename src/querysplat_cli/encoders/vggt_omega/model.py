@@ -10,17 +10,15 @@ from querysplat_cli.encoders.transformer.vgm import Vgm
 from querysplat_cli.encoders.vggt_omega.aggregator import OmegaAggregator
 from querysplat_cli.encoders.vggt_omega.heads import CameraHead, DepthHead
 
-CONFIG = VgmConfig()
+VGGT_OMEGA_CONFIG = VgmConfig()
 
 
 class VggtOmega(Vgm):
-    """1,411 tensors under three prefixes."""
+    """VGGT-Omega. Its checkpoint holds 1,411 tensors under the prefixes of the three parts."""
 
     def __init__(self, config: VgmConfig) -> None:
-        super().__init__()
-        self.config = config
+        super().__init__(config, OmegaAggregator(config))
         inputs = 2 * config.width
-        self.aggregator = OmegaAggregator(config)
         self.camera_head = CameraHead(inputs, config.camera_heads, config.camera_blocks)
         self.dense_head = DepthHead(inputs, config.depth_channels, config.depth_levels)
 

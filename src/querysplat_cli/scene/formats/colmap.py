@@ -11,8 +11,8 @@ from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.photos import short_names
 
 MODEL_FOLDERS = ("", "0", "sparse", "sparse/0", "colmap/sparse/0")
-"""Where a model may lie in a folder that the user names."""
-DISTORTION = {
+"""Where a model may be in a folder that the user gives."""
+DISTORTION_PARAMETERS = {
     "SIMPLE_PINHOLE": (),
     "PINHOLE": (),
     "SIMPLE_RADIAL": (0,),
@@ -41,15 +41,16 @@ def read_colmap(folder: Path) -> dict[str, PhotoCamera]:
     cameras = {}
     for name, image in zip(names, images, strict=True):
         camera = model.cameras[image.camera_id]
-        if camera.model_name not in DISTORTION:
+        if camera.model_name not in DISTORTION_PARAMETERS:
             raise QuerySplatError(
-                f"{folder}: the lens of {name} is {camera.model_name}; known are {', '.join(DISTORTION)}",
+                f"{folder}: the lens model of {name} is {camera.model_name}; "
+                f"supported are {', '.join(DISTORTION_PARAMETERS)}",
                 "Undistort the photos first, with `colmap image_undistorter`.",
             )
         w2c = np.eye(4)
         w2c[:3] = image.cam_from_world().matrix()
         distortion = [0.0, 0.0, 0.0, 0.0]
-        for place, index in zip(DISTORTION[camera.model_name], camera.extra_params_idxs(), strict=True):
+        for place, index in zip(DISTORTION_PARAMETERS[camera.model_name], camera.extra_params_idxs(), strict=True):
             distortion[place] = float(camera.params[index])
         k1, k2, p1, p2 = distortion
         cameras[name] = PhotoCamera(
@@ -64,21 +65,21 @@ def read_colmap(folder: Path) -> dict[str, PhotoCamera]:
 
 
 def write_colmap(folder: Path, cameras: Mapping[str, PhotoCamera], *, text: bool = False) -> None:
-    """Write a model without points into the empty `folder`; photos whose lenses are equal share one camera."""
+    """Write a model without points into the empty `folder`; photos with equal intrinsics share one camera."""
     import pycolmap
 
     model = pycolmap.Reconstruction()
     numbers: dict[tuple[object, ...], int] = {}
     for image_id, (name, camera) in enumerate(cameras.items(), start=1):
         distorted = any(camera.distortion)
-        lens = (*camera.focal, *camera.principal, *(camera.distortion if distorted else ()))
-        key = (camera.width, camera.height, *lens)
+        intrinsics = (*camera.focal, *camera.principal, *(camera.distortion if distorted else ()))
+        key = (camera.width, camera.height, *intrinsics)
         if key not in numbers:
             numbers[key] = len(numbers) + 1
             kind = "OPENCV" if distorted else "PINHOLE"
             size = {"width": camera.width, "height": camera.height}
             model.add_camera_with_trivial_rig(
-                pycolmap.Camera(model=kind, **size, params=list(lens), camera_id=numbers[key])
+                pycolmap.Camera(model=kind, **size, params=list(intrinsics), camera_id=numbers[key])
             )
         image = pycolmap.Image(name=name, camera_id=numbers[key], image_id=image_id)
         model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(camera.w2c[:3]))
@@ -86,7 +87,7 @@ def write_colmap(folder: Path, cameras: Mapping[str, PhotoCamera], *, text: bool
 
 
 def copy_colmap(source: Path, folder: Path, *, text: bool = False) -> None:
-    """Write the model in `source`, points and all, into the empty `folder`, binary or as text."""
+    """Write the model in `source`, points included, into the empty `folder`, binary or as text."""
     model = _opened(source)
     (model.write_text if text else model.write_binary)(folder)
 

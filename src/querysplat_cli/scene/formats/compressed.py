@@ -1,4 +1,4 @@
-"""Smaller files of Gaussians through gsply: .spz (Niantic), read and written, and .sog (PlayCanvas), read.
+"""Compressed files of Gaussians through gsply: .spz (Niantic), read and written, and .sog (PlayCanvas), read.
 
 Both are lossy: 8 bits of opacity, logarithmic scale and colour; .spz clamps SH beyond the first to [−1, 1). Axes are
 those of the file: SPZ's are x right, y up, z backward by its specification, a .sog's those of the .ply it was made of.
@@ -18,7 +18,7 @@ from querysplat_cli.scene.formats.ply import HIGHEST_OPACITY, export_rows
 from querysplat_cli.scene.gaussians import Gaussians
 
 SPZ_BITS = 24
-"""Of a coordinate, sign included; how many of them are fractional is chosen by the scene's size."""
+"""Bits of a coordinate, sign included. The scene's size determines how many of them are fractional."""
 MOST_FRACTIONAL_BITS = 20
 
 
@@ -30,12 +30,12 @@ def read_spz(path: Path) -> Gaussians:
     gsply = _gsply()
     try:
         return _gaussians(gsply.read_spz(path))
-    except Exception as error:  # whatever the damage makes the decoder trip over
+    except Exception as error:  # damage can raise anything in the decoder
         raise QuerySplatError(f"{path}: damaged, or no .spz: {error}", "Export it again.") from error
 
 
 def write_spz(path: Path, gaussians: Gaussians) -> int:
-    """Write version 3, which all readers know; returns how many Gaussians are in the file (finite ones)."""
+    """Write version 3, which all readers support; returns how many Gaussians are in the file (the finite ones)."""
     gsply = _gsply()
     rows = _finite_rows(gaussians)
     reach = float(np.abs(rows[:, :3]).max(initial=1e-30))
@@ -62,7 +62,7 @@ def read_sog(path: Path) -> Gaussians:
         return _gaussians(gsply.sogread(path))
     except ImportError as error:
         raise _missing("gsply[sogs]") from error
-    except Exception as error:  # whatever the damage makes the decoder trip over
+    except Exception as error:  # damage can raise anything in the decoder
         raise QuerySplatError(f"{path}: damaged, or no .sog: {error}", "Export it again.") from error
 
 

@@ -1,4 +1,4 @@
-"""Captured scenes as datasets keep them: DL3DV, nerfstudio, COLMAP, our scene folder, plain photos; folders, zips."""
+"""Captured scenes in the forms of DL3DV, nerfstudio, COLMAP, our scene folder and plain photos, as folders or zips."""
 
 import json
 import shutil
@@ -15,12 +15,12 @@ from querysplat_cli.scene.formats.colmap import MODEL_FOLDERS, read_colmap
 from querysplat_cli.scene.formats.transforms import is_rigid, read_transforms
 from querysplat_cli.scene.photos import SUFFIXES, natural_key
 
-PICTURE_FOLDERS = ("images_4", "images_2", "images", "images_8")
+DATASET_FOLDERS = ("images_4", "images_2", "images", "images_8")
 """DL3DV's sizes in the order of preference: 960 × 540 is what its users evaluate with."""
 HOMES = ("", "nerfstudio", "colmap", "gaussian_splat")
 """Where in a scene's folder DL3DV's releases (10K, Benchmark and sample) keep pictures and cameras."""
-DEPTH = 2
-"""A dataset's scenes lie this deep at most: subset / hash."""
+SCENE_DEPTH = 2
+"""Scenes are at most this many folders below the one that the user gives: subset / hash."""
 MODEL_FILES = tuple(f"{part}{suffix}" for part in ("cameras", "images", "points3D") for suffix in (".bin", ".txt"))
 
 
@@ -46,8 +46,8 @@ class Frame:
 class CapturedScene:
     """The photos of one scene in natural order, those that are on disk, and the dataset's cameras by name.
 
-    `cameras` is empty where the dataset has none; cameras that are no rigid motion are not in it. `notes`
-    are sentences about what is missing or unusual.
+    `cameras` is empty where the dataset has none; cameras whose matrix is no rigid motion are not in it. `notes` are
+    phrases for the user about what is missing or unusual.
     """
 
     name: str
@@ -56,18 +56,18 @@ class CapturedScene:
     notes: tuple[str, ...]
 
 
-def find_scenes(places: Sequence[Path], pictures: str = PICTURE_FOLDERS[0]) -> list[CapturedScene]:
+def find_scenes(places: Sequence[Path], pictures: str = DATASET_FOLDERS[0]) -> list[CapturedScene]:
     """Every scene in `places`: scene folders, zips of scenes, or folders of those, by name in natural order.
 
-    `pictures` is the folder of pictures to take (images_4, …); where a scene lacks it another one is
-    taken, with a note. Raises QuerySplatError when a place is missing, damaged or holds no scene, and when two
+    `pictures` is the preferred folder of pictures (images_4, …). Where a scene does not have it another one is taken,
+    with a note. Raises QuerySplatError when a place is missing, damaged or holds no scene, and when two
     scenes have one name.
     """
     scenes: dict[str, CapturedScene] = {}
     for place in places:
         if not place.exists():
             raise QuerySplatError(f"{place}: no such file or folder", "Give a scene, or a folder of scenes.")
-        found = list(_scenes(_opened(place), _stem(place.resolve()), pictures, DEPTH))
+        found = list(_scenes(_opened(place), _stem(place.resolve()), pictures, SCENE_DEPTH))
         if not found:
             raise QuerySplatError(
                 f"{place}: no scene in it", "A scene is a folder of pictures, or has images_4 and a transforms.json."
@@ -127,7 +127,7 @@ def _scenes(place: Traversable, name: str, pictures: str, depth: int) -> Iterato
 
 def _scene(place: Traversable, name: str, pictures: str) -> CapturedScene | None:
     for home in (_inside(place, part) for part in HOMES):
-        folders = [folder for folder in (pictures, *PICTURE_FOLDERS) if _inside(home, folder).is_dir()]
+        folders = [folder for folder in (pictures, *DATASET_FOLDERS) if _inside(home, folder).is_dir()]
         if (home / "transforms.json").is_file() or folders:
             return _read(home, name, folders[0] if folders else None, pictures)
     if any(_is_picture(entry) for entry in place.iterdir()):
@@ -153,11 +153,11 @@ def _read(home: Traversable, name: str, folder: str | None, wanted: str) -> Capt
     else:
         files = sorted(filter(_is_picture, place.iterdir()), key=lambda entry: natural_key(Path(entry.name)))
         frames = [_frame(index, entry.name, folder, entry) for index, entry in enumerate(files)]
-    sound = {short: camera for short, camera in cameras.items() if is_rigid(camera.w2c)}
-    if len(sound) < len(cameras):
-        notes.append(f"{len(cameras) - len(sound)} cameras are no rigid motions, and not used")
+    rigid = {short: camera for short, camera in cameras.items() if is_rigid(camera.w2c)}
+    if len(rigid) < len(cameras):
+        notes.append(f"{len(cameras) - len(rigid)} cameras are no rigid motions, and not used")
     ordered = sorted(frames, key=lambda frame: natural_key(Path(frame.name)))
-    return CapturedScene(name, tuple(ordered), sound, tuple(notes))
+    return CapturedScene(name, tuple(ordered), rigid, tuple(notes))
 
 
 def _frame(index: int, name: str, folder: str | None, file: Traversable) -> Frame:
@@ -179,7 +179,8 @@ def _cameras(home: Traversable) -> tuple[dict[str, PhotoCamera], list[str]]:
                     _copied(file, Path(scratch))
                 cameras = read_colmap(Path(scratch))
                 return cameras, list(cameras)
-        if (home / "cameras.json").is_file():  # our scene folder's; the original 3DGS writes another one beside a model
+        # Our scene folder's. The original 3DGS writes another kind of cameras.json next to a COLMAP model.
+        if (home / "cameras.json").is_file():
             return _listed(_copied(home / "cameras.json", Path(scratch)))
     return {}, []
 

@@ -1,4 +1,4 @@
-"""Cameras that the user already has, in whichever form they are."""
+"""Cameras that the user already has, in any of the supported forms."""
 
 from pathlib import Path
 

@@ -21,9 +21,9 @@ from querysplat_cli.scene.pictures import stored_name
 from querysplat_cli.scene.views import Views
 
 OPENGL_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
-LENSES = {"PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"}
-ORTHONORMAL = 1e-3
-"""What rounding in a file may do to a rotation."""
+LENS_MODELS = {"PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"}
+RIGID_TOLERANCE = 1e-3
+"""How far rounding in a file may move R·Rᵀ from the identity."""
 
 
 @dataclass(frozen=True)
@@ -36,10 +36,10 @@ class NamedCameras:
 
 
 def read_transforms(path: Path) -> dict[str, PhotoCamera]:
-    """Cameras by photo name, as the file has them: for the lens and the full-size picture that it states.
+    """Cameras by photo name, with the lens distortion and the picture size that the file states.
 
     A photo's name is the file name in `file_path` (the folder often does not exist as written), or in our own
-    `photo`, with as much of the folder as tells frames of one name apart. Intrinsics may be given for each
+    `photo`, with as much of the folder as makes it unique. Intrinsics may be given for each
     frame. A matrix that is no rigid motion is passed on as it is: the encoder leaves that photo out by name.
     Raises QuerySplatError when the file is unreadable, incomplete, or states a lens other than OpenCV's.
     """
@@ -52,9 +52,8 @@ def read_transforms(path: Path) -> dict[str, PhotoCamera]:
 def write_cameras(path: Path, cameras: Cameras, views: Views, *, heldout: tuple[Views, Cameras] | None = None) -> None:
     """Write pinhole cameras of undistorted pictures; `read_cameras` gives the same back within 1e-6.
 
-    The pictures are those that `store.write_images` puts into `images/`; where one has another name than its
-    photo, `photo` has that. Held-out ones are under `heldout_frames`. `canvas` is the (height, width) that all
-    of them share.
+    The pictures are the undistorted ones in `images/`. Where a picture's file has another name than its photo, `photo`
+    is the photo's name. Held-out frames are under `heldout_frames`. `canvas` is the (height, width) that all share.
     """
     content = {
         "camera_model": "PINHOLE",
@@ -69,17 +68,17 @@ def write_cameras(path: Path, cameras: Cameras, views: Views, *, heldout: tuple[
 def write_transforms(
     path: Path, cameras: Mapping[str, PhotoCamera], file_of: Callable[[str], str] = lambda name: name
 ) -> None:
-    """Write cameras with their lenses; `read_transforms` gives the same back within rounding.
+    """Write cameras with their distortion; `read_transforms` gives the same back within rounding.
 
-    The pictures are in `images/`, under the name that `file_of` gives to a photo's.
+    The pictures are in `images/`. `file_of` turns a photo's name into its picture's file name.
     """
     frames = []
     for name, camera in cameras.items():
         (fx, fy), (cx, cy), (k1, k2, p1, p2) = camera.focal, camera.principal, camera.distortion
-        lens = {"w": camera.width, "h": camera.height, "fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy}
-        lens |= {"k1": k1, "k2": k2, "p1": p1, "p2": p2}
+        intrinsics = {"w": camera.width, "h": camera.height, "fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy}
+        intrinsics |= {"k1": k1, "k2": k2, "p1": p1, "p2": p2}
         matrix = opengl_from_opencv(camera.w2c).tolist()
-        frames.append({**_picture(name, file_of(name)), **lens, "transform_matrix": matrix})
+        frames.append({**_picture(name, file_of(name)), **intrinsics, "transform_matrix": matrix})
     with atomic_path(path) as draft:
         draft.write_text(json.dumps({"camera_model": "OPENCV", "frames": frames}, indent=1) + "\n")
 
@@ -133,32 +132,32 @@ def _frames(cameras: Cameras, views: Views) -> list[dict[str, Any]]:
 
 def _named_cameras(path: Path, content: Mapping[str, Any], frames: Sequence[Mapping[str, Any]]) -> NamedCameras:
     names = tuple(_photo(path, frame).removeprefix("./").removeprefix("images/") for frame in frames)
-    lenses = [_photo_camera(path, name, {**content, **frame}) for name, frame in zip(names, frames, strict=True)]
-    for name, lens in zip(names, lenses, strict=True):
-        if not is_rigid(lens.w2c):
+    cameras = [_photo_camera(path, name, {**content, **frame}) for name, frame in zip(names, frames, strict=True)]
+    for name, camera in zip(names, cameras, strict=True):
+        if not is_rigid(camera.w2c):
             raise QuerySplatError(f"{path}: the matrix of {name} is no rigid motion", "Remove that frame.")
-    sizes = tuple((lens.height, lens.width) for lens in lenses)
-    K = torch.zeros(len(lenses), 3, 3, dtype=torch.float64)
-    K[:, (0, 1), (0, 1)] = torch.tensor([lens.focal for lens in lenses], dtype=torch.float64)
-    K[:, :2, 2] = torch.tensor([lens.principal for lens in lenses], dtype=torch.float64)
+    sizes = tuple((camera.height, camera.width) for camera in cameras)
+    K = torch.zeros(len(cameras), 3, 3, dtype=torch.float64)
+    K[:, (0, 1), (0, 1)] = torch.tensor([camera.focal for camera in cameras], dtype=torch.float64)
+    K[:, :2, 2] = torch.tensor([camera.principal for camera in cameras], dtype=torch.float64)
     K[:, 2, 2] = 1
     height, width = content.get("canvas") or (max(size[0] for size in sizes), max(size[1] for size in sizes))
-    w2c = torch.from_numpy(np.stack([lens.w2c for lens in lenses]))
+    w2c = torch.from_numpy(np.stack([camera.w2c for camera in cameras]))
     return NamedCameras(names, Cameras(w2c.float(), K.float(), int(height), int(width)), sizes)
 
 
 def is_rigid(w2c: np.ndarray) -> bool:
-    """Whether the matrix [4, 4] is finite and its rotation is one, within rounding."""
+    """Whether the matrix [4, 4] is finite and its rotation part is a rotation, within rounding."""
     rotation = w2c[:3, :3]
     if not np.isfinite(w2c).all():
         return False
-    return bool(np.abs(rotation @ rotation.T - np.eye(3)).max() < ORTHONORMAL and np.linalg.det(rotation) > 0)
+    return bool(np.abs(rotation @ rotation.T - np.eye(3)).max() < RIGID_TOLERANCE and np.linalg.det(rotation) > 0)
 
 
 def _photo_camera(path: Path, name: str, frame: Mapping[str, Any]) -> PhotoCamera:
-    """One frame's camera; `frame` has the file's common settings under its own."""
+    """One frame's camera; `frame` also has the settings that are common to the file."""
     lens = frame.get("camera_model", "OPENCV")
-    if lens not in LENSES or any(frame.get(key) for key in ("k3", "k4", "is_fisheye")):
+    if lens not in LENS_MODELS or any(frame.get(key) for key in ("k3", "k4", "is_fisheye")):
         raise QuerySplatError(
             f"{path}: the lens of {name} is not one of OpenCV's with k1, k2, p1, p2 ({lens})",
             "Undistort the photos first, for instance with `colmap image_undistorter`.",

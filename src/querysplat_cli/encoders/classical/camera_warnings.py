@@ -1,45 +1,35 @@
-"""What speaks against a model that looks complete.
+"""Warnings about a model that looks complete.
 
-The number of placed photos and the reprojection error do not tell: the global mapper once placed all of
-`fox` with 0.3 px of error, 30 % of the scene's extent away from the truth.
+The number of placed photos and the reprojection error are not enough. The global mapper once placed all photos of
+`fox` with an error of 0.3 px, and the cameras were wrong by 30 % of the scene's extent.
 """
 
 from itertools import pairwise
 
 import numpy as np
 
-from querysplat_cli.encoders.classical.epipolar import AGREEING, COVERED, supported
+from querysplat_cli.encoders.classical.epipolar import epipolar_support
 from querysplat_cli.encoders.classical.matches import Matches
+from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
 from querysplat_cli.encoders.classical.sparse_model import SparseModel
 from querysplat_cli.scene.cameras import PhotoCamera
 
-FEW_POINTS = 100
-SMALL_ANGLE = 2.0
-"""Degrees between the rays of a point below which its depth is loose."""
-FLAT = 0.01
-"""Thickness of a plane in units of its narrower side."""
-FIELD_OF_VIEW = (15.0, 120.0)
-"""Degrees along the longer side within which ordinary lenses lie."""
-EXIF_AGREEMENT = 0.25
-"""Relative difference from EXIF's focal length that zoom, crop and rounding do not explain."""
-FORWARD = 0.9
-"""Cosine between motion and viewing direction from which the camera mostly moved forward."""
-
 
 def camera_warnings(model: SparseModel, matches: Matches) -> tuple[str, ...]:
-    """Sentences that say why the cameras may be wrong; none when nothing speaks against them."""
-    support = supported(model, matches)
+    """Sentences that say why the cameras may be wrong. Empty when every check passes."""
+    policy = CAMERA_POLICY
+    support = epipolar_support(model, matches)
     angle = median_angle(model)
     sentences = [
         (
-            support.share < AGREEING,
+            support.share < policy.agreeing_share,
             f"only {support.share:.0%} of the matches between photos agree with the cameras, which may be wrong",
         ),
         (
-            support.coverage < COVERED or len(model.points) < FEW_POINTS,
+            support.coverage < policy.covered_share or len(model.points) < policy.few_points,
             f"only {len(model.points)} points tie the cameras together, which may be wrong",
         ),
-        (angle < SMALL_ANGLE, f"the camera hardly moved (rays meet at {angle:.1f}°), so depth is uncertain"),
+        (angle < policy.small_angle, f"the camera hardly moved (rays meet at {angle:.1f}°), so depth is uncertain"),
         (
             is_flat(model) and not all(matches.focals[photo] for photo in model.cameras),
             "all matched points lie in one plane, which leaves the focal length and the cameras' tilt uncertain",
@@ -52,7 +42,7 @@ def camera_warnings(model: SparseModel, matches: Matches) -> tuple[str, ...]:
 
 
 def median_angle(model: SparseModel) -> float:
-    """Degrees between the rays of a point, from its first camera and the one farthest from that; the median."""
+    """The median angle in degrees between the rays of a point: from its first camera and the one farthest from that."""
     first = np.full((len(model.points), 3), np.nan)
     smallest = np.ones(len(model.points))
     for photo, rows in model.seen.items():
@@ -65,7 +55,7 @@ def median_angle(model: SparseModel) -> float:
 
 
 def is_flat(model: SparseModel) -> bool:
-    """Do nearly all points lie in one plane?"""
+    """Whether nearly all points lie in one plane."""
     if len(model.points) < 4:
         return True
     offset = model.points - np.median(model.points, axis=0)
@@ -74,23 +64,23 @@ def is_flat(model: SparseModel) -> bool:
     near = near - near.mean(0)
     _, axes = np.linalg.eigh(near.T @ near)
     thickness, width, _ = np.quantile(np.abs(near @ axes), 0.8, axis=0)
-    return bool(thickness <= FLAT * width)
+    return bool(thickness <= CAMERA_POLICY.flat_thickness * width)
 
 
 def is_forward(model: SparseModel) -> bool:
-    """Does the line between most neighbouring cameras run along their viewing directions?"""
+    """Whether most steps from photo to photo run along the viewing direction."""
     order = list(model.cameras)
     cosines = []
     for one, two in pairwise(order):
         step = model.centre(two) - model.centre(one)
         axis = model.cameras[one].w2c[2, :3]
         cosines.append(abs(step @ axis) / max(float(np.linalg.norm(step)), 1e-12))
-    return bool(cosines) and float(np.median(cosines)) > FORWARD
+    return bool(cosines) and float(np.median(cosines)) > CAMERA_POLICY.forward_cosine
 
 
 def has_ordinary_lens(model: SparseModel) -> bool:
-    """Do all photos span an angle that ordinary lenses have?"""
-    low, high = FIELD_OF_VIEW
+    """Whether every photo spans an angle that ordinary lenses have."""
+    low, high = CAMERA_POLICY.field_of_view
     return all(low <= _field_of_view(camera) <= high for camera in model.cameras.values())
 
 
@@ -112,10 +102,10 @@ def _focal_warnings(model: SparseModel, matches: Matches) -> list[tuple[bool, st
         ),
         (
             len(model.cameras) == 2 and not stated_focals,
-            "two photos that do not state a focal length hardly fix it, so proportions in depth may be off",
+            "two photos without a stated focal length hardly determine it, so proportions in depth may be wrong",
         ),
         (
-            abs(furthest) > EXIF_AGREEMENT,
+            abs(furthest) > CAMERA_POLICY.exif_difference,
             f"the focal length found differs by {furthest:+.0%} from the one that the photos state",
         ),
     ]
@@ -124,4 +114,4 @@ def _focal_warnings(model: SparseModel, matches: Matches) -> list[tuple[bool, st
 def _behind(model: SparseModel) -> list[tuple[bool, str]]:
     depths = np.concatenate([model.depths(photo) for photo in model.cameras])
     share = float(np.mean(depths <= 0)) if len(depths) else 0.0
-    return [(share > 0.01, f"{share:.0%} of the points lie behind the cameras that see them")]
+    return [(share > CAMERA_POLICY.behind_share, f"{share:.0%} of the points lie behind the cameras that observe them")]

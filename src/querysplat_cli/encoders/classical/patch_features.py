@@ -1,4 +1,4 @@
-"""What the classical VGM says of each patch, in the place of a network's features."""
+"""Hand-made features of each patch, in the place of a network's."""
 
 import torch
 from jaxtyping import Float
@@ -7,14 +7,18 @@ from torch import Tensor
 from querysplat_cli.encoders.base import PosedViews
 
 PATCH = 6
-CHANNELS = 12
+"""Side of a patch, in pixels."""
+FEATURE_CHANNELS = 12
 
 
 def patch_features(
     posed: PosedViews, depth: Float[Tensor, "views height width"], confidence: Float[Tensor, "views height width"]
 ) -> Float[Tensor, "views tokens 12"]:
-    """A row for each patch of 6 × 6 pixels, view by view, row by row: world position (3), world normal (3),
-    mean confidence, mean colour − ½ (3), log depth, and the standard deviation of the brightness."""
+    """Twelve numbers for each patch of 6 × 6 pixels, view by view, row by row.
+
+    They are: world position (3), world normal (3), mean confidence, mean colour − ½ (3), log depth, and the standard
+    deviation of the brightness. Position and depth are those of the patch's middle pixel.
+    """
     cameras = posed.cameras
     middle = PATCH // 2
     z = depth[:, middle::PATCH, middle::PATCH]

@@ -1,0 +1,190 @@
+"""What the small verbs can be asked for. Every option is declared here, and only here; nothing needs torch."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from annotated_types import Ge, Gt
+
+from querysplat_cli.runtime.choices import Axis
+from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.options import Force, MovedWeights, Option, Seed
+
+
+def read_size(text: str) -> tuple[int, int]:
+    """(height, width) of "WIDTHxHEIGHT"; raises QuerySplatError for anything else."""
+    width, _, height = text.lower().partition("x")
+    if not (width.isdecimal() and height.isdecimal() and int(width) and int(height)):
+        raise QuerySplatError(f"--size {text}: not a size", "Write it as WIDTHxHEIGHT, for instance 1280x720.")
+    return int(height), int(width)
+
+
+def read_colour(text: str) -> tuple[float, float, float]:
+    """Red, green and blue of "R,G,B"; raises QuerySplatError unless they are three numbers from 0 to 1."""
+    try:
+        red, green, blue = (float(part) for part in text.split(","))
+        if not all(0 <= part <= 1 for part in (red, green, blue)):
+            raise ValueError
+    except ValueError:
+        raise QuerySplatError(f"--background {text}: not a colour", "Write three numbers from 0 to 1: 1,1,1.") from None
+    return red, green, blue
+
+
+def read_box(text: str) -> tuple[float, ...]:
+    """The corners x0, y0, z0, x1, y1, z1; raises QuerySplatError unless the first lies below the second."""
+    try:
+        box = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        box = ()
+    if len(box) != 6 or not all(low < high for low, high in zip(box[:3], box[3:], strict=True)):
+        raise QuerySplatError(f"--crop {text}: not a box", "Write x0,y0,z0,x1,y1,z1 with x0 < x1 and so on.")
+    return box
+
+
+@dataclass(frozen=True)
+class RenderRequest:
+    """Pictures or a film of a .ply."""
+
+    scene: Annotated[Path, Option("A 3D Gaussian splatting .ply of SH degree 0 to 3.", argument=True)]
+    output: Annotated[
+        Path | None,
+        Option(
+            "A folder for PNG frames, or a film that ends in .mp4.",
+            ("--output", "-o"),
+            metavar="DIR|FILE.mp4",
+            default="SCENE-renders, beside the .ply",
+        ),
+    ] = None
+    cameras: Annotated[
+        str,
+        Option(
+            "The input cameras (inputs), a path around the scene (orbit), or a file in transforms.json form. auto is "
+            "inputs where they are known, and orbit elsewhere.",
+            metavar="auto|inputs|orbit|FILE",
+        ),
+    ] = "auto"
+    frames: Annotated[int, Ge(1), Option("The number of frames of an orbit.", metavar="N")] = 90
+    fps: Annotated[int, Ge(1), Option("The frames per second of a film.", metavar="N")] = 30
+    size: Annotated[
+        tuple[int, int] | None,
+        Option("The size of the frames, in pixels.", metavar="WxH", default="the cameras' own", parse=read_size),
+    ] = None
+    background: Annotated[
+        tuple[float, float, float],
+        Option("The colour behind the scene: red, green and blue from 0 to 1.", metavar="R,G,B", parse=read_colour),
+    ] = (0.0, 0.0, 0.0)
+    depth: Annotated[bool, Option("Write depth, too: 16-bit PNG, in thousandths of a scene unit.")] = False
+    alpha: Annotated[bool, Option("Write opacity, too: 8-bit PNG.")] = False
+    force: Force = False
+
+    @property
+    def target(self) -> Path:
+        """The folder or the film to write."""
+        return self.output or self.scene.with_name(f"{self.scene.stem}-renders")
+
+
+@dataclass(frozen=True)
+class Conversion:
+    """A file of Gaussians or of cameras, and what it becomes."""
+
+    source: Annotated[
+        Path,
+        Option(
+            "Gaussians: a .ply, .spz or .sog. Cameras: a transforms.json, a COLMAP model or a scene folder.",
+            argument=True,
+        ),
+    ]
+    target: Annotated[
+        Path,
+        Option("Gaussians: a .ply or .spz. Cameras: a .json, or a folder for a COLMAP model.", argument=True),
+    ]
+    text: Annotated[bool, Option("Write the COLMAP model as text.")] = False
+    photos: Annotated[
+        Path | None,
+        Option("The folder of the cameras' photos. TARGET becomes a scene folder of both.", metavar="DIR"),
+    ] = None
+    up: Annotated[Axis | None, Option("The axis that points up in the source. It becomes -y.")] = None
+    scale: Annotated[float, Gt(0), Option("Multiply all lengths by this number.", metavar="FACTOR")] = 1.0
+    crop: Annotated[
+        tuple[float, ...] | None,
+        Option(
+            "Keep only Gaussians whose centres lie in this box, in the axes and units of the result.",
+            metavar="X0,Y0,Z0,X1,Y1,Z1",
+            parse=read_box,
+        ),
+    ] = None
+    force: Force = False
+
+
+@dataclass(frozen=True)
+class InspectRequest:
+    """Pictures of what a stored scene consists of."""
+
+    scene: Annotated[Path, Option("The folder that `reconstruct` wrote, or the .ply beside it.", argument=True)]
+    output: Annotated[
+        Path | None,
+        Option(
+            "A folder for the pictures.",
+            ("--output", "-o"),
+            metavar="DIR",
+            default="SCENE-inspected, beside the scene",
+        ),
+    ] = None
+    query: Annotated[
+        int | None,
+        Ge(0),
+        Option("The number of the query whose attention is drawn.", metavar="N", default="the most opaque one"),
+    ] = None
+    weights: MovedWeights = None
+    force: Force = False
+
+    @property
+    def target(self) -> Path:
+        """The folder to write."""
+        return self.output or self.scene.with_name(f"{self.scene.stem}-inspected")
+
+
+@dataclass(frozen=True)
+class DemoRequest:
+    """Photos of a procedural scene, and the scene that is reconstructed from them."""
+
+    output: Annotated[Path, Option("A folder for the photos and the scene.", ("--output", "-o"), metavar="DIR")] = Path(
+        "querysplat-demo"
+    )
+    photos: Annotated[int, Ge(3), Option("How many photos to take.", metavar="N")] = 12
+    seed: Seed = 42
+    force: Force = False
+
+
+@dataclass(frozen=True)
+class PosesRequest:
+    """Two sets of cameras of the same photos."""
+
+    first: Annotated[
+        Path,
+        Option(
+            "A scene folder, a transforms.json or a COLMAP model. For --colmap, its photos must lie beside it.",
+            metavar="A",
+            argument=True,
+        ),
+    ]
+    second: Annotated[Path | None, Option("The cameras that A is measured against.", metavar="[B]", argument=True)] = (
+        None
+    )
+    colmap: Annotated[bool, Option("In place of B, run COLMAP on A's photos.")] = False
+    plot: Annotated[
+        Path | None, Option("Draw both trajectories to a .png, .svg or .pdf.", metavar="FILE", default="no drawing")
+    ] = None
+    seed: Seed = 42
+    force: Force = False
+
+
+@dataclass(frozen=True)
+class WeightsRequest:
+    """The weight files to look for."""
+
+    folder: Annotated[
+        Path | None,
+        Option("The folder of the files.", ("--weights",), metavar="DIR", default="the Hugging Face cache"),
+    ] = None
+    verify: Annotated[bool, Option("Read the files that are here: sha256, and names and shapes of tensors.")] = False

@@ -1,0 +1,26 @@
+"""Numbers that decide how scenes are scored."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class EvaluationPolicy:
+    """The protocols' sizes and the limits of the scores. None was tuned: the sizes are those of the authors."""
+
+    release_input_side: int = 512
+    """Side of an input square in the `release` protocol, in pixels."""
+    release_target_side: int = 256
+    """Side of a scored square in the `release` protocol, in pixels."""
+    text_input_side: int = 256
+    """Shorter side of an input in the `text` protocol, in pixels. Targets keep the photo's size."""
+    generated_cases: int = 300
+    """Cases of a generated split, as many as the authors' splits have."""
+    generated_targets: int = 4
+    """Interpolation targets of a generated case, and as many extrapolation targets."""
+    psnr_limit: float = 100.0
+    """PSNR in dB of equal pictures, and of pictures that differ by less than float32 resolves."""
+    pose_thresholds: tuple[int, ...] = (5, 15, 30)
+    """Degrees at which RRA, RTA and AUC of camera poses are reported."""
+
+
+EVALUATION_POLICY = EvaluationPolicy()

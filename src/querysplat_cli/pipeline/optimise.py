@@ -1,0 +1,54 @@
+"""The optimisation stage, which a new scene and a stored one have in common."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from itertools import count
+
+import torch
+
+from querysplat_cli.model.querysplat import QuerySplat
+from querysplat_cli.prune.bands import without_idle_bands
+from querysplat_cli.runtime.device import to_device
+from querysplat_cli.runtime.progress import Progress
+from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.views import Views
+from querysplat_cli.tto.adapt import Adapted, adapt
+from querysplat_cli.tto.features import Start
+from querysplat_cli.tto.options import OptimiseOptions, TtoStep
+from querysplat_cli.tto.plan import TtoRun
+from querysplat_cli.tto.pruning import tested_views
+from querysplat_cli.tto.rendering_loss import RenderingLoss
+
+
+def optimise_start(
+    model: QuerySplat,
+    start: Start,
+    photos: tuple[Views, Cameras],
+    plan: Sequence[TtoRun],
+    options: OptimiseOptions,
+    progress: Progress,
+) -> Adapted:
+    """Carry out `plan` on the device of the model, and leave out SH bands that change nothing; the result on the CPU.
+
+    Scenes of official models keep all bands, and all Gaussians unless a number is asked for, as in the release.
+    """
+    if options.keep_all or start.anchors is None:
+        options = replace(options, keep_all=True, prune="off" if options.prune == "auto" else options.prune)
+    device = next(model.parameters()).device
+    target = RenderingLoss(*to_device(photos, device))
+    adapted = adapt(model, to_device(start, device), target, plan, options, _shown(plan, progress))
+    if not options.keep_all:
+        last, tested = replace(target, cameras=adapted.cameras), tested_views(len(target.views))
+        fewer, idle = without_idle_bands(adapted.gaussians, lambda some: last.psnr(some, tested))
+        adapted = replace(adapted, gaussians=fewer, idle_bands=idle)
+    return to_device(adapted, torch.device("cpu"))
+
+
+def _shown(plan: Sequence[TtoRun], progress: Progress) -> Callable[[TtoStep], None]:
+    """A callback that reports every step as a share of all that are planned."""
+    total, taken = sum(run.settings.steps for run in plan), count(1)
+
+    def show(step: TtoStep) -> None:
+        progress(f"loss {step.loss:.4f}, {step.psnr:.2f} dB, {step.gaussians:,} Gaussians", next(taken) / total)
+
+    return show

@@ -1,0 +1,37 @@
+"""Defaults of the pipeline: when cameras are refined, and how memory and time are planned."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class PipelinePolicy:
+    """Thresholds and estimates of the pipeline.
+
+    The values up to version 0.1 were chosen on the six sets of docs/benchmarks.md. New ones are chosen on fortress,
+    dtu106, kermit and fox alone.
+    """
+
+    refine_above_px: float = 0.5
+    """Cameras are refined by default where the median distance of a match from its epipolar line is larger, in pixels.
+    Structure from motion leaves at most 0.24 on the six sets; known cameras that are rotated by one pixel, at
+    least 0.74."""
+    memory_share: float = 0.9
+    """Share of the free memory that a scene may be planned to take."""
+    program_bytes: int = int(0.6 * 2**30)
+    """Memory that the program and its libraries take."""
+    camera_seconds: float = 0.2
+    """What structure from motion takes for each photo of a pass, measured on two cores. On another machine this figure
+    and the next only set how the time is shared, because optimisation lasts for as long as is left."""
+    pixel_seconds: float = 8e-6
+    """What depth and queries take for each pixel of each view, measured on two cores."""
+    write_seconds: float = 1.5
+    """What scoring, previews and files take."""
+    write_gaussian_seconds: float = 4e-6
+    """What they take for each Gaussian."""
+    encoding_share: float = 0.4
+    """Share of the time that cameras, depth and queries may take. Working pictures become smaller to stay within it."""
+    optimising_share: float = 0.3
+    """Share of the time left that optimisation must get before a second scene is made, only to be scored."""
+
+
+PIPELINE_POLICY = PipelinePolicy()

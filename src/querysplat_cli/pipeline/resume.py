@@ -1,0 +1,134 @@
+"""A stored scene is read, optimised further, and written back."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from querysplat_cli.model.checkpoints import load
+from querysplat_cli.model.querysplat import QuerySplat
+from querysplat_cli.pipeline.optimise import optimise_start
+from querysplat_cli.pipeline.scene_folder import StoredScene, ply_path, read_scene, write_scene
+from querysplat_cli.pipeline.settings import ResumeSettings
+from querysplat_cli.prune.gaussians import target_count
+from querysplat_cli.reporting import omissions
+from querysplat_cli.reporting.report import Report, machine, quality_entry, seconds_entry, tto_entries
+from querysplat_cli.reporting.view_scores import score
+from querysplat_cli.runtime.choices import Space
+from querysplat_cli.runtime.device import find_device, peak_gib
+from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.precision import check_precision
+from querysplat_cli.runtime.progress import Stages
+from querysplat_cli.scene.formats.ply import read_ply
+from querysplat_cli.tto.adapt import Adapted
+from querysplat_cli.tto.cameras import with_refined_focal
+from querysplat_cli.tto.features import Start
+from querysplat_cli.tto.options import OptimiseOptions
+from querysplat_cli.tto.plan import TtoRun, plan_release, plan_tto, with_learning_rate
+from querysplat_cli.tto.policy import TTO_POLICY
+
+
+def optimise_scene(settings: ResumeSettings, stages: Stages | None = None) -> Report:
+    """Optimise the scene in `settings.scene` (its folder or its .ply) further, and write it back.
+
+    Raises QuerySplatError when the scene is damaged, when feature space is asked for although the Gaussians were
+    optimised themselves, and when `densify` asks for splitting in feature space or for fewer Gaussians than there are.
+    """
+    stages, path, options = stages or Stages(), settings.scene, _options(settings)
+    with stages("read"):
+        scene, before = read_scene(path)
+        model = load_again(scene.model, before["settings"], settings.weights, find_device(settings.device))
+        spaces = [run["space"] for run in before["tto"] if run["steps"]]
+        space = options.space or (spaces[-1] if spaces else "features")
+        apart = "gaussians" in spaces
+        _check(path, options, space, before["gaussians"], apart=apart)
+        gaussians = read_ply(ply_path(path)) if apart else None
+    with stages("tto") as progress:
+        plan = _plan(scene, before["gaussians"], options, space, resumed=space in spaces)
+        start = Start(scene.memories, scene.anchors, gaussians, None if apart else scene.kept)
+        adapted = optimise_start(model, start, (scene.views, scene.cameras), plan, options, progress)
+        stored = _with(scene, adapted)
+    with stages("score"):
+        quality = {
+            name: quality_entry(score(adapted.gaussians, *group)) if group else None
+            for name, group in (("input", (stored.views, stored.cameras)), ("heldout", stored.heldout))
+        }
+    with stages("write"):
+        report = replace(
+            Report.from_dict(before),
+            gaussians=len(adapted.gaussians),
+            seconds=seconds_entry(stages.seconds),
+            quality=quality,
+            left_out=omissions.taken_further(before["left_out"], adapted),
+            tto=[*before["tto"], *tto_entries(adapted.runs)],
+            peak_memory_gib=round(peak_gib(), 2),
+            machine=machine(),
+        )
+        write_scene(ply_path(path), stored, adapted.gaussians, report.as_dict())
+    return report
+
+
+def _options(settings: ResumeSettings) -> OptimiseOptions:
+    return OptimiseOptions(
+        steps=settings.steps,
+        lr=settings.lr,
+        space=settings.space,
+        prune=settings.prune,
+        densify_to=settings.densify,
+        refine_cameras=settings.refine_cameras,
+        seed=settings.seed,
+    )
+
+
+def load_again(name: str, settings: dict[str, Any], weights: Path | None, device: torch.device) -> QuerySplat:
+    """The model of a stored scene, from the settings in its report."""
+    stored = settings.get("weights")
+    folder = weights or (Path(stored) if stored else None)
+    model = load(name, folder, precision=check_precision(settings.get("precision", "fp32")), device=device)
+    if model.config.queries == "learned" and settings["queries"]:
+        model.keep_queries(settings["queries"])
+    return model
+
+
+def _check(path: Path, options: OptimiseOptions, space: Space, count: int, *, apart: bool) -> None:
+    """Refuse what a scene of `count` Gaussians cannot do; `apart` where memories no longer decode to them."""
+    if apart and space != "gaussians":
+        raise QuerySplatError(
+            f"the Gaussians of {path} were optimised themselves, and its memories would undo that",
+            "Use --space gaussians, or make the scene again.",
+        )
+    if options.densify_to is None:
+        return
+    if space == "features":
+        raise QuerySplatError("--densify splits Gaussians, which memories cannot follow", "Use --space gaussians.")
+    if options.prune == "off" and options.densify_to <= count:
+        raise QuerySplatError(
+            f"--densify {options.densify_to}: the scene has {count:,} Gaussians already",
+            "Ask for more, or use --prune N for fewer.",
+        )
+
+
+def _plan(
+    scene: StoredScene, count: int, options: OptimiseOptions, space: Space, *, resumed: bool
+) -> tuple[TtoRun, ...]:
+    if scene.anchors is None:
+        steps = TTO_POLICY.release_steps if options.steps is None else options.steps
+        return with_learning_rate(plan_release(steps, space=space), options.lr)
+    plan = plan_tto(
+        options.steps,
+        views=len(scene.views),
+        gaussians=count if space == "gaussians" else scene.anchors.opacities.numel(),
+        target_count=target_count(count, options.prune, scene.cameras),
+        space=space,
+        resumed=resumed,
+    )
+    return with_learning_rate(plan, options.lr)
+
+
+def _with(scene: StoredScene, adapted: Adapted) -> StoredScene:
+    """The scene with what optimisation made of it. Held-out cameras get the refined focal length."""
+    heldout = scene.heldout
+    if heldout:
+        heldout = heldout[0], with_refined_focal(heldout[1], scene.cameras, adapted.cameras)
+    return replace(scene, cameras=adapted.cameras, heldout=heldout, memories=adapted.memories, kept=adapted.kept)

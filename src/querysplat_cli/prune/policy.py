@@ -1,0 +1,42 @@
+"""Defaults of pruning: what is left out of a scene."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class PrunePolicy:
+    """Shares and thresholds of pruning.
+
+    The values up to version 0.1 were chosen on the six sets of docs/benchmarks.md. New ones are chosen on fortress,
+    dtu106, kermit and fox alone.
+    """
+
+    share_kept: float = 0.5
+    """Share of the Gaussians that an automatic choice keeps. Optimisation makes up for most of the rest; what held-out
+    views lose is in docs/benchmarks.md."""
+    psnr_per_step: float = 0.1
+    """dB on the input views that one step of optimisation makes up for."""
+    pixels_per_gaussian: int = 100
+    """Where the photos have more pixels than this for each Gaussian, an automatic choice keeps all Gaussians."""
+    hidden_change: float = 0.01
+    """Least change of colour, of 1, that removing a Gaussian is counted as. Without it, Gaussians that coincide would
+    all be removed, because removing any one of them changes nothing."""
+    psnr_of_bands: float = 0.02
+    """dB on the input views that leaving out SH bands may cost."""
+    tested_views: int = 8
+    """The cost of leaving something out is measured on at most so many input views, evenly spaced."""
+    size_shares: tuple[float, ...] = (0.5, 0.6, 0.7, 0.85)
+    """Working sizes to try, as shares of the usual one, smallest first."""
+    same_psnr: float = 45.0
+    """dB between a picture and its copy, reduced and enlarged again, from which the two count as the same: 1.4 of 255
+    levels (RMS)."""
+    smallest_size: int = 160
+    """Longer side of working pictures, in pixels, below which stereo finds too little."""
+    duplicate_shift: float = 0.004
+    """Share of the picture's width by which scene points must move from one view to another, in the median, for the
+    two to count as different."""
+    duplicate_overlap: float = 0.5
+    """Share of a view's points that another view must see for the two to count as the same."""
+
+
+PRUNE_POLICY = PrunePolicy()

@@ -1,0 +1,62 @@
+"""The settings of this stage that decide what a user gets, in one place."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class QueryPolicy:
+    """Where queries are placed, and what their prior Gaussians look like.
+
+    Where sets are named, a value was chosen by looking at these sets. The others were set by their meaning, and no
+    comparison of alternatives is recorded. The bundled checkpoint was trained with the fields from `fill` on, so a
+    change of these needs training.
+    """
+
+    finest_cell: int = 2
+    """Pixels along the side of the smallest cells."""
+    compared_views: int = 16
+    """Each view is compared with this many nearest others, so that time stays linear in the number of views."""
+    depth_agreement: float = 0.03
+    """Relative difference of depth up to which two views see the same surface."""
+    confident: float = 0.5
+    """Depth of more than this confidence counts as measured where a block would hide it."""
+    free_space: float = 0.1
+    """A point that is nearer than a measured surface by more than this fraction would hide that surface."""
+    coarser: float = 1.1
+    """A cell covers a cell of another view if it is at most this many times as large."""
+    covered: float = 0.95
+    """A block is left out when at least this share of its cells is covered. A share of 0.7 left holes in walls."""
+    border: float = 0.1
+    """Photos are extended beyond their borders by this share of their longer side, rounded up to whole blocks. That
+    photos are extended at all was decided on fortress."""
+    border_coarser: int = 4
+    """Cells beyond the borders are this many times as large as those of the photos."""
+    fill: float = 0.7
+    """Standard deviation of a prior Gaussian in units of its cell: neighbours just close the surface."""
+    thickness: float = 0.2
+    """Standard deviation along the normal, in the same units."""
+    guessed_opacity: float = 0.6
+    """Prior opacity of a cell whose depth has confidence 0."""
+    measured_opacity: float = 0.95
+    """Prior opacity of a cell whose depth has confidence 1."""
+    masked_opacity: float = 0.01
+    """Prior opacity of a cell that lies mostly outside the mask."""
+    neighbours: int = 4
+    """How many rows of each memory, and how many other queries, a query attends to."""
+    distance_penalty: float = 2.0
+    """Attention logit lost per squared distance, in spacings, between a query and a memory row."""
+    near_border: int = 4
+    """Within this many blocks of a picture's border, the features of a block state its distance from it."""
+    colour_gain: float = 8.0
+    """Factor of the colour part of a rendering error. This gain and the next two bring the parts to a size of about 1.
+    They were tuned over all six sets of docs/benchmarks.md, so no set is held out from them."""
+    opacity_gain: float = 60.0
+    """Factor of the opacity part."""
+    shape_gain: float = 30.0
+    """Factor of the parts for centres and sizes."""
+    largest_error: float = 4.0
+    """Rendering errors are clamped to ± this after the gains."""
+
+
+QUERY_POLICY = QueryPolicy()
+"""What every part of this stage uses."""

@@ -1,0 +1,39 @@
+"""Words that a setting can be. They stand apart from the code that obeys them, so that `--help` imports no torch."""
+
+from typing import Literal
+
+HoldoutProtocol = Literal["isolated", "joint"]
+"""Which photos the cameras of a scene with held-out photos are estimated from: the inputs alone (the paper's protocol),
+or all photos."""
+
+Target = Literal["kv", "features"]
+"""What test-time optimisation changes: keys and values (the release), or the tokens that they are projected from."""
+
+Space = Literal["features", "gaussians", "both"]
+"""What test-time optimisation works on: the memories that Gaussians are decoded from, the Gaussians themselves, or
+first the memories and then the Gaussians."""
+
+Amount = Literal["auto", "off"] | int
+"""How many Gaussians pruning keeps: as many as are needed, all, or at most this number."""
+
+Fit = Literal["crop", "pad"]
+"""How a photo fits a network. crop: the largest centred square. pad: the whole photo, on a canvas as wide as the widest
+and as high as the highest photo."""
+
+Precision = Literal["fp32", "tf32", "bf16"]
+"""fp32: as the release. tf32: the same, with 10-bit mantissas inside matrix products on GPUs that have them.
+bf16: matrix products and attention in bfloat16; norms, softmax, residuals, rotations and heads in float32."""
+
+ProtocolName = Literal["release", "text"]
+"""How an evaluation prepares photos and renders: as the authors' script does, or as the paper's text says."""
+
+CameraSource = Literal["free", "posed"]
+"""Where an evaluation takes the cameras from: estimated from the photos, or the data set's own."""
+
+InputCount = Literal[2, 4, 12]
+"""How many inputs a generated split of an evaluation has."""
+
+Scale = Literal["small", "medium", "large"]
+"""How far apart the inputs of a generated split are."""
+
+Axis = Literal["x", "y", "z", "-x", "-y", "-z"]

@@ -1,0 +1,38 @@
+"""How much each Gaussian counts in the pictures."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.gaussians import SH_0, Gaussians
+from querysplat_cli.splat.conventions import RenderSettings
+from querysplat_cli.splat.render import render
+
+
+def blending_weights(
+    gaussians: Gaussians,
+    cameras: Cameras,
+    pixel_weight: Float[Tensor, "views height width"] | None = None,
+    settings: RenderSettings | None = None,
+) -> Float[Tensor, "n"]:
+    """The blending weight of each Gaussian, times `pixel_weight` (None: 1), summed over all pixels of all views.
+
+    Views are rendered one after another, so that memory does not grow with their number.
+    """
+    # A picture's derivative by the flat colour of a Gaussian is that Gaussian's blending weight.
+    flat = Gaussians(
+        gaussians.means.detach(),
+        gaussians.quats.detach(),
+        gaussians.scales.detach(),
+        gaussians.opacities.detach(),
+        torch.zeros_like(gaussians.sh[:, :1]).requires_grad_(),
+    )
+    total = torch.zeros_like(flat.opacities)
+    for view in range(len(cameras)):
+        with torch.enable_grad():
+            red = render(flat, cameras[[view]], settings=settings).colour[0, 0]
+            weighted = red if pixel_weight is None else red * pixel_weight[view]
+            (gradient,) = torch.autograd.grad(weighted.sum(), flat.sh)
+        total += gradient[:, 0, 0] / SH_0
+    return total

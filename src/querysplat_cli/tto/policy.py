@@ -1,0 +1,82 @@
+"""Defaults of test-time optimisation: steps, rates, thresholds."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True)
+class TtoPolicy:
+    """Rates, steps and thresholds of test-time optimisation.
+
+    The values up to version 0.1 were chosen on the six sets of docs/benchmarks.md. New ones are chosen on fortress,
+    dtu106, kermit and fox alone.
+    """
+
+    learning_rate: float = 0.02
+    """Of a scene that was not optimised before."""
+    resumed_learning_rate: float = 0.005
+    """Of memories that were optimised before."""
+    resumed_warm_up: int = 10
+    """Steps over which the rate rises when optimisation resumes. Adam's first steps move every number by the same
+    amount, whatever its gradient. That helps a new scene (held out, dtu106 gains 0.3 dB and fortress loses 0.1 dB) and
+    makes an optimised one worse."""
+    release_steps: int = 20
+    """For learned queries, as in the authors' release."""
+    release_learning_rate: float = 5e-3
+    """For learned queries, as in the authors' release."""
+    views_per_step: int = 3
+    """Views that one step renders, where there are more."""
+    few_views: int = 4
+    """Up to so many photos, an automatic plan bounds `passes` and optimisation may not open holes between the views.
+    With so few photos, most of the space between them is seen by one photo or by none. Five photos of kermit already
+    lose by these two."""
+    passes: int = 40
+    """How often an automatic plan renders each of a few photos at most. More passes only fit the photos themselves."""
+    fewest_steps: int = 30
+    """Of an automatic plan."""
+    most_steps: int = 150
+    """Of an automatic plan. More steps improve held-out photos little."""
+    most_timed_steps: int = 300
+    """However much time the user gives."""
+    queries: int = 10_000
+    """Queries inside the photos that an automatic plan has time for: with those beyond the borders, they leave about 45
+    steps. Photos that would carry more are divided into larger blocks. Finer queries improve a scene only after more
+    steps than that."""
+    work_seconds: float = 14.0
+    """What an automatic plan may take, by the two estimates below."""
+    decoding_seconds: tuple[float, float] = (0.045, 1.2e-6)
+    """What decoding the memories takes in a step, and for each Gaussian, measured on two cores. The plan counts on
+    these figures and never on a clock, so that the same seed gives the same scene however busy the machine is."""
+    splatting_seconds: tuple[float, float] = (0.05, 1.55e-6)
+    """What splatting three views of 448 × 336 pixels takes in a step, and for each Gaussian, measured on two cores."""
+    rise: float = 2.0
+    """A step is undone when the loss of its views exceeds the least loss of the same views by this factor. Views whose
+    gradients disagree, and Adam's first steps, raise the loss by up to half without harm."""
+    patience: int = 30
+    """Steps undone in a row after which a run ends; the rate has then fallen by 2³⁰."""
+    prune_after: float = 1 / 3
+    """Share of the steps after which Gaussians are pruned. The other steps make up for those that were removed."""
+    densify_after: tuple[float, ...] = (1 / 6, 1 / 3, 1 / 2)
+    """Shares of the steps after which Gaussians are split. Gaussians that are split later gain too little."""
+    coverage_weight: float = 0.5
+    """Weight of a lost pixel in the coverage loss, relative to the photometric loss of one pixel."""
+    cameras_between: int = 3
+    """Cameras of the coverage loss from one input view to the next."""
+    gaussian_rates: Mapping[str, float] = field(
+        default_factory=lambda: {
+            "moves": 1.0,
+            "turns": 0.5,
+            "log_scales": 1.0,
+            "logits": 2.0,
+            "colours": 0.5,
+            "bands": 0.1,
+        }
+    )
+    """In Gaussian space, the rate of each field of `Changes` relative to the learning rate. Colours are SH
+    coefficients, of which 1 is 0.28 of a channel. Bands, which depend on the direction, learn slowly, because they can
+    fit one view and harm all others."""
+    camera_rate: float = 0.1
+    """Learning rate of camera refinement, in pixels a step, before the rate falls."""
+
+
+TTO_POLICY = TtoPolicy()

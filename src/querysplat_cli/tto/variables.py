@@ -1,0 +1,117 @@
+"""What test-time optimisation changes, and Adam on it with a way back over the last step."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar, Generic, Protocol, TypeVar, runtime_checkable
+
+import torch
+from jaxtyping import Int
+from torch import Tensor
+
+from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.tto.rendering_loss import RenderingLoss, tensors
+
+T = TypeVar("T")
+
+
+@runtime_checkable
+class Variables(Protocol):
+    """A dataclass of tensors."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+    def map(self: T, change: Callable[[Tensor], Tensor]) -> T: ...
+
+
+V = TypeVar("V", bound=Variables)
+
+
+@dataclass(frozen=True)
+class Denser(Generic[V]):
+    """Variables of more Gaussians, and what decodes them.
+
+    `origin` is for each of their rows the row that it was made of. A Gaussian that was split is the origin of two rows.
+    """
+
+    variables: V
+    decode: Callable[[V], Gaussians]
+    origin: Int[Tensor, "n"]
+
+
+Densifying = Callable[[Gaussians, RenderingLoss, int], Denser[V]]
+"""Splits Gaussians. The number is how many times it will be called, this time included."""
+
+
+@dataclass(frozen=True)
+class Parametrisation(Generic[V]):
+    """What the optimiser changes, and what becomes of it.
+
+    variables: the tensors that it changes.
+    decode: makes Gaussians of them.
+    rates: of each variable, by its name, relative to the learning rate.
+    densify: splits Gaussians at `TtoPolicy.densify_after`; None splits none.
+    """
+
+    variables: V
+    decode: Callable[[V], Gaussians]
+    rates: Mapping[str, float]
+    densify: Densifying[V] | None = None
+
+
+class UndoableAdam(Generic[V]):
+    """Variables under Adam (β 0.9, 0.999), and what they were before the last step."""
+
+    def __init__(self, start: Parametrisation[V], lr: float) -> None:
+        self._lr, self._rates = lr, start.rates
+        self._start(start.variables, start.decode)
+
+    def gaussians(self) -> Gaussians:
+        """Decoded from the variables, and differentiable in them."""
+        return self._decode(self._leaves)
+
+    def variables(self) -> V:
+        """The variables as they are, without a gradient."""
+        return self._leaves.map(Tensor.detach)
+
+    def gradient_is_finite(self) -> bool:
+        return finite([tensor.grad for tensor in tensors(self._leaves) if tensor.grad is not None])
+
+    def step(self, share: float) -> None:
+        """One step at `share` of the rate."""
+        for before, now in zip(tensors(self._before), tensors(self._leaves), strict=True):
+            before.copy_(now.detach())
+        for group in self._adam.param_groups:
+            group["lr"] = self._lr * group["rate"] * share
+        self._adam.step()
+        self._adam.zero_grad(set_to_none=True)
+
+    def undo(self) -> None:
+        """The variables before the last step, at half the rate and without momentum."""
+        self._lr /= 2
+        self._start(self._before, self._decode)
+
+    def go_on_with(self, denser: Denser[V]) -> None:
+        """Take other rows. Each inherits the moments of its origin, unless the origin was split."""
+        moments = [self._adam.state[tensor] for tensor in tensors(self._leaves)]
+        self._start(denser.variables, denser.decode)
+        origin = denser.origin
+        split = origin.bincount()[origin] > 1
+        for tensor, state in zip(tensors(self._leaves), moments, strict=True):
+            self._adam.state[tensor] = {name: part[origin] if part.dim() else part for name, part in state.items()}
+            if state:
+                self._adam.state[tensor]["exp_avg"][split] = 0
+                self._adam.state[tensor]["exp_avg_sq"][split] = 0
+
+    def _start(self, variables: V, decode: Callable[[V], Gaussians]) -> None:
+        leaves = variables.map(lambda tensor: tensor.detach().clone().requires_grad_())
+        # Both in one statement, since Ctrl-C may come between two, and they must fit each other.
+        self._leaves, self._decode = leaves, decode
+        self._before = variables.map(lambda tensor: tensor.detach().clone())
+        named = {field.name: getattr(leaves, field.name) for field in fields(leaves)}
+        groups = [{"params": [tensor], "rate": self._rates[name]} for name, tensor in named.items()]
+        self._adam = torch.optim.Adam(groups, lr=self._lr, fused=True)
+
+
+def finite(some: list[Tensor]) -> bool:
+    """Whether no tensor holds NaN or Inf."""
+    return all(bool(tensor.detach().isfinite().all()) for tensor in some)

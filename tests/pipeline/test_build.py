@@ -1,0 +1,125 @@
+"""A scene from given cameras and geometry, without an encoder."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from weakref import ref
+
+import pytest
+import torch
+
+from querysplat_cli.encoders.base import Geometry, PosedViews
+from querysplat_cli.model.checkpoints import load
+from querysplat_cli.model.querysplat import QuerySplat
+from querysplat_cli.pipeline.build import build_scene, encode_and_build
+from querysplat_cli.pipeline.settings import ReconstructSettings
+from querysplat_cli.runtime.progress import Progress, Stages
+from querysplat_cli.scene.cameras import Cameras, PhotoCamera
+from querysplat_cli.scene.views import Photo, Views
+from querysplat_cli.tto.rendering_loss import tensors
+
+SIZE = 48
+SETTINGS = ReconstructSettings((Path("photos"),), Path("scene.ply"), tto=3)
+
+
+@dataclass
+class GivenGeometry:
+    """An encoder that returns a geometry that is there already, and records what it is asked for."""
+
+    geometry: Geometry
+    asked: list[tuple[str, ...]] = field(default_factory=list)
+    features: list[ref[torch.Tensor]] = field(default_factory=list)
+    name: str = "given"
+    size: int = SIZE
+    own_frame: bool = False
+
+    def estimate_cameras(
+        self,
+        photos: Sequence[Photo],
+        *,
+        max_size: int,
+        seed: int,
+        progress: Progress,
+        known: Mapping[str, PhotoCamera] | None = None,
+    ) -> PosedViews:
+        raise NotImplementedError
+
+    def estimate_geometry(self, posed: PosedViews, *, seed: int, progress: Progress) -> Geometry:
+        self.asked.append(posed.views.names)
+        rows = [("a", "b", "c", "d").index(name) for name in posed.views.names]
+        assert self.geometry.depth is not None
+        assert self.geometry.confidence is not None
+        features = self.geometry.features[0][rows]
+        self.features.append(ref(features))
+        return replace(
+            self.geometry,
+            depth=self.geometry.depth[rows],
+            confidence=self.geometry.confidence[rows],
+            features=(features,),
+        )
+
+    def free(self) -> None:
+        self.asked.append(("freed",))
+
+    def bytes_needed(self, views: int, size: int) -> int | None:
+        return None
+
+
+@pytest.fixture(scope="module")
+def model() -> QuerySplat:
+    return load("compact").requires_grad_(False)
+
+
+def wall(model: QuerySplat, sideways: Sequence[float]) -> tuple[PosedViews, Geometry]:
+    """Views of the plane z = 1 by cameras beside each other, their points and their true depth."""
+    count, random = len(sideways), torch.Generator().manual_seed(0)
+    w2c = torch.eye(4).repeat(count, 1, 1)
+    w2c[:, 0, 3] = -torch.tensor(sideways)
+    K = torch.tensor([[60.0, 0, SIZE / 2], [0, 60.0, SIZE / 2], [0, 0, 1]]).repeat(count, 1, 1)
+    masks = torch.ones(count, SIZE, SIZE, dtype=torch.bool)
+    views = Views(
+        torch.rand(count, 3, SIZE, SIZE, generator=random), masks, tuple("abcd"[:count]), ((SIZE, SIZE),) * count
+    )
+    points = torch.rand(40, 3, generator=random) * torch.tensor([0.4, 0.4, 0.0]) + torch.tensor([-0.2, -0.2, 1.0])
+    posed = PosedViews(views, Cameras(w2c, K, SIZE, SIZE), points, (torch.arange(40),) * count)
+    depth = torch.ones(count, SIZE, SIZE)
+    tokens = torch.randn(count, (SIZE // 6) ** 2, model.config.vgm_width, generator=random)
+    return posed, Geometry(depth, depth, (tokens,), patch=6)
+
+
+def test_a_scene_needs_no_encoder(model: QuerySplat) -> None:
+    posed, geometry = wall(model, (-0.1, 0.0, 0.1))
+    stages = Stages()
+    scene = build_scene(posed, geometry, model, SETTINGS, stages)
+    assert list(stages.seconds) == ["queries", "tto"]
+    assert [len(result.history) for _, result in scene.adapted.runs] == [3]
+    assert scene.posed is posed
+    encoder = GivenGeometry(geometry)
+    encoded = encode_and_build(posed, encoder, model, SETTINGS, Stages(), last=True)
+    assert encoder.asked == [("a", "b", "c"), ("freed",)]
+    pairs = zip(tensors(scene.adapted.gaussians), tensors(encoded.adapted.gaussians), strict=True)
+    assert all(one.equal(other) for one, other in pairs)
+
+
+def test_near_duplicates_are_left_out_before_depth_is_estimated(model: QuerySplat) -> None:
+    posed, geometry = wall(model, (-0.1, -0.1, 0.0, 0.1))
+    encoder = GivenGeometry(geometry)
+    scene = encode_and_build(posed, encoder, model, replace(SETTINGS, tto=0), Stages())
+    assert encoder.asked == [("a", "c", "d")]
+    assert [(each.name, each.why) for each in scene.duplicates] == [("b", "shows what a shows")]
+    kept = encode_and_build(posed, encoder, model, replace(SETTINGS, tto=0, keep_everything=True), Stages())
+    assert encoder.asked[-1] == ("a", "b", "c", "d")
+    assert kept.duplicates == ()
+
+
+def test_features_are_freed_before_the_scene_is_optimised(model: QuerySplat) -> None:
+    posed, geometry = wall(model, (-0.1, 0.0, 0.1))
+    held: dict[str, bool] = {}
+    encoder = GivenGeometry(geometry)
+
+    def listen(stage: str, text: str, fraction: float) -> None:
+        if encoder.features:
+            held.setdefault(stage, encoder.features[-1]() is not None)
+
+    encode_and_build(posed, encoder, model, replace(SETTINGS, tto=0), Stages(listen))
+    assert held == {"depth": True, "queries": True, "tto": False}

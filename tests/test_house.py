@@ -1,0 +1,139 @@
+"""Files, functions and signatures stay short; every lower bound is one that was tested."""
+
+import ast
+import re
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import querysplat_cli
+
+ROOT = Path(querysplat_cli.__file__).parent
+FILES = {str(path.relative_to(ROOT)): path for path in sorted(ROOT.glob("**/*.py"))}
+
+REPOSITORY = Path(__file__).parents[1]
+
+MOST_FILE_LINES = 300
+MOST_FUNCTION_LINES = 60
+MOST_ARGUMENTS = 7
+
+LONG_FILES = {
+    "splat/compiled_blending.py": "Blending and its gradient, compiled: what one changes, the other mirrors.",
+    "splat/compiled_projection.py": "Projection and its gradient, compiled: what one changes, the other mirrors.",
+}
+"""The files that may be longer, each with its reason."""
+
+Function = ast.FunctionDef | ast.AsyncFunctionDef
+
+
+def functions(tree: ast.AST, inside: str = "") -> Iterator[tuple[str, Function]]:
+    """Every function of a file with its dotted name, those within classes and functions too."""
+    for node in ast.iter_child_nodes(tree):
+        name = inside
+        if isinstance(node, Function | ast.ClassDef):
+            name = f"{inside}.{node.name}".lstrip(".")
+        if isinstance(node, Function):
+            yield name, node
+        yield from functions(node, name)
+
+
+def public_functions(tree: ast.AST, inside: str = "") -> Iterator[tuple[str, Function]]:
+    """The functions and methods that another module may call: no underscore, not within another function."""
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, Function):
+            if not node.name.startswith("_") or node.name == "__init__":
+                yield f"{inside}{node.name}", node
+        elif isinstance(node, ast.ClassDef):
+            if not node.name.startswith("_"):
+                yield from public_functions(node, f"{inside}{node.name}.")
+        else:
+            yield from public_functions(node, inside)
+
+
+def is_compiled(function: Function) -> bool:
+    return any("njit" in ast.unparse(decorator) for decorator in function.decorator_list)
+
+
+def argument_count(function: Function, *, is_method: bool) -> int:
+    """The arguments that a caller gives, so without `self` and `cls`."""
+    every = function.args
+    named = [*every.posonlyargs, *every.args, *every.kwonlyargs]
+    is_static = any(ast.unparse(decorator) == "staticmethod" for decorator in function.decorator_list)
+    return len(named) - (is_method and not is_static) + (every.vararg is not None) + (every.kwarg is not None)
+
+
+def line_count(node: Function) -> int:
+    assert node.end_lineno is not None
+    return node.end_lineno - node.lineno + 1
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_files_are_short(name: str) -> None:
+    lines = len(FILES[name].read_text().splitlines())
+    if name in LONG_FILES:
+        assert lines > MOST_FILE_LINES, f"{name} is short by now: take it out of LONG_FILES"
+    else:
+        assert lines <= MOST_FILE_LINES
+
+
+def test_every_exception_is_a_file() -> None:
+    assert set(LONG_FILES) <= set(FILES)
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_functions_are_short(name: str) -> None:
+    found = functions(ast.parse(FILES[name].read_text()))
+    long = {where: line_count(node) for where, node in found if not is_compiled(node)}
+    assert not {where: lines for where, lines in long.items() if lines > MOST_FUNCTION_LINES}
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_public_functions_take_few_arguments(name: str) -> None:
+    """Dataclasses pass by themselves: their `__init__` stands in no file."""
+    found = public_functions(ast.parse(FILES[name].read_text()))
+    counts = {where: argument_count(node, is_method="." in where) for where, node in found}
+    assert not {where: count for where, count in counts.items() if count > MOST_ARGUMENTS}
+
+
+EXAMPLE = """
+class Public:
+    def __init__(self, a): ...
+    @staticmethod
+    def static(a, *b, c, **d):
+        def inner(): ...
+    def _own(self): ...
+class _Private:
+    def method(self): ...
+if True:
+    @nb.njit(cache=True)
+    def compiled(a):
+        return a
+"""
+
+
+def test_the_example_is_counted_right() -> None:
+    tree = ast.parse(EXAMPLE)
+    every = dict(functions(tree))
+    names = ["Public.__init__", "Public.static", "Public.static.inner", "Public._own", "_Private.method", "compiled"]
+    assert list(every) == names
+    counts = {name: argument_count(node, is_method="." in name) for name, node in public_functions(tree)}
+    assert counts == {"Public.__init__": 1, "Public.static": 4, "compiled": 1}
+    assert [name for name, node in every.items() if is_compiled(node)] == ["compiled"]
+    assert line_count(every["Public.static"]) == 2
+
+
+def test_lower_bounds_are_the_lowest_tested_versions() -> None:
+    """A bound is what its pin in constraints-lowest.txt begins with: `numpy>=2.0` for `numpy==2.0.0`."""
+    project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"]
+    wanted = [*project["dependencies"], *extras["test"], *extras["formats"]]
+    wanted = [line for line in wanted if not line.startswith("querysplat")]
+    found = [re.fullmatch(r"([\w-]+)(?:\[.*\])?>=([\d.]+)", line) for line in wanted]
+    bounds = {match[1]: match[2] for match in found if match}
+    assert len(bounds) == len(found), "every dependency has a lower bound and nothing else"
+    lines = (REPOSITORY / "constraints-lowest.txt").read_text().splitlines()
+    pins = dict(line.split("==") for line in lines if not line.startswith("#"))
+    assert bounds.keys() == pins.keys()
+    assert not {name: pins[name] for name, bound in bounds.items() if not f"{pins[name]}.".startswith(f"{bound}.")}

@@ -1,0 +1,41 @@
+"""The package as a library: its few names, imported when they are used."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+
+import querysplat_cli
+
+
+def test_every_name_leads_somewhere() -> None:
+    for name in querysplat_cli.__all__:
+        assert getattr(querysplat_cli, name)
+    assert set(dir(querysplat_cli)) == set(querysplat_cli.__all__)
+    with pytest.raises(AttributeError, match="nothing"):
+        querysplat_cli.nothing  # noqa: B018 - the access is the test
+
+
+def test_the_import_loads_neither_torch_nor_pycolmap() -> None:
+    code = (
+        "import sys, querysplat_cli; querysplat_cli.__version__;"
+        "heavy = {'torch', 'pycolmap', 'numba', 'cv2', 'scipy'} & set(sys.modules); assert not heavy, heavy"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
+
+
+def test_a_scene_is_written_read_and_rendered_from_python(tmp_path: Path) -> None:
+    """One red Gaussian, 4 units in front of the camera, colours the middle of the picture and not its corner."""
+    from querysplat_cli import Cameras, Gaussians, read_ply, render, write_ply
+
+    red = torch.tensor([[[1.7, -1.7, -1.7]]])
+    gaussians = Gaussians(
+        torch.tensor([[0.0, 0, 4]]), torch.tensor([[1.0, 0, 0, 0]]), torch.full((1, 3), 0.2), torch.tensor([0.99]), red
+    )
+    write_ply(tmp_path / "scene.ply", gaussians)
+    K = torch.tensor([[[60.0, 0, 32], [0, 60, 24], [0, 0, 1]]])
+    colour = render(read_ply(tmp_path / "scene.ply"), Cameras(torch.eye(4)[None], K, 48, 64)).colour[0]
+    assert colour[:, 24, 32].tolist() == pytest.approx([0.97, 0.02, 0.02], abs=0.05)
+    assert colour[:, 0, 0].tolist() == [0, 0, 0]
