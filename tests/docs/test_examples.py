@@ -70,6 +70,13 @@ def test_every_file_that_a_page_names_exists(page: Path) -> None:
     assert missing <= ADDED_BY_A_READER
 
 
+def test_every_test_that_the_stability_cases_name_exists() -> None:
+    named_there = set(re.findall(r"`(test_\w+)`", (DOCS / "reference" / "stability-cases.md").read_text()))
+    tests = "".join(path.read_text() for path in (ROOT / "tests" / "splat").glob("test_*.py"))
+    assert len(named_there) > 20
+    assert named_there <= set(re.findall(r"^def (test_\w+)", tests, re.MULTILINE))
+
+
 def run(texts: list[str], names: dict[str, Any]) -> dict[str, Any]:
     """Run the examples in order; the names that they leave behind."""
     parser, runner = doctest.DocTestParser(), doctest.DocTestRunner(optionflags=doctest.NORMALIZE_WHITESPACE)
