@@ -98,11 +98,12 @@ def test_the_examples_of_the_library_run(tmp_path: Path, monkeypatch: pytest.Mon
 def test_the_examples_that_make_a_scene_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """On the photos of the demo."""
     from querysplat_cli.scene.pictures import eight_bit, write_picture
-    from querysplat_cli.training.procedural import cast, make_scene, walk
+    from querysplat_cli.training.photographer import cast, walk
+    from querysplat_cli.training.rooms import make_room
 
     monkeypatch.chdir(tmp_path)
     Path("photos").mkdir()
-    scene = make_scene(42)
+    scene = make_room(42)
     cameras = walk(scene, 12, 42)
     for i in range(0, 12, 2):
         write_picture(Path("photos") / f"{i:02}.png", eight_bit(cast(scene, cameras[[i]])[0][0]), [])
