@@ -3,6 +3,7 @@
 import doctest
 import re
 import sys
+from dataclasses import fields
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -12,10 +13,12 @@ import torch
 
 from querysplat_cli.encoders.base import Encoder, PosedViews
 from querysplat_cli.encoders.classical.patch_features import FEATURE_CHANNELS
+from querysplat_cli.reporting.report import Report
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.render import BACKENDS, render
+from querysplat_cli.tto.options import TtoSettings
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
@@ -75,6 +78,15 @@ def test_every_test_that_the_stability_cases_name_exists() -> None:
     tests = "".join(path.read_text() for path in (ROOT / "tests" / "splat").glob("test_*.py"))
     assert len(named_there) > 20
     assert named_there <= set(re.findall(r"^def (test_\w+)", tests, re.MULTILINE))
+
+
+def test_the_table_of_the_report_has_every_key() -> None:
+    table = (DOCS / "cli.md").read_text().partition("### The report\n")[2].partition("\n## ")[0]
+    keys = {re.split(r"[.\[]", key)[0] for key in re.findall(r"^\| `([^`]+)`", table, re.MULTILINE)}
+    assert keys == {field.name for field in fields(Report)} | {"doubts"}
+    runs = "".join(re.findall(r"^\| `tto\[\].*", table, re.MULTILINE))
+    run_keys = set(re.findall(r"(?:tto\[\]|, `)\.(\w+)`", runs))
+    assert run_keys >= {field.name for field in fields(TtoSettings)} | {"space", "curve", "cameras"}
 
 
 def run(texts: list[str], names: dict[str, Any]) -> dict[str, Any]:
