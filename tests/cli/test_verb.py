@@ -1,11 +1,13 @@
 """Verbs are made of dataclasses: each field is declared once, and its text becomes a value of its type."""
 
+import inspect
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, get_args
 
-import click
 import pytest
+import typer
+from typer.main import get_command
 
 from querysplat_cli.cli.app import app
 from querysplat_cli.cli.reconstruct import reconstruct
@@ -16,6 +18,8 @@ from querysplat_cli.evaluation.request import EvalRequest
 from querysplat_cli.pipeline.settings import ReconstructSettings, ResumeSettings
 from querysplat_cli.runtime.choices import InputCount, Scale
 
+COMMANDS = get_command(app).commands  # type: ignore[attr-defined]  # it is a group
+
 
 def parsed(kind: type, *arguments: str) -> Any:
     """The object of `kind` that a verb with these arguments is called with."""
@@ -25,7 +29,9 @@ def parsed(kind: type, *arguments: str) -> Any:
         seen.append(request)
 
     take.__annotations__["request"] = kind
-    verb(take).main(list(arguments), standalone_mode=False)
+    application = typer.Typer()
+    application.command()(verb(take))
+    application(list(arguments), standalone_mode=False)
     return seen[0]
 
 
@@ -83,19 +89,19 @@ def test_an_evaluation_takes_options_of_reconstruct() -> None:
     ],
 )
 def test_values_out_of_range_are_refused(kind: type, arguments: list[str]) -> None:
-    with pytest.raises(click.UsageError):
+    with pytest.raises(typer.TyperException):
         parsed(kind, *arguments)
 
 
 def test_a_wrong_number_is_answered_with_the_words_that_are_allowed() -> None:
-    with pytest.raises(click.BadParameter, match=r"'many'.*auto") as error:
+    with pytest.raises(typer.BadParameter, match=r"'many'.*auto") as error:
         parsed(ReconstructSettings, "a", "--tto", "many")
     assert "--tto" in error.value.format_message()
 
 
-@pytest.mark.parametrize("name", sorted(app.commands))
+@pytest.mark.parametrize("name", sorted(COMMANDS))
 def test_every_option_has_one_sentence_of_help_at_least(name: str) -> None:
-    for param in app.commands[name].params:
+    for param in COMMANDS[name].params:
         text = param.help  # type: ignore[attr-defined]
         assert text, param.name
         assert text[0].isupper(), text
@@ -103,7 +109,7 @@ def test_every_option_has_one_sentence_of_help_at_least(name: str) -> None:
 
 
 def test_every_field_of_the_settings_is_an_option_of_reconstruct() -> None:
-    options = {param.name for param in verb(reconstruct).params}
+    options = inspect.signature(verb(reconstruct)).parameters.keys()
     assert {field.name for field in fields(ReconstructSettings)} < options
 
 

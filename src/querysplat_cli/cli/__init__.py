@@ -2,8 +2,9 @@
 
 import sys
 import traceback
+from typing import Any
 
-import click
+import typer
 
 from querysplat_cli.cli.app import app
 from querysplat_cli.runtime.errors import ExitCode, QuerySplatError
@@ -19,19 +20,16 @@ def main() -> None:
 def run(arguments: list[str]) -> int:
     """Run one command, and return its exit code. An error becomes two lines on standard error."""
     try:
-        code = app(arguments, prog_name="querysplat", standalone_mode=False)
+        code = app(arguments or ["--help"], prog_name="querysplat", standalone_mode=False)
         if not code:
             return ExitCode.DONE
     except QuerySplatError as error:
         _print_error(error.message, error.hint)
         return error.code
-    except click.exceptions.NoArgsIsHelpError as error:
-        error.show()
+    except typer.TyperException as error:
+        _print_usage_error(error)
         return ExitCode.BAD_INPUT
-    except click.UsageError as error:
-        _print_error(error.format_message(), f"See `{error.ctx.command_path if error.ctx else 'querysplat'} --help`.")
-        return ExitCode.BAD_INPUT
-    except (KeyboardInterrupt, click.Abort):
+    except (KeyboardInterrupt, typer.Abort):
         pass
     except OSError as error:
         _print_error(str(error), "Check the path, its permissions and the free space.")
@@ -55,6 +53,12 @@ def _forget_handled_interrupt() -> None:
     no call for that, and os._exit() would skip the clean-up at exit.
     """
     exec("")
+
+
+def _print_usage_error(error: Any) -> None:
+    """`error` is typer's, whose own class of usage errors is private; one of a verb has a context."""
+    context = getattr(error, "ctx", None)
+    _print_error(error.format_message(), f"See `{context.command_path if context else 'querysplat'} --help`.")
 
 
 def _print_error(message: str, hint: str) -> None:

@@ -1,6 +1,6 @@
 """The application: every verb, in the order in which a newcomer meets them."""
 
-import click
+import typer
 
 from querysplat_cli.cli.convert import convert
 from querysplat_cli.cli.demo import demo
@@ -14,19 +14,11 @@ from querysplat_cli.cli.tto import tto
 from querysplat_cli.cli.verb import verb
 from querysplat_cli.cli.weights import weights
 
-
-class InOrder(click.Group):
-    """A group whose help lists the verbs in the order in which they were added."""
-
-    def list_commands(self, ctx: click.Context) -> list[str]:
-        return list(self.commands)
-
-
-app = InOrder(
-    "querysplat",
+app = typer.Typer(
+    name="querysplat",
     help="Turn a handful of photos into a 3D Gaussian splatting scene, on a bare CPU.",
-    context_settings={"max_content_width": 100},
-    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
 )
 for function in (reconstruct, tto, render, evaluate, poses, convert, inspect, demo, train, weights):
-    app.add_command(verb(function, "eval" if function is evaluate else function.__name__))
+    app.command("eval" if function is evaluate else function.__name__)(verb(function))

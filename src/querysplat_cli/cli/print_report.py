@@ -3,7 +3,7 @@
 from dataclasses import asdict
 from typing import Any
 
-import click
+import typer
 from rich.table import Table
 
 from querysplat_cli.cli.terminal import rows_table, say
@@ -22,7 +22,7 @@ def print_report(report: Report, printing: Printing) -> None:
 def exit_if_interrupted(report: Report) -> None:
     """Exit with the code of Ctrl-C after an optimisation that it ended early, although the scene was written."""
     if report.interrupted:
-        raise click.exceptions.Exit(ExitCode.INTERRUPTED)
+        raise typer.Exit(ExitCode.INTERRUPTED)
 
 
 def _table(report: dict[str, Any]) -> Table:

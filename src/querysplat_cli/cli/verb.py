@@ -3,11 +3,12 @@
 import inspect
 from collections.abc import Callable, Iterator
 from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
-from typing import Annotated, Any, get_args, get_origin, get_type_hints
+from functools import wraps
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
-import click
+import typer
 
-from querysplat_cli.cli.param_types import param_type
+from querysplat_cli.cli.parsers import parser_of
 from querysplat_cli.runtime.options import Only, Option
 
 
@@ -19,31 +20,32 @@ class Printing:
     json: Annotated[bool, Option("Print the result as one JSON object on standard output.")] = False
 
 
-def verb(function: Callable[..., None], name: str = "") -> click.Command:
-    """The command that calls `function` with an object for each of its parameters, all of them dataclasses.
+def verb(function: Callable[..., None]) -> Callable[..., None]:
+    """`function` with the signature that typer makes a command of.
 
-    The docstring is the help. Fields without an `Option` keep their defaults.
+    All parameters of `function` are dataclasses. It is called with an object of each, made of the fields that have an
+    `Option`. Other fields keep their defaults.
     """
     kinds = {part: kind for part, kind in get_type_hints(function).items() if part != "return"}
 
+    @wraps(function)
     def call(**values: Any) -> None:
         function(**{part: _built(kind, values) for part, kind in kinds.items()})
 
-    params = [param for kind in kinds.values() for param in _params(kind)]
-    text = inspect.getdoc(function) or ""
-    return click.Command(
-        name or function.__name__, params=params, callback=call, help=text, short_help=text.partition("\n\n")[0]
-    )
+    parameters = [parameter for kind in kinds.values() for parameter in _parameters(kind)]
+    call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    call.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    return call
 
 
-def _params(kind: type, only: Only | None = None) -> Iterator[click.Parameter]:
+def _parameters(kind: type, only: Only | None = None) -> Iterator[inspect.Parameter]:
     for field, plain, extras in _declared(kind):
         inner = next((each for each in extras if isinstance(each, Only)), None)
         option = next((each for each in extras if isinstance(each, Option)), None)
         if inner:
-            yield from _params(plain, inner)
+            yield from _parameters(plain, inner)
         elif option and (only is None or field.name in only.names):
-            yield _argument(field, plain, option) if option.argument else _option(field, plain, option, extras)
+            yield _parameter(field, plain, option, extras)
 
 
 def _declared(kind: Any) -> Iterator[tuple[Field[Any], Any, tuple[Any, ...]]]:
@@ -63,43 +65,46 @@ def _built(kind: Any, values: dict[str, Any], only: Only | None = None) -> Any:
         if inner and is_dataclass(plain):
             chosen[field.name] = _built(plain, values, inner)
         elif field.name in values and (only is None or field.name in only.names):
-            chosen[field.name] = values[field.name]
+            value = values[field.name]
+            chosen[field.name] = tuple(value) if isinstance(value, list) else value
     return kind(**chosen)
 
 
-def _argument(field: Field[Any], plain: Any, option: Option) -> click.Argument:
-    many = get_origin(plain) is tuple
-    return click.Argument(
-        [field.name],
-        type=param_type(plain, (), option),
-        nargs=-1 if many else 1,
-        required=field.default is MISSING,
-        metavar=option.metavar,
-        help=option.help,
-    )
-
-
-def _option(field: Field[Any], plain: Any, option: Option, extras: tuple[Any, ...]) -> click.Option:
-    names = option.names or (f"--{field.name.replace('_', '-')}",)
-    default = _text(field.default, repeated=option.repeated, auto=option.auto)
+def _parameter(field: Field[Any], plain: Any, option: Option, extras: tuple[Any, ...]) -> inspect.Parameter:
+    many = option.repeated or (option.argument and get_origin(plain) is tuple)
+    default = _text(field.default, many=many, auto=option.auto)
     shown: bool | str = option.default or default not in (None, False, ())
-    if bool in (plain, *get_args(plain)):
-        return click.Option(
-            [field.name, *names], is_flag=True, default=field.default, help=option.help, show_default=shown
-        )
-    return click.Option(
-        [field.name, *names],
-        type=param_type(plain, extras, option),
-        default=default,
-        multiple=option.repeated,
-        metavar=option.metavar,
-        help=option.help,
-        show_default=shown,
+    kind: Any = list[str] if many else str
+    described: dict[str, Any] = {"help": option.help, "metavar": option.metavar or _choices(plain)}
+    if option.argument:
+        info = typer.Argument(parser=parser_of(plain, extras, option), **described)
+    elif bool in (plain, *get_args(plain)):
+        kind = plain
+        info = typer.Option(*_names(field, option), show_default=shown, **described)
+    else:
+        parser = parser_of(plain, extras, option)
+        info = typer.Option(*_names(field, option), parser=parser, show_default=shown, **described)
+    if field.default is MISSING:
+        default = inspect.Parameter.empty
+    return inspect.Parameter(
+        field.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, info]
     )
 
 
-def _text(default: Any, *, repeated: bool, auto: bool) -> Any:
+def _choices(plain: Any) -> str | None:
+    parts = (plain, *get_args(plain))
+    return next(("|".join(map(str, get_args(part))) for part in parts if get_origin(part) is Literal), None)
+
+
+def _names(field: Field[Any], option: Option) -> tuple[str, ...]:
+    return option.names or (f"--{field.name.replace('_', '-')}",)
+
+
+def _text(default: Any, *, many: bool, auto: bool) -> Any:
     """A default as a user would write it."""
-    if isinstance(default, tuple) and not repeated:
-        return ",".join(f"{part:g}" if isinstance(part, float) else str(part) for part in default)
-    return "auto" if default is None and auto else default
+    if isinstance(default, tuple):
+        parts = [f"{part:g}" if isinstance(part, float) else str(part) for part in default]
+        return parts if many else ",".join(parts)
+    if isinstance(default, bool) or default is None:
+        return "auto" if default is None and auto else default
+    return default if default is MISSING else str(default)

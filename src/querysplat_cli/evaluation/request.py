@@ -32,7 +32,7 @@ class EvalRequest:
         tuple[Path, ...],
         Option(
             "Scenes, zips of scenes, or folders of scenes. With --merge: folders of results.",
-            metavar="SCENES...",
+            metavar="SCENES",
             argument=True,
         ),
     ]

@@ -31,9 +31,7 @@ REFINE_CAMERAS = Option(
 class ReconstructSettings:
     """How photos become a scene. None means that the program chooses, or that there is no limit."""
 
-    inputs: Annotated[
-        tuple[Path, ...], Option("A folder of photos, or photo files.", metavar="IMAGES...", argument=True)
-    ]
+    inputs: Annotated[tuple[Path, ...], Option("A folder of photos, or photo files.", metavar="IMAGES", argument=True)]
     ply: Annotated[
         Path,
         Option("The scene to write. A folder of the same name goes beside it.", ("--output", "-o"), metavar="FILE.ply"),
