@@ -62,7 +62,7 @@ class _Scores:
     heldout: dict[HoldoutProtocol, Quality | None]
 
 
-def reconstruct(settings: ReconstructSettings, stages: Stages) -> Report:
+def reconstruct(settings: ReconstructSettings, stages: Stages | None = None) -> Report:
     """Make a scene of photos: `settings.ply` and the scene folder beside it.
 
     Raises QuerySplatError on bad input and ImpossibleScene when no scene can be made of the photos; nothing is written
@@ -74,7 +74,7 @@ def reconstruct(settings: ReconstructSettings, stages: Stages) -> Report:
     check_writable(settings.ply.parent)
     device = find_device(settings.device)
     with matrix_products(check_precision(settings.precision)):
-        return _reconstruct(settings, device, stages)
+        return _reconstruct(settings, device, stages or Stages())
 
 
 def load_parts(settings: ReconstructSettings, device: torch.device) -> tuple[QuerySplat, Encoder]:
