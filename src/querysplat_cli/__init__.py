@@ -7,6 +7,8 @@ from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
+from querysplat_cli.runtime.threads import wait_passively
+
 if TYPE_CHECKING:
     from querysplat_cli.pipeline.reconstruct import reconstruct
     from querysplat_cli.pipeline.resume import optimise_scene as optimise
@@ -45,6 +47,9 @@ try:
     __version__ = version("querysplat")
 except PackageNotFoundError:  # a source tree that was never installed
     __version__ = "0+unknown"
+
+# The command line and the library both come through here, and neither has imported torch or numba yet.
+wait_passively()
 
 
 def __getattr__(name: str) -> Any:

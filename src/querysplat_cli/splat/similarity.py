@@ -146,8 +146,7 @@ def _plane(
             maps[0, y, x], maps[1, y, x] = a[y, x], b[y, x]
             maps[2, y, x], maps[3, y, x], maps[4, y, x] = a[y, x] * a[y, x], b[y, x] * b[y, x], a[y, x] * b[y, x]
     scratch = np.empty((height, width), np.float32)
-    for k in range(5):
-        _blur(maps[k], scratch, weights)
+    _blur(maps, scratch, weights)
     total = 0.0
     for y in range(height):
         for x in range(width):
@@ -167,8 +166,7 @@ def _plane(
             by_mean = weight * structure * two * (mean_b - light * mean_a) / light_down
             maps[0, y, x] = by_mean - two * mean_a * by_square - mean_b * by_product
             maps[1, y, x], maps[2, y, x] = by_square, by_product
-    for k in range(3):
-        _blur(maps[k], scratch, weights)
+    _blur(maps[:3], scratch, weights)
     for y in range(height):
         for x in range(width):
             value = maps[0, y, x] + two * a[y, x] * maps[1, y, x] + b[y, x] * maps[2, y, x]
@@ -181,25 +179,26 @@ def _plane(
 
 
 @nb.njit(cache=True, error_model="numpy", fastmath={"contract"}, forceinline=True)
-def _blur(plane: np.ndarray, scratch: np.ndarray, weights: np.ndarray) -> None:
-    """Blur `plane` in place with the separable window, zeros beyond the border."""
-    height, width = plane.shape
-    for y in range(height):
-        row = np.zeros(width + 2 * RADIUS, np.float32)
-        row[RADIUS : RADIUS + width] = plane[y]
-        out = scratch[y]
-        for x in range(width):
-            out[x] = np.float32(0)
-        for k in range(2 * RADIUS + 1):
-            w = weights[k]
+def _blur(planes: np.ndarray, scratch: np.ndarray, weights: np.ndarray) -> None:
+    """Blur each of `planes` in place with the separable window, zeros beyond the border."""
+    height, width = scratch.shape
+    taps = len(weights)
+    row = np.zeros(width + taps - 1, np.float32)
+    for plane in planes:
+        for y in range(height):
+            out = scratch[y]
             for x in range(width):
-                out[x] += w * row[x + k]
-    for y in range(height):
-        out = plane[y]
-        for x in range(width):
-            out[x] = np.float32(0)
-        for k in range(max(0, RADIUS - y), min(2 * RADIUS + 1, height + RADIUS - y)):
-            w = weights[k]
-            source = scratch[y + k - RADIUS]
+                out[x], row[RADIUS + x] = np.float32(0), plane[y, x]
+            for k in range(taps):
+                w = weights[k]
+                for x in range(width):
+                    out[x] += w * row[x + k]
+        for y in range(height):
+            out = plane[y]
             for x in range(width):
-                out[x] += w * source[x]
+                out[x] = np.float32(0)
+            for k in range(max(0, RADIUS - y), min(taps, height + RADIUS - y)):
+                w = weights[k]
+                source = scratch[y + k - RADIUS]
+                for x in range(width):
+                    out[x] += w * source[x]

@@ -1,5 +1,6 @@
 """The default encoder: classical structure from motion and multi-view stereo. It needs no weights."""
 
+import subprocess
 from collections.abc import Sequence
 
 from querysplat_cli.encoders.base import CameraRequest, EncoderOptions, Geometry, PosedViews
@@ -15,15 +16,25 @@ class ClassicalEncoder:
     size = 448
     own_frame = False
 
+    def __init__(self) -> None:
+        self._compiler: subprocess.Popen[bytes] | None = None
+
     def estimate_cameras(self, photos: Sequence[Photo], request: CameraRequest, progress: Progress) -> PosedViews:
-        """See `querysplat_cli.encoders.classical.cameras.estimate_cameras`."""
+        """See `querysplat_cli.encoders.classical.cameras.estimate_cameras`. The depth is compiled meanwhile."""
+        from querysplat_cli.encoders.classical.compile_depth import start_compiling
+
+        if self._compiler is None:
+            self._compiler = start_compiling()
         return estimate_cameras(photos, request, progress)
 
     def estimate_geometry(self, posed: PosedViews, *, seed: int, progress: Progress) -> Geometry:
         """See `querysplat_cli.encoders.classical.depth.estimate_geometry`."""
-        # Imported here: whoever wants only cameras does not need the compiled kernels of the depth.
+        # Imported here: other encoders and `--help` need neither the kernels of the depth nor numba.
+        from querysplat_cli.encoders.classical.compile_depth import wait_until_compiled
         from querysplat_cli.encoders.classical.depth import estimate_geometry
 
+        if self._compiler:
+            wait_until_compiled(self._compiler, progress)
         return estimate_geometry(posed, seed=seed, progress=progress)
 
     def free(self) -> None:

@@ -6,10 +6,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import cv2
 import numpy as np
 import pycolmap
 
+from querysplat_cli.encoders.classical.features import (
+    choose_effort,
+    extract_features,
+    feature_sizes,
+    image_name,
+    write_grey,
+)
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY, MatchEffort
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Progress
@@ -88,13 +94,13 @@ def matched(
     EXIF focal length share a lens; with `known`, each photo has its own camera instead. Raises QuerySplatError when
     the folder cannot be written.
     """
-    effort = CAMERA_POLICY.thorough if thorough else CAMERA_POLICY.ordinary
+    effort = choose_effort(photos, thorough=thorough)
     # COLMAP writes messages to the terminal, where standard output may be the JSON of `--json`.
     pycolmap.logging.minloglevel = pycolmap.logging.FATAL.value
     with TemporaryDirectory(prefix="querysplat-") as name, _naming_the_folder(name):
         folder = Path(name)
         progress("finding features", 0.0)
-        sizes = _write_grey(photos, folder, effort.feature_size)
+        sizes = write_grey(photos, folder, effort.feature_size)
         focals = tuple(
             photo.focal * size[1] / photo.width if photo.focal else None
             for photo, size in zip(photos, sizes, strict=True)
@@ -103,7 +109,7 @@ def matched(
         matches = Matches(folder, sizes, focals, (), ())
         with pycolmap.Database.open(matches.database) as store:
             _write_images(store, cameras)
-        _extract(matches.database, folder, effort)
+        extract_features(matches.database, folder, effort)
         with pycolmap.Database.open(matches.database) as store:
             keypoints = [store.read_keypoints(i + 1)[:, :2].astype(np.float64) for i in range(len(photos))]
             chosen = _choose_pairs(store, len(photos))
@@ -125,24 +131,6 @@ def _naming_the_folder(folder: str) -> Iterator[None]:
         raise QuerySplatError(
             f"cannot write to {folder}: {error}", "Free some space there, or set TMPDIR to another folder."
         ) from error
-
-
-def _image_name(photo: int) -> str:
-    return f"{photo:06d}.pgm"
-
-
-def _write_grey(photos: Sequence[Photo], folder: Path, size: int) -> tuple[tuple[int, int], ...]:
-    """Write the photos as grey pictures of a longer side of at most `size`, and return their sizes."""
-    sizes = []
-    for number, photo in enumerate(photos):
-        scale = min(1.0, size / max(photo.height, photo.width))
-        height, width = round(photo.height * scale), round(photo.width * scale)
-        grey = cv2.cvtColor(photo.pixels, cv2.COLOR_RGB2GRAY)
-        picture = cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA)
-        if not cv2.imwrite(str(folder / _image_name(number)), picture):
-            raise OSError(f"cannot write to {folder}")
-        sizes.append((height, width))
-    return tuple(sizes)
 
 
 def _shared_cameras(
@@ -184,20 +172,11 @@ def _write_images(store: pycolmap.Database, keyed: Sequence[tuple[Hashable, pyco
             rig.add_ref_sensor(camera.sensor_id)
             store.write_camera(camera, use_camera_id=True)
             store.write_rig(rig, use_rig_id=True)
-        image = pycolmap.Image(name=_image_name(photo), camera_id=numbers[key], image_id=photo + 1)
+        image = pycolmap.Image(name=image_name(photo), camera_id=numbers[key], image_id=photo + 1)
         frame = pycolmap.Frame(frame_id=photo + 1, rig_id=numbers[key])
         frame.add_data_id(image.data_id)
         store.write_frame(frame, use_frame_id=True)
         store.write_image(image, use_image_id=True)
-
-
-def _extract(database: Path, folder: Path, effort: MatchEffort) -> None:
-    options = pycolmap.FeatureExtractionOptions()
-    options.use_gpu = False
-    options.sift.estimate_affine_shape = options.sift.domain_size_pooling = effort.affine
-    if effort.peak_threshold is not None:
-        options.sift.peak_threshold = effort.peak_threshold
-    pycolmap.extract_features(database, folder, extraction_options=options)
 
 
 def _choose_pairs(store: pycolmap.Database, count: int) -> list[tuple[int, int]]:
@@ -213,8 +192,7 @@ def _choose_pairs(store: pycolmap.Database, count: int) -> list[tuple[int, int]]
 def _largest_features(store: pycolmap.Database, photo: int) -> np.ndarray:
     """Unit descriptors [n, 128] of a photo's largest features."""
     keypoints = store.read_keypoints(photo + 1)
-    scale = np.hypot(keypoints[:, 2], keypoints[:, 4]) if keypoints.shape[1] == 6 else keypoints[:, 2]
-    largest = np.argsort(-scale, kind="stable")[: CAMERA_POLICY.compared_features]
+    largest = np.argsort(-feature_sizes(keypoints), kind="stable")[: CAMERA_POLICY.compared_features]
     descriptors = store.read_descriptors(photo + 1).data[largest].astype(np.float32)
     return np.asarray(descriptors / np.maximum(np.linalg.norm(descriptors, axis=1, keepdims=True), 1))
 
@@ -240,7 +218,7 @@ def _similarity(descriptors: Sequence[np.ndarray]) -> np.ndarray:
 
 def _match(database: Path, folder: Path, pairs: Sequence[tuple[int, int]], seed: int, effort: MatchEffort) -> None:
     listing = folder / "pairs.txt"
-    listing.write_text("".join(f"{_image_name(first)} {_image_name(second)}\n" for first, second in pairs))
+    listing.write_text("".join(f"{image_name(first)} {image_name(second)}\n" for first, second in pairs))
     pairing = pycolmap.ImportedPairingOptions()
     pairing.match_list_path = listing
     # COLMAP notices Ctrl-C between blocks only.

@@ -17,7 +17,9 @@ class MatchEffort:
     `feature_size` is the longer side, in pixels, at which features are searched. `affine` fits an affine shape to
     each feature and pools over domain sizes. `peak_threshold` is SIFT's contrast threshold. `match_ratio` is the
     largest ratio of the distances to the nearest and the second nearest feature. `guided` matches once more along
-    the epipolar lines. A pair of photos needs `fewest_inliers` matches.
+    the epipolar lines. A pair of photos needs `fewest_inliers` matches. Octave -1, the default, doubles
+    the picture, and octave 0 takes it as it is. SIFT keeps the largest `most_found` features (None: COLMAP's
+    number), and of these `most_features`, spread over the photo, are matched (None: all).
     """
 
     feature_size: int
@@ -26,6 +28,9 @@ class MatchEffort:
     match_ratio: float
     guided: bool
     fewest_inliers: int
+    first_octave: int = -1
+    most_found: int | None = None
+    most_features: int | None = None
 
 
 @dataclass(frozen=True)
@@ -56,6 +61,14 @@ class CameraPolicy:
     thorough: MatchEffort = MatchEffort(800, True, 0.003, 0.9, True, 25)
     """A second, slow search, for photos that the first one did not place. It finds many features in few pixels; among
     many more candidates more agree by chance, so it needs more inliers."""
+    large_photo: int = 1200
+    """Photos with a longer side of at least so many pixels, in the median, are large: they have features in plenty."""
+    ordinary_large: MatchEffort = MatchEffort(1600, False, None, 0.8, False, 15, 0, None, 3000)
+    """The usual search in large photos. The features that it skips, in the doubled picture, would not be kept."""
+    thorough_large: MatchEffort = MatchEffort(800, True, 0.003, 0.9, True, 25, -1, 4000, 4000)
+    """The second search in large photos."""
+    spread_cells: int = 16
+    """A photo is divided into so many columns and rows, among which the features that are kept are spread."""
     thorough_photos: int = 20
     """The second search is made for at most this many photos."""
     few_features: float = 0.2

@@ -1,0 +1,110 @@
+"""SIFT features of the photos, in COLMAP's database: as many as pay, spread over each photo."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pycolmap
+
+from querysplat_cli.encoders.classical.policy import CAMERA_POLICY, MatchEffort
+from querysplat_cli.scene.views import Photo
+
+
+def choose_effort(photos: Sequence[Photo], *, thorough: bool) -> MatchEffort:
+    """The usual or the thorough effort, for large photos where most photos are large."""
+    large = np.median([max(photo.height, photo.width) for photo in photos]) >= CAMERA_POLICY.large_photo
+    if thorough:
+        return CAMERA_POLICY.thorough_large if large else CAMERA_POLICY.thorough
+    return CAMERA_POLICY.ordinary_large if large else CAMERA_POLICY.ordinary
+
+
+def image_name(photo: int) -> str:
+    return f"{photo:06d}.pgm"
+
+
+def write_grey(photos: Sequence[Photo], folder: Path, size: int) -> tuple[tuple[int, int], ...]:
+    """Write the photos as grey pictures of a longer side of at most `size`, and return their sizes."""
+    sizes = []
+    for number, photo in enumerate(photos):
+        scale = min(1.0, size / max(photo.height, photo.width))
+        height, width = round(photo.height * scale), round(photo.width * scale)
+        grey = cv2.cvtColor(photo.pixels, cv2.COLOR_RGB2GRAY)
+        picture = cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA)
+        if not cv2.imwrite(str(folder / image_name(number)), picture):
+            raise OSError(f"cannot write to {folder}")
+        sizes.append((height, width))
+    return tuple(sizes)
+
+
+def extract_features(database: Path, folder: Path, effort: MatchEffort) -> None:
+    """Search all photos of the database, whose pictures are in `folder`, and keep at most `effort.most_features` each.
+
+    Where half of the photos have less than half of these, all are searched again at twice the resolution.
+    """
+    _search(database, folder, effort)
+    if effort.most_features is None:
+        return
+    with pycolmap.Database.open(database) as store:
+        images = sorted(image.image_id for image in store.read_all_images())
+        counts = [store.num_keypoints_for_image(image) for image in images]
+        again = effort.first_octave >= 0 and np.median(counts) < effort.most_features / 2
+        if again:
+            store.clear_keypoints()
+            store.clear_descriptors()
+    if again:
+        _search(database, folder, replace(effort, first_octave=-1))
+    with pycolmap.Database.open(database) as store:
+        _keep_spread(store, images, effort.most_features)
+
+
+def _search(database: Path, folder: Path, effort: MatchEffort) -> None:
+    options = pycolmap.FeatureExtractionOptions()
+    options.use_gpu = False
+    options.sift.first_octave = effort.first_octave
+    options.sift.estimate_affine_shape = options.sift.domain_size_pooling = effort.affine
+    if effort.peak_threshold is not None:
+        options.sift.peak_threshold = effort.peak_threshold
+    if effort.most_found is not None:
+        options.sift.max_num_features = effort.most_found
+    pycolmap.extract_features(database, folder, extraction_options=options)
+
+
+def _keep_spread(store: pycolmap.Database, images: Sequence[int], most: int) -> None:
+    """Keep at most `most` features of each image in the database, spread over the image."""
+    kept = []
+    for image in images:
+        keypoints, descriptors = store.read_keypoints(image), store.read_descriptors(image)
+        rows = spread_features(keypoints, most)
+        descriptors.data = np.ascontiguousarray(descriptors.data[rows])
+        kept.append((image, np.ascontiguousarray(keypoints[rows]), descriptors))
+    store.clear_keypoints()
+    store.clear_descriptors()
+    for image, keypoints, descriptors in kept:
+        store.write_keypoints(image, keypoints)
+        store.write_descriptors(image, descriptors)
+
+
+def spread_features(keypoints: np.ndarray, most: int) -> np.ndarray:
+    """Rows, ascending, of at most `most` of the keypoints [n, 4 or 6] of a photo: the largest of each cell of a grid.
+
+    A cell gives its second feature only when every cell has given its first, and so on.
+    """
+    if len(keypoints) <= most:
+        return np.arange(len(keypoints))
+    position, size = keypoints[:, :2], feature_sizes(keypoints)
+    low, high = position.min(0), position.max(0)
+    cells = CAMERA_POLICY.spread_cells
+    column, row = np.minimum((position - low) / np.maximum(high - low, 1e-6) * cells, cells - 1).astype(np.int64).T
+    cell = row * cells + column
+    order = np.lexsort((-size, cell))
+    starts = np.searchsorted(cell[order], np.arange(cells * cells))
+    rank = np.empty(len(order), np.int64)
+    rank[order] = np.arange(len(order)) - starts[cell[order]]
+    return np.sort(np.lexsort((-size, rank))[:most])
+
+
+def feature_sizes(keypoints: np.ndarray) -> np.ndarray:
+    """The scales [n] of COLMAP's keypoints: circles [n, 4], or affine shapes [n, 6]."""
+    return np.asarray(np.hypot(keypoints[:, 2], keypoints[:, 4]) if keypoints.shape[1] == 6 else keypoints[:, 2])

@@ -1,0 +1,70 @@
+"""Which features of a photo are kept, and cameras of large photos from those."""
+
+import numpy as np
+import pytest
+from synthetic import FOCAL, WIDTH, arc, photographs, room
+
+from querysplat_cli.encoders.base import CameraRequest
+from querysplat_cli.encoders.classical.cameras import estimate_cameras
+from querysplat_cli.encoders.classical.features import choose_effort, spread_features
+from querysplat_cli.encoders.classical.matches import matched
+from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
+from querysplat_cli.scene.views import Photo
+
+CELLS = CAMERA_POLICY.spread_cells
+
+
+def keypoints(places: np.ndarray, scales: np.ndarray) -> np.ndarray:
+    """COLMAP's circular keypoints [n, 4]."""
+    return np.column_stack([places, scales, np.zeros(len(places))]).astype(np.float32)
+
+
+@pytest.fixture(scope="module")
+def large() -> list[Photo]:
+    return photographs(room(), arc(4, size=(960, 1280), focal=FOCAL * 1280 / WIDTH))
+
+
+def test_few_features_are_all_kept() -> None:
+    some = keypoints(np.random.default_rng(0).uniform(0, 100, (50, 2)), np.ones(50))
+    assert spread_features(some, 50).tolist() == list(range(50))
+
+
+def test_every_cell_gives_a_feature_and_the_largest_first() -> None:
+    """A crowd of large features in one corner does not push out the small ones elsewhere."""
+    grid = (np.stack(np.meshgrid(np.arange(CELLS), np.arange(CELLS)), -1).reshape(-1, 2) + 0.5) * 10
+    crowd = np.full((2000, 2), 5.0)
+    corners = np.array([[0.0, 0.0], [CELLS * 10, CELLS * 10]])
+    scales = np.concatenate([np.ones(len(grid)), np.linspace(2, 3, 2000), [0.5, 0.5]])
+    rows = spread_features(keypoints(np.concatenate([grid, crowd, corners]), scales), CELLS**2 + 10)
+    assert len(rows) == CELLS**2 + 10
+    assert (np.diff(rows) > 0).all()
+    assert set(range(1, len(grid))) <= set(rows.tolist())
+    in_crowd = rows[(rows >= len(grid)) & (rows < len(grid) + 2000)] - len(grid)
+    assert in_crowd.tolist() == list(range(2000 - len(in_crowd), 2000))
+    assert 0 < len(in_crowd) <= 11
+
+
+def test_affine_features_are_sorted_by_their_scale() -> None:
+    shapes = np.zeros((3, 6), np.float32)
+    shapes[:, 2] = [1, 3, 2]
+    assert spread_features(shapes, 1).tolist() == [1]
+
+
+@pytest.mark.parametrize("thorough", [False, True])
+def test_only_large_photos_have_a_limit(large: list[Photo], *, thorough: bool) -> None:
+    small = [Photo(photo.name, photo.path, photo.pixels[:100, :100], None) for photo in large]
+    assert choose_effort(large, thorough=thorough).most_features
+    assert choose_effort(small, thorough=thorough).most_features is None
+    assert choose_effort([*large[:2], *small[:3]], thorough=thorough).most_features is None
+
+
+def test_large_photos_are_placed_from_few_features(large: list[Photo]) -> None:
+    most = CAMERA_POLICY.ordinary_large.most_features
+    assert most
+    with matched(large, seed=0, progress=lambda text, fraction: None) as matches:
+        assert all(most / 10 < count <= most for count in matches.features)
+    once, twice = (estimate_cameras(large, CameraRequest(256, seed=0), lambda *_: None) for _ in range(2))
+    assert once.cameras.K[:, 0, 0].numpy() == pytest.approx(FOCAL * 256 / WIDTH, rel=0.03)
+    assert not once.left_out
+    assert once.cameras.w2c.numpy().tobytes() == twice.cameras.w2c.numpy().tobytes()
+    assert once.points.numpy().tobytes() == twice.points.numpy().tobytes()
