@@ -11,8 +11,8 @@ scene/
   curve.png                error against time, if it was optimised
 """
 
-import json
 import dataclasses
+import json
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any

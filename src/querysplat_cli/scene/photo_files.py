@@ -17,6 +17,10 @@ from querysplat_cli.scene.photos import load_photo, longer_side
 from querysplat_cli.scene.undistort import CANVAS_MULTIPLE, undistorted
 from querysplat_cli.scene.views import Photo, Views
 
+OVERSAMPLING = 2
+"""Photos are straightened at so many times the size of their pictures, where they have the pixels, and then reduced.
+Straightening blurs by about a pixel of its own size."""
+
 
 @dataclass(frozen=True)
 class PhotoFile:
@@ -104,7 +108,7 @@ def large_views(files: Sequence[PhotoFile], views: Views, cameras: Cameras, max_
     """
     pictures, sizes, scales = [], [], []
     for file, (height, width) in zip(files, views.sizes, strict=True):
-        one, _ = undistorted([file.load(max_size)], [file.lens], max_size=max_size)
+        one, _ = undistorted([file.load(OVERSAMPLING * max_size)], [file.lens], max_size=max_size)
         ((rows, columns),) = one.sizes
         pictures.append((one.images[0, :, :rows, :columns] * 255).round().clamp(0, 255).to(torch.uint8))
         sizes.append((rows, columns))

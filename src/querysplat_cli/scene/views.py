@@ -36,8 +36,9 @@ class Photo:
 class Views:
     """Undistorted images on one canvas, each in its top-left corner.
 
-    `images` are sRGB as stored, in [0, 1]. Large pictures are kept as uint8, from 0 to 255. `masks` are True where a picture covers the canvas, and False on the padding
-    of smaller ones. `sizes` are (height, width) of each picture in pixels.
+    `images` are sRGB as stored, in [0, 1]. Large pictures are kept as uint8, from 0 to 255. `masks` are True where a
+    picture covers the canvas, and False on the padding of smaller ones. `sizes` are (height, width) of each picture in
+    pixels.
     """
 
     images: Float[Tensor, "views 3 height width"] | UInt8[Tensor, "views 3 height width"]

@@ -1,6 +1,5 @@
 """The plan of an optimisation on large photos: picture sizes, steps, and how many Gaussians splitting reaches."""
 
-import math
 from dataclasses import dataclass
 
 from querysplat_cli.runtime.choices import FullSizeLevel
@@ -63,25 +62,21 @@ def plan_full_size(
         planned = min(planned, policy.most_seconds)
     most_passes = TTO_POLICY.passes if photos.count <= TTO_POLICY.few_views else policy.most_passes
     shares = _stages(photos.working, size)
-    stages, count = [], gaussians
+    stages, expected = [], 0.0
     for number, (share, part) in enumerate(shares, start=1):
         more = round(gaussians * (target / gaussians) ** (number / len(shares)))
-        cost = _step_seconds(pixels * share**2, (count + more) / 2)
+        cost = _step_seconds(pixels * share**2, more)
         passes = most_passes * photos.count / len(shares)
         steps = max(1, int(passes if seconds else min(planned * part / cost, passes)))
         settings = TtoSettings(
             steps,
             policy.learning_rate,
             views_per_step=1,
-            seconds=seconds and seconds * part,
+            seconds=None if seconds is None else seconds * part,
             densify_after=policy.splits,
         )
         stages.append(FullSizeStage(round(size * share), settings, more))
-        count = more
-    expected = sum(
-        stage.settings.steps * _step_seconds(pixels * share**2, stage.gaussians)
-        for stage, (share, _) in zip(stages, shares, strict=True)
-    )
+        expected += steps * cost
     if level == "high" or seconds:
         return FullSizePlan(tuple(stages), seconds or expected)
     again = TtoSettings(policy.round_passes * photos.count, policy.learning_rate / 2, views_per_step=1)
@@ -96,6 +91,6 @@ def _stages(working: int, size: int) -> tuple[tuple[float, float], ...]:
     return tuple((share, part / whole) for share, part in (*kept, last))
 
 
-def _step_seconds(pixels: float, gaussians: float) -> float:
+def _step_seconds(pixels: float, gaussians: int) -> float:
     alone, each_pixel, each_gaussian = FULL_SIZE_POLICY.step_seconds
-    return math.fsum((alone, each_pixel * pixels, each_gaussian * gaussians))
+    return alone + each_pixel * pixels + each_gaussian * gaussians
