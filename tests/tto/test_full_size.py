@@ -157,6 +157,13 @@ def test_max_uses_the_whole_photos_and_goes_on_in_rounds() -> None:
     assert largest.seconds > 2 * high.seconds
 
 
+def test_a_short_time_makes_the_photos_smaller_but_never_smaller_than_the_scene() -> None:
+    sizes = [plan_full_size("high", LARGE, 50_000, seconds=s).stages[-1].max_size for s in (1.0, 100.0, 200.0, 2000.0)]
+    assert sizes[0] == LARGE.working
+    assert sizes == sorted(sizes)
+    assert sizes[1] < sizes[2] < sizes[3] == 1600
+
+
 def test_a_given_time_ends_the_stages_by_the_clock() -> None:
     plan = plan_full_size("high", LARGE, 50_000, seconds=100.0)
     assert sum(each.settings.seconds or 0 for each in plan.stages) == pytest.approx(100)

@@ -41,11 +41,19 @@ class FullSize:
 
 
 def take_to_full_size(
-    scene: StoredScene, gaussians: Gaussians, level: FullSizeLevel, *, seed: int, device: torch.device, stages: Stages
+    scene: StoredScene,
+    gaussians: Gaussians,
+    level: FullSizeLevel,
+    *,
+    seed: int,
+    device: torch.device,
+    stages: Stages,
+    seconds: float | None = None,
 ) -> FullSize:
     """Optimise `gaussians` on the photos of `scene`, and score the result at the large size.
 
-    Raises QuerySplatError when photos are gone.
+    With `seconds` the clock ends the steps, and decides how large the photos are. Raises QuerySplatError when photos
+    are gone.
     """
     files = files_of(scene, scene.views)
     held = files_of(scene, scene.heldout[0]) if scene.heldout else []
@@ -53,7 +61,7 @@ def take_to_full_size(
     with stages("full size") as progress:
         height, width = max((file.full_size() for file in files), key=lambda size: size[0] * size[1])
         working = max(scene.cameras.height, scene.cameras.width)
-        plan = plan_full_size(level, Photos(len(files), height, width, working), len(gaussians))
+        plan = plan_full_size(level, Photos(len(files), height, width, working), len(gaussians), seconds=seconds)
         total = sum(stage.settings.steps for stage in plan.stages)
         taken = 0
 

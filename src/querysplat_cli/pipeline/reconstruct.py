@@ -10,7 +10,7 @@ from querysplat_cli.encoders.holdout import HoldoutCameras, PosedSplit, estimate
 from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.model.checkpoints import load
 from querysplat_cli.model.querysplat import QuerySplat
-from querysplat_cli.pipeline.budget import Budget, working_size
+from querysplat_cli.pipeline.budget import Budget, BudgetShare, working_size
 from querysplat_cli.pipeline.build import BuiltScene, encode_and_build
 from querysplat_cli.pipeline.full_size import FullSize, take_to_full_size
 from querysplat_cli.pipeline.memory import MemoryNeeds, within_memory
@@ -97,6 +97,7 @@ def _reconstruct(settings: ReconstructSettings, device: torch.device, stages: St
     passes = _find_cameras(inputs, settings, stages)
     level = settings.full_size
     scenes = 2 if passes.other and passes.other.heldout and not level else 1
+    share = inputs.budget.share(scenes) if inputs.budget else None
     scene = encode_and_build(
         passes.chosen.inputs,
         inputs.encoder,
@@ -104,12 +105,10 @@ def _reconstruct(settings: ReconstructSettings, device: torch.device, stages: St
         settings,
         stages,
         last=passes.other is None or level is not None,
-        share=inputs.budget.share(scenes) if inputs.budget else None,
+        share=share,
     )
-    large = None
-    if level and not scene.adapted.interrupted:
-        stored, start = _stored(inputs, passes, scene, settings), scene.adapted.gaussians
-        large = take_to_full_size(stored, start, level, seed=settings.seed, device=device, stages=stages)
+    large = _at_full_size(inputs, passes, scene, settings, share, stages)
+    if large:
         scene = replace(scene, adapted=replace(scene.adapted, gaussians=large.gaussians))
     scores = _score(inputs, passes, scene, settings, stages)
     with stages("write"):
@@ -228,6 +227,31 @@ def _omissions(settings: ReconstructSettings, scene: BuiltScene, finest: Blurred
     elif not scene.time_for_more:
         found.append(omissions.SECOND_SCORE)
     return found
+
+
+def _at_full_size(
+    inputs: _Inputs,
+    passes: HoldoutCameras,
+    scene: BuiltScene,
+    settings: ReconstructSettings,
+    share: BudgetShare | None,
+    stages: Stages,
+) -> FullSize | None:
+    """The scene after its optimisation on large photos, where --quality asks for that or --budget has time for it."""
+    asked = settings.full_size
+    spare = share and settings.tto is None and not settings.keep_everything and scene.posed.photo_cameras
+    seconds = share.full_size_seconds(len(scene.adapted.gaussians)) if share else None
+    if scene.adapted.interrupted or not (asked or spare) or (share and seconds is None):
+        return None
+    return take_to_full_size(
+        _stored(inputs, passes, scene, settings),
+        scene.adapted.gaussians,
+        asked or "high",
+        seed=settings.seed,
+        device=next(inputs.model.parameters()).device,
+        stages=stages,
+        seconds=seconds,
+    )
 
 
 def _with_full_size(report: Report, large: FullSize | None) -> Report:

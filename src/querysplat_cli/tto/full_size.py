@@ -76,7 +76,7 @@ def optimise_full_size(
             ended = "Ctrl-C"
             break
     else:
-        if plan.stages[-1].settings.seconds is not None:
+        if any(len(result.history) + result.undone < stage.settings.steps for stage, result in runs):
             ended = "the time was over"
         elif plan.round:
             ended = _rounds(run, plan.round, plan.most_rounds)

@@ -1,5 +1,6 @@
 """The plan of an optimisation on large photos: picture sizes, steps, and how many Gaussians splitting reaches."""
 
+import math
 from dataclasses import dataclass
 
 from querysplat_cli.runtime.choices import FullSizeLevel
@@ -49,17 +50,20 @@ def plan_full_size(
 ) -> FullSizePlan:
     """A plan for a scene of so many Gaussians, which counts costs and never looks at a clock.
 
-    With `seconds` the stages end by the clock, after so long altogether, and there are no rounds.
+    With `seconds` the stages end by the clock, after so long altogether, and there are no rounds. Photos are then
+    smaller where the plan for the size of `level` takes longer.
     """
     policy = FULL_SIZE_POLICY
     side = max(photos.height, photos.width)
     size = min(side, policy.high_size if level == "high" else policy.max_size)
     pixels = photos.height * photos.width * (size / side) ** 2
+    planned = policy.seconds[0] + policy.seconds[1] * photos.count * pixels / 1e6
+    if seconds is not None and seconds < planned:
+        reduced = max(min(photos.working, size), round(size * math.sqrt(seconds / planned)))
+        size, pixels = reduced, pixels * (reduced / size) ** 2
     largest = policy.high_gaussians if level == "high" else policy.max_gaussians
     target = max(gaussians, min(largest, int(photos.count * pixels / policy.pixels_per_gaussian)))
-    planned = seconds or policy.seconds[0] + policy.seconds[1] * photos.count * pixels / 1e6
-    if level == "high" and not seconds:
-        planned = min(planned, policy.most_seconds)
+    planned = min(planned, policy.most_seconds) if level == "high" else planned
     most_passes = TTO_POLICY.passes if photos.count <= TTO_POLICY.few_views else policy.most_passes
     shares = _stages(photos.working, size)
     stages, expected = [], 0.0
@@ -67,7 +71,7 @@ def plan_full_size(
         more = round(gaussians * (target / gaussians) ** (number / len(shares)))
         cost = _step_seconds(pixels * share**2, more)
         passes = most_passes * photos.count / len(shares)
-        steps = max(1, int(passes if seconds else min(planned * part / cost, passes)))
+        steps = max(1, int(passes if seconds is not None else min(planned * part / cost, passes)))
         settings = TtoSettings(
             steps,
             policy.learning_rate,
@@ -77,8 +81,8 @@ def plan_full_size(
         )
         stages.append(FullSizeStage(round(size * share), settings, more))
         expected += steps * cost
-    if level == "high" or seconds:
-        return FullSizePlan(tuple(stages), seconds or expected)
+    if level == "high" or seconds is not None:
+        return FullSizePlan(tuple(stages), expected if seconds is None else seconds)
     again = TtoSettings(policy.round_passes * photos.count, policy.learning_rate / 2, views_per_step=1)
     return FullSizePlan(tuple(stages), expected, FullSizeStage(size, again, target), policy.most_rounds)
 
