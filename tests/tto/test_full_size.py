@@ -140,6 +140,8 @@ def test_small_photos_have_one_stage_and_few_photos_have_few_steps() -> None:
     assert only.max_size == 640
     few = plan_full_size("high", replace(LARGE, count=2), 40_000)
     assert sum(each.settings.steps for each in few.stages) <= 2 * TTO_POLICY.passes
+    assert all(each.settings.keep_cover for each in few.stages)
+    assert not any(each.settings.keep_cover for each in plan_full_size("high", LARGE, 40_000).stages)
 
 
 @pytest.mark.parametrize("level", ["high", "max"])

@@ -30,6 +30,7 @@ from querysplat_cli.reporting.report import (
 from querysplat_cli.reporting.view_scores import Quality, score
 from querysplat_cli.runtime.choices import HoldoutProtocol
 from querysplat_cli.runtime.device import find_device, free_bytes, peak_gib
+from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.precision import check_precision, matrix_products
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import PhotoCamera
@@ -95,6 +96,11 @@ def load_parts(settings: ReconstructSettings, device: torch.device) -> tuple[Que
 def _reconstruct(settings: ReconstructSettings, device: torch.device, stages: Stages) -> Report:
     inputs = _read_inputs(settings, device, stages)
     passes = _find_cameras(inputs, settings, stages)
+    if settings.full_size and passes.chosen.inputs.photo_cameras is None:
+        raise QuerySplatError(
+            f"--quality {settings.quality}: this encoder cuts the photos, and large ones would not fit its cameras",
+            "Use --encoder classical, or --quality standard.",
+        )
     level = settings.full_size
     scenes = 2 if passes.other and passes.other.heldout and not level else 1
     share = inputs.budget.share(scenes) if inputs.budget else None

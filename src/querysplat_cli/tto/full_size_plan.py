@@ -1,7 +1,7 @@
 """The plan of an optimisation on large photos: picture sizes, steps, and how many Gaussians splitting reaches."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from querysplat_cli.runtime.choices import FullSizeLevel
 from querysplat_cli.tto.full_size_policy import FULL_SIZE_POLICY
@@ -77,13 +77,15 @@ def plan_full_size(
             policy.learning_rate,
             views_per_step=1,
             seconds=None if seconds is None else seconds * part,
+            keep_cover=1 < photos.count <= TTO_POLICY.few_views,
             densify_after=policy.splits,
         )
         stages.append(FullSizeStage(round(size * share), settings, more))
         expected += steps * cost
     if level == "high" or seconds is not None:
         return FullSizePlan(tuple(stages), expected if seconds is None else seconds)
-    again = TtoSettings(policy.round_passes * photos.count, policy.learning_rate / 2, views_per_step=1)
+    last = stages[-1].settings
+    again = replace(last, steps=policy.round_passes * photos.count, lr=policy.learning_rate / 2)
     return FullSizePlan(tuple(stages), expected, FullSizeStage(size, again, target), policy.most_rounds)
 
 
