@@ -163,8 +163,8 @@ def test_a_stopped_run_leaves_whole_cases(room: Path, tmp_path: Path) -> None:
     ("arguments", "message"),
     [
         (["nowhere"], "nowhere"),
-        (["ROOM", "--views", "3"], "--views 3"),
-        (["ROOM", "--scales", "huge"], "--scales huge"),
+        (["ROOM", "--views", "3"], "'--views': '3' is not one of 2, 4, 12"),
+        (["ROOM", "--scales", "huge"], "'--scales': 'huge' is not one of"),
         (["ROOM", "--shard", "3/2"], "--shard 3/2"),
         (["ROOM", "--sweep", "colour=1"], "--sweep colour=1"),
         (["ROOM", "--views", "12", "--scales", "large"], "no scene has the 49 frames"),
