@@ -144,6 +144,15 @@ def test_small_photos_have_one_stage_and_few_photos_have_few_steps() -> None:
     assert not any(each.settings.keep_cover for each in plan_full_size("high", LARGE, 40_000).stages)
 
 
+def test_photos_without_more_pixels_are_shown_less_often() -> None:
+    def passes(width: int, count: int = 8) -> float:
+        photos = Photos(count, width * 3 // 4, width, 448)
+        return sum(each.settings.steps for each in plan_full_size("high", photos, 30_000).stages) / count
+
+    assert passes(448) == passes(300) == FULL_SIZE_POLICY.passes
+    assert passes(448) < passes(560) <= FULL_SIZE_POLICY.most_passes
+
+
 @pytest.mark.parametrize("level", ["high", "max"])
 def test_splitting_never_aims_below_the_gaussians_that_there_are(level: str) -> None:
     plan = plan_full_size(level, replace(LARGE, count=3), 900_000)  # type: ignore[arg-type]

@@ -64,7 +64,9 @@ def plan_full_size(
     largest = policy.high_gaussians if level == "high" else policy.max_gaussians
     target = max(gaussians, min(largest, int(photos.count * pixels / policy.pixels_per_gaussian)))
     planned = min(planned, policy.most_seconds) if level == "high" else planned
-    most_passes = TTO_POLICY.passes if photos.count <= TTO_POLICY.few_views else policy.most_passes
+    most_passes = min(policy.most_passes, policy.passes * max(1.0, size / photos.working) ** 2)
+    if photos.count <= TTO_POLICY.few_views:
+        most_passes = min(most_passes, TTO_POLICY.passes)
     shares = _stages(photos.working, size)
     stages, expected = [], 0.0
     for number, (share, part) in enumerate(shares, start=1):
