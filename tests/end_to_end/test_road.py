@@ -71,6 +71,7 @@ def test_what_is_written(scene: tuple[Path, dict[str, Any]]) -> None:
         "curve.png",
         "images",
         "memories.safetensors",
+        "photos.json",
         "preview.png",
         "report.json",
     }

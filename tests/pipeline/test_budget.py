@@ -1,9 +1,10 @@
 """How a time budget is divided."""
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from querysplat_cli.pipeline.budget import Budget, optimising_seconds, working_size
+from querysplat_cli.pipeline.budget import Budget, BudgetShare, optimising_seconds, working_size
 from querysplat_cli.pipeline.policy import PIPELINE_POLICY
 from querysplat_cli.prune.policy import PRUNE_POLICY
 from querysplat_cli.tto.plan import plan_tto
@@ -48,3 +49,12 @@ def test_steps_that_decode_nothing_are_cheaper_and_so_more() -> None:
     (decoded,) = plan_tto(None, views=5, gaussians=60_000)
     (direct,) = plan_tto(None, views=5, gaussians=60_000, space="gaussians")
     assert 1.5 * decoded.settings.steps < direct.settings.steps < 2 * decoded.settings.steps
+
+
+def test_large_photos_get_the_time_that_is_left() -> None:
+    """Of 240 seconds 100 are over. A second scene would take as long as this one, which began after 40."""
+    alone = BudgetShare(spent(100.0, of=240.0), 1, 40.0).full_size_seconds(0)
+    assert alone == pytest.approx(0.8 * (140 - 1.5))
+    one_of_two = BudgetShare(spent(100.0, of=240.0), 2, 40.0).full_size_seconds(0)
+    assert one_of_two == pytest.approx(0.8 * (80 - 1.5))
+    assert BudgetShare(spent(100.0, of=115.0), 1, 40.0).full_size_seconds(0) is None

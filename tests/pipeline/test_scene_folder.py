@@ -5,6 +5,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
@@ -13,11 +14,12 @@ from querysplat_cli.model.memories import Memories
 from querysplat_cli.pipeline.scene_folder import StoredScene, read_scene, write_scene
 from querysplat_cli.queries.build import build_anchors
 from querysplat_cli.runtime.errors import QuerySplatError
-from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.cameras import Cameras, PhotoCamera
 from querysplat_cli.scene.formats.dataset import find_scenes
 from querysplat_cli.scene.formats.ply import read_ply
 from querysplat_cli.scene.formats.transforms import read_transforms
 from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.photo_files import PhotoFile
 from querysplat_cli.scene.views import Views
 
 HEIGHT, WIDTH = 24, 36
@@ -54,7 +56,9 @@ def stored() -> tuple[StoredScene, Gaussians]:
         torch.rand(7, generator=generator) * 0.9 + 0.05,
         torch.randn(7, 4, 3, generator=generator),
     )
-    return StoredScene(inputs, cameras, heldout, memories, anchors, "compact"), gaussians
+    lens = PhotoCamera(np.eye(4), (40.0, 41.0), (18.0, 12.0), (0.1, 0.0, 0.0, 0.0), HEIGHT, WIDTH)
+    photos = {name: PhotoFile.of(name, Path("/photos") / name, lens) for name in ("a.png", "d.png")}
+    return StoredScene(inputs, cameras, heldout, memories, anchors, "compact", photos=photos), gaussians
 
 
 def equal(one: object, two: object) -> None:
@@ -84,6 +88,7 @@ def test_round_trip(stored: tuple[StoredScene, Gaussians], tmp_path: Path) -> No
         equal(scene.memories, found.memories)
         equal(scene.anchors, found.anchors)
         assert found.model == "compact"
+        assert found.photos == scene.photos
     assert len(read_ply(tmp_path / "s.ply")) == 7
     files = [tmp_path / "s.ply", *(path for path in (tmp_path / "s").rglob("*") if path.is_file())]
     assert len({file.stat().st_mode for file in files}) == 1  # the same permissions as any other file
@@ -102,7 +107,7 @@ def test_cameras_name_the_files_that_are_there(stored: tuple[StoredScene, Gaussi
     assert len(scene.frames) == 4
 
 
-@pytest.mark.parametrize("part", ["cameras.json", "report.json", "memories.safetensors", "images/a.png"])
+@pytest.mark.parametrize("part", ["cameras.json", "photos.json", "report.json", "memories.safetensors", "images/a.png"])
 def test_a_damaged_folder_is_refused(part: str, stored: tuple[StoredScene, Gaussians], tmp_path: Path) -> None:
     write_scene(tmp_path / "s.ply", *stored, {"note": "long enough to be torn", "tto": []})
     file = tmp_path / "s" / part

@@ -34,8 +34,14 @@ def _table(report: dict[str, Any]) -> Table:
     estimate = report["memory_estimate_gib"]
     expected = f" ({estimate:.2f} GiB expected)" if estimate else ""
     rows.append(("peak memory", f"{report['peak_memory_gib']:.2f} GiB{expected}"))
-    rows += [(f"{group} views", _quality_text(quality)) for group, quality in report["quality"].items() if quality]
+    quality, large = report["quality"], report["quality"].get("full_size")
+    rows += [(f"{group} views", _quality_text(quality[group])) for group in ("input", "heldout") if quality[group]]
+    if large:
+        named = [(f"{group} views at {large['max_size']} px", large[group]) for group in ("input", "heldout")]
+        rows += [(name, f"{_quality_text(found)} on grey") for name, found in named if found]
     rows += [("tto", _tto_text(run)) for run in report["tto"]]
+    if report["full_size"]:
+        rows.append((f"quality {report['full_size']['level']}", f"ended because {report['full_size']['ended']}"))
     rows += [("left out", _omission_text(part)) for part in report["left_out"]]
     rows += [("[yellow]warning[/yellow]", warning) for warning in report["warnings"]]
     return rows_table(report["ply"], rows)
@@ -72,7 +78,8 @@ def _quality_text(quality: dict[str, Any]) -> str:
 def _tto_text(run: dict[str, Any]) -> str:
     taken = len(run["curve"]) + run["undone"]
     steps = f"{taken} steps in {run['seconds']:.0f} s" if run["seconds"] else f"{run['steps']} steps"
-    text = f"{steps} on {run['space']}, loss {run['loss_before']:.4f} → {run['loss_after']:.4f}"
+    where = run["space"] + (f" at {run['max_size']} px" if "max_size" in run else "")
+    text = f"{steps} on {where}, loss {run['loss_before']:.4f} → {run['loss_after']:.4f}"
     if run["cameras"]:
         text += f", cameras turned by {run['cameras']['degrees']:.3f}°"
     if run["added"]:

@@ -15,7 +15,7 @@ import torch
 from querysplat_cli.encoders.base import PosedViews
 from querysplat_cli.runtime.choices import HoldoutProtocol
 from querysplat_cli.runtime.errors import QuerySplatError
-from querysplat_cli.scene.cameras import Cameras, project_points
+from querysplat_cli.scene.cameras import Cameras, PhotoCamera, project_points
 from querysplat_cli.scene.rotations import rotation_angles
 from querysplat_cli.scene.sim3 import DegenerateAlignment, align_cameras
 from querysplat_cli.scene.views import LeftOut, Photo, Views
@@ -23,11 +23,16 @@ from querysplat_cli.scene.views import LeftOut, Photo, Views
 
 @dataclass(frozen=True)
 class PosedSplit:
-    """The inputs of a scene, and the held-out views in the same frame (None when there are none)."""
+    """The inputs of a scene, and the held-out views in the same frame (None when there are none).
+
+    `heldout_photo_cameras` are the lenses of the held-out photos, in no frame: only their intrinsics mean something.
+    None as in `PosedViews`.
+    """
 
     protocol: HoldoutProtocol
     inputs: PosedViews
     heldout: tuple[Views, Cameras] | None
+    heldout_photo_cameras: tuple[PhotoCamera, ...] | None = None
 
 
 @dataclass(frozen=True)
@@ -145,17 +150,24 @@ def isolated_split(
         return PosedSplit("isolated", own, None), None, (warning,)
     cameras = everything.cameras.transformed(similarity)
     difference = _pose_difference(own, mine, cameras[theirs])
-    return PosedSplit("isolated", own, _heldout(everything, cameras, names)), difference, ()
+    split = PosedSplit("isolated", own, _heldout(everything, cameras, names), _heldout_lenses(everything, names))
+    return split, difference, ()
 
 
 def _joint_split(everything: PosedViews, names: Sequence[str]) -> PosedSplit:
     rows = _rows(everything, names, inside=True)
-    return PosedSplit("joint", select_views(everything, rows), _heldout(everything, everything.cameras, names))
+    heldout = _heldout(everything, everything.cameras, names)
+    return PosedSplit("joint", select_views(everything, rows), heldout, _heldout_lenses(everything, names))
 
 
 def _heldout(everything: PosedViews, cameras: Cameras, names: Sequence[str]) -> tuple[Views, Cameras] | None:
     rows = _rows(everything, names, inside=False)
     return (everything.views[rows], cameras[rows]) if rows else None
+
+
+def _heldout_lenses(everything: PosedViews, names: Sequence[str]) -> tuple[PhotoCamera, ...] | None:
+    rows = _rows(everything, names, inside=False)
+    return everything.photo_cameras and tuple(everything.photo_cameras[row] for row in rows)
 
 
 def _rows(posed: PosedViews, names: Sequence[str], *, inside: bool) -> list[int]:

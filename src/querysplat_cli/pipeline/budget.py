@@ -38,6 +38,12 @@ class BudgetShare:
         seconds, more = optimising_seconds(self.budget, encoding, gaussians, self.scenes)
         return seconds, more or self.scenes == 1
 
+    def full_size_seconds(self, gaussians: int) -> float | None:
+        """Seconds to go on with large photos after that optimisation; None where too few are left."""
+        another = self.budget.elapsed() - self.began if self.scenes > 1 else 0.0
+        left = PIPELINE_POLICY.full_size_share * (self.budget.left - another - _writing_seconds(gaussians))
+        return left if left >= PIPELINE_POLICY.least_full_size_seconds else None
+
 
 def working_size(budget: Budget, photos: int, scenes: int, shape: tuple[int, int], usual: int) -> int:
     """The longer side, in pixels, of working pictures that leave time to optimise.
@@ -56,9 +62,12 @@ def optimising_seconds(budget: Budget, encoding: float, gaussians: int, scenes: 
 
     `encoding` is what depth and queries of this scene took; another scene is assumed to take as long.
     """
-    writing = PIPELINE_POLICY.write_seconds + PIPELINE_POLICY.write_gaussian_seconds * gaussians
-    left = budget.left - writing
+    left = budget.left - _writing_seconds(gaussians)
     for_both = (left - (scenes - 1) * encoding) / scenes
     if scenes > 1 and for_both < PIPELINE_POLICY.optimising_share * left:
         return max(0.0, left), False
     return max(0.0, for_both), scenes > 1
+
+
+def _writing_seconds(gaussians: int) -> float:
+    return PIPELINE_POLICY.write_seconds + PIPELINE_POLICY.write_gaussian_seconds * gaussians

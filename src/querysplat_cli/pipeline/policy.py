@@ -32,6 +32,11 @@ class PipelinePolicy:
     """Share of the time that cameras, depth and queries may take. Working pictures become smaller to stay within it."""
     optimising_share: float = 0.3
     """Share of the time left that optimisation must get before a second scene is made, only to be scored."""
+    full_size_share: float = 0.8
+    """Share of the time left after the optimisation on working pictures that steps on large photos may take. The rest
+    is for reading and scoring the photos at that size."""
+    least_full_size_seconds: float = 15.0
+    """With less time, the scene is not taken to large photos."""
 
 
 PIPELINE_POLICY = PipelinePolicy()

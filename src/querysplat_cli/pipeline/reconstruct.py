@@ -1,7 +1,7 @@
 """`reconstruct`: photos in, a scene out."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import torch
 
@@ -10,8 +10,9 @@ from querysplat_cli.encoders.holdout import HoldoutCameras, PosedSplit, estimate
 from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.model.checkpoints import load
 from querysplat_cli.model.querysplat import QuerySplat
-from querysplat_cli.pipeline.budget import Budget, working_size
+from querysplat_cli.pipeline.budget import Budget, BudgetShare, working_size
 from querysplat_cli.pipeline.build import BuiltScene, encode_and_build
+from querysplat_cli.pipeline.full_size import FullSize, take_to_full_size
 from querysplat_cli.pipeline.memory import MemoryNeeds, within_memory
 from querysplat_cli.pipeline.scene_folder import StoredScene, scene_folder, write_scene
 from querysplat_cli.pipeline.settings import ReconstructSettings
@@ -29,11 +30,13 @@ from querysplat_cli.reporting.report import (
 from querysplat_cli.reporting.view_scores import Quality, score
 from querysplat_cli.runtime.choices import HoldoutProtocol
 from querysplat_cli.runtime.device import find_device, free_bytes, peak_gib
+from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.precision import check_precision, matrix_products
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.files import check_writable, refuse_existing, refuse_replacing
 from querysplat_cli.scene.formats.known import read_known_cameras
+from querysplat_cli.scene.photo_files import photo_files
 from querysplat_cli.scene.photos import find_photos, load_photos
 from querysplat_cli.scene.views import LeftOut, Photo
 from querysplat_cli.splat.compile_ahead import compile_ahead
@@ -93,20 +96,31 @@ def load_parts(settings: ReconstructSettings, device: torch.device) -> tuple[Que
 def _reconstruct(settings: ReconstructSettings, device: torch.device, stages: Stages) -> Report:
     inputs = _read_inputs(settings, device, stages)
     passes = _find_cameras(inputs, settings, stages)
-    scenes = 2 if passes.other and passes.other.heldout else 1
+    if settings.full_size and passes.chosen.inputs.photo_cameras is None:
+        raise QuerySplatError(
+            f"--quality {settings.quality}: this encoder cuts the photos, and large ones would not fit its cameras",
+            "Use --encoder classical, or --quality standard.",
+        )
+    level = settings.full_size
+    scenes = 2 if passes.other and passes.other.heldout and not level else 1
+    share = inputs.budget.share(scenes) if inputs.budget else None
     scene = encode_and_build(
         passes.chosen.inputs,
         inputs.encoder,
         inputs.model,
         settings,
         stages,
-        last=passes.other is None,
-        share=inputs.budget.share(scenes) if inputs.budget else None,
+        last=passes.other is None or level is not None,
+        share=share,
     )
+    large = _at_full_size(inputs, passes, scene, settings, share, stages)
+    if large:
+        scene = replace(scene, adapted=replace(scene.adapted, gaussians=large.gaussians))
     scores = _score(inputs, passes, scene, settings, stages)
     with stages("write"):
-        report = _report(inputs, passes, scene, scores, settings, stages)
-        write_scene(settings.ply, _stored(passes, scene, settings), scene.adapted.gaussians, report.as_dict())
+        report = _with_full_size(_report(inputs, passes, scene, scores, settings, stages), large)
+        stored = _stored(inputs, passes, scene, settings)
+        write_scene(settings.ply, stored, scene.adapted.gaussians, report.as_dict())
     return report
 
 
@@ -159,7 +173,7 @@ def _score(
         quality = score(scene.adapted.gaussians, scene.posed.views, scene.adapted.cameras)
         heldout = {passes.chosen.protocol: _score_heldout(scene, passes.chosen)}
     other = passes.other
-    if other and other.heldout and scene.time_for_more and not scene.adapted.interrupted:
+    if other and other.heldout and not settings.full_size and scene.time_for_more and not scene.adapted.interrupted:
         with stages(f"{other.protocol} score"):
             share = inputs.budget.share() if inputs.budget else None
             second = encode_and_build(other.inputs, inputs.encoder, inputs.model, settings, Stages(), share=share)
@@ -214,19 +228,59 @@ def _omissions(settings: ReconstructSettings, scene: BuiltScene, finest: Blurred
         found.append(omissions.resolution(finest))
     if settings.poses:
         found.append(omissions.sfm(settings.poses))
-    if not scene.time_for_more:
+    if settings.full_size and settings.holdout_every:
+        found.append(omissions.second_score(settings.quality))
+    elif not scene.time_for_more:
         found.append(omissions.SECOND_SCORE)
     return found
 
 
-def _stored(passes: HoldoutCameras, scene: BuiltScene, settings: ReconstructSettings) -> StoredScene:
+def _at_full_size(
+    inputs: _Inputs,
+    passes: HoldoutCameras,
+    scene: BuiltScene,
+    settings: ReconstructSettings,
+    share: BudgetShare | None,
+    stages: Stages,
+) -> FullSize | None:
+    """The scene after its optimisation on large photos, where --quality asks for that or --budget has time for it."""
+    asked = settings.full_size
+    spare = share and settings.tto is None and not settings.keep_everything and scene.posed.photo_cameras
+    seconds = share.full_size_seconds(len(scene.adapted.gaussians)) if share else None
+    if scene.adapted.interrupted or not (asked or spare) or (share and seconds is None):
+        return None
+    return take_to_full_size(
+        _stored(inputs, passes, scene, settings),
+        scene.adapted.gaussians,
+        asked or "high",
+        seed=settings.seed,
+        device=next(inputs.model.parameters()).device,
+        stages=stages,
+        seconds=seconds,
+    )
+
+
+def _with_full_size(report: Report, large: FullSize | None) -> Report:
+    if large is None:
+        return report
+    quality = {**report.quality, "full_size": large.quality}
+    return replace(report, quality=quality, tto=[*report.tto, *large.runs], full_size=large.summary)
+
+
+def _stored(inputs: _Inputs, passes: HoldoutCameras, scene: BuiltScene, settings: ReconstructSettings) -> StoredScene:
+    paths = {photo.name: photo.path for photo in inputs.photos}
+    files = photo_files(scene.posed.views.names, scene.posed.photo_cameras, paths)
+    heldout = scene.heldout(passes.chosen)
+    if heldout:
+        files += photo_files(heldout[0].names, passes.chosen.heldout_photo_cameras, paths)
     return StoredScene(
         scene.posed.views,
         scene.adapted.cameras,
-        scene.heldout(passes.chosen),
+        heldout,
         scene.adapted.memories,
         scene.prepared.anchors,
         settings.preset,
         scene.prepared.map,
         scene.adapted.kept,
+        {file.name: file for file in files},
     )

@@ -8,6 +8,7 @@ import torch
 
 from querysplat_cli.model.checkpoints import load
 from querysplat_cli.model.querysplat import QuerySplat
+from querysplat_cli.pipeline.full_size import take_stored_scene
 from querysplat_cli.pipeline.optimise import optimise_start
 from querysplat_cli.pipeline.scene_folder import StoredScene, ply_path, read_scene, write_scene
 from querysplat_cli.pipeline.settings import ResumeSettings
@@ -33,9 +34,14 @@ def optimise_scene(settings: ResumeSettings, stages: Stages | None = None) -> Re
     """Optimise the scene in `settings.scene` (its folder or its .ply) further, and write it back.
 
     Raises QuerySplatError when the scene is damaged, when feature space is asked for although the Gaussians were
-    optimised themselves, and when `densify` asks for splitting in feature space or for fewer Gaussians than there are.
+    optimised themselves, when `densify` asks for splitting in feature space or for fewer Gaussians than there are, and
+    when `quality` comes with options that it decides, or needs photos that are gone.
     """
     stages, path, options = stages or Stages(), settings.scene, _options(settings)
+    if settings.quality:
+        _check_plain(settings)
+        device = find_device(settings.device)
+        return take_stored_scene(path, settings.quality, seed=settings.seed, device=device, stages=stages)
     with stages("read"):
         scene, before = read_scene(path)
         model = load_again(scene.model, before["settings"], settings.weights, find_device(settings.device))
@@ -67,6 +73,18 @@ def optimise_scene(settings: ResumeSettings, stages: Stages | None = None) -> Re
         )
         write_scene(ply_path(path), stored, adapted.gaussians, report.as_dict())
     return report
+
+
+def _check_plain(settings: ResumeSettings) -> None:
+    """Refuse options that --quality decides itself."""
+    for option in ("steps", "lr", "densify"):
+        if getattr(settings, option) is not None:
+            raise QuerySplatError(f"--quality plans everything that --{option} sets", f"Leave --{option} out.")
+    if settings.space not in (None, "gaussians") or settings.prune != "off" or settings.refine_cameras:
+        raise QuerySplatError(
+            "--quality works in Gaussian space, prunes nothing and keeps the cameras",
+            "Leave --space, --prune and --refine-cameras out.",
+        )
 
 
 def _options(settings: ResumeSettings) -> OptimiseOptions:

@@ -4,12 +4,14 @@ scene.ply
 scene/
   cameras.json             nerfstudio form; held-out views under "heldout_frames"
   images/                  the undistorted photos that the cameras belong to
+  photos.json              where the photos themselves lie, and their lenses, if the encoder knows these
   memories.safetensors     memories, anchors, masks and depth, and the model that they belong to
   report.json
   preview.png
   curve.png                error against time, if it was optimised
 """
 
+import dataclasses
 import json
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
@@ -34,6 +36,7 @@ from querysplat_cli.scene.files import atomic_folder, atomic_path
 from querysplat_cli.scene.formats.ply import write_ply
 from querysplat_cli.scene.formats.transforms import read_cameras, write_cameras
 from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.photo_files import PhotoFile, read_photo_files, write_photo_files
 from querysplat_cli.scene.pictures import LOSSLESS_SUFFIXES, eight_bit, stored_name, write_picture
 from querysplat_cli.scene.views import Views
 
@@ -45,7 +48,7 @@ class StoredScene:
     """A scene that can be optimised further.
 
     `model` is the preset or checkpoint that decodes the memories. `kept` marks the decoded Gaussians that belong to
-    the scene (None: all).
+    the scene (None: all). `photos` are the files of input and held-out photos by name; it may lack some.
     """
 
     views: Views
@@ -56,6 +59,7 @@ class StoredScene:
     model: str
     map: MemoryMap | None = None
     kept: Bool[Tensor, "n"] | None = None
+    photos: dict[str, PhotoFile] = dataclasses.field(default_factory=dict)
 
     @property
     def groups(self) -> dict[str, tuple[Views, Cameras]]:
@@ -85,6 +89,8 @@ def write_scene(ply: Path, scene: StoredScene, gaussians: Gaussians, report: dic
         for views, _ in scene.groups.values():
             write_images(draft / "images", views)
         write_cameras(draft / "cameras.json", scene.cameras, scene.views, heldout=scene.heldout)
+        if scene.photos:
+            write_photo_files(draft / "photos.json", list(scene.photos.values()))
         masks = torch.cat([views.masks for views, _ in scene.groups.values()])
         tensors = {"masks": masks, **_flatten("memories", scene.memories)}
         if scene.anchors is not None:
@@ -128,6 +134,7 @@ def read_scene(path: Path) -> tuple[StoredScene, dict[str, Any]]:
             model = file.metadata()["model"]
         report = json.loads((folder / "report.json").read_text())
         inputs, heldout = read_cameras(folder / "cameras.json")
+        photos = read_photo_files(folder / "photos.json")
         count = len(inputs.names)
         views = _read_images(folder / "images", inputs.names, inputs.sizes, tensors["masks"][:count])
         held = None
@@ -137,7 +144,7 @@ def read_scene(path: Path) -> tuple[StoredScene, dict[str, Any]]:
         anchors = _unflatten(Anchors, "anchors", tensors) if "anchors.means" in tensors else None
         where = _unflatten(MemoryMap, "map", tensors) if "map.grid" in tensors else None
         memory = _unflatten(Memories, "memories", tensors)
-        scene = StoredScene(views, inputs.cameras, held, memory, anchors, model, where, tensors.get("kept"))
+        scene = StoredScene(views, inputs.cameras, held, memory, anchors, model, where, tensors.get("kept"), photos)
     except (OSError, SafetensorError, KeyError, ValueError) as error:
         raise QuerySplatError(f"{folder} is damaged: {error}", "Run `querysplat reconstruct` again.") from error
     return scene, report

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from annotated_types import Ge
 
-from querysplat_cli.runtime.choices import Fit, HoldoutProtocol, Space, Target
+from querysplat_cli.runtime.choices import Fit, FullSizeLevel, HoldoutProtocol, Quality, Space, Target
 from querysplat_cli.runtime.options import (
     Device,
     Force,
@@ -48,6 +48,13 @@ class ReconstructSettings:
             "protocol), or from all photos at once (joint)."
         ),
     ] = "isolated"
+    quality: Annotated[
+        Quality,
+        Option(
+            "How far to go: optimise on small pictures only (draft, standard), then on the photos at up to 1600 pixels "
+            "(high, about 10 minutes for 20 photos), or at their own size for as long as it pays (max)."
+        ),
+    ] = "standard"
     tto: Annotated[
         int | None,
         Ge(0),
@@ -126,12 +133,25 @@ class ReconstructSettings:
         replace(REFINE_CAMERAS, default="where the cameras fit badly"),
     ] = None
 
+    @property
+    def full_size(self) -> FullSizeLevel | None:
+        """The quality, where it goes on with large photos."""
+        return self.quality if self.quality in ("high", "max") else None
+
 
 @dataclass(frozen=True)
 class ResumeSettings:
     """How a stored scene is optimised further. None means that the program chooses."""
 
     scene: Annotated[Path, Option("The folder that `reconstruct` wrote, or the .ply beside it.", argument=True)]
+    quality: Annotated[
+        FullSizeLevel | None,
+        Option(
+            "Optimise the Gaussians on the photos at up to 1600 pixels (high) or at their own size (max). The photos "
+            "must still be where they were.",
+            default="the small pictures only",
+        ),
+    ] = None
     steps: Annotated[int | None, Ge(0), Option("Optimisation steps.", metavar="STEPS|auto", auto=True)] = None
     lr: Annotated[
         float | None,

@@ -36,6 +36,10 @@ SECOND_SCORE = Omission("the other cameras' score", "--budget leaves no time for
 UNUSED_DEPTH = Omission("depth", "learned queries do not need it", "the depth head")
 
 
+def second_score(quality: str) -> Omission:
+    return Omission(SECOND_SCORE.what, f"--quality {quality} makes one scene", SECOND_SCORE.saved)
+
+
 def sfm(poses: object) -> Omission:
     return Omission("structure from motion", f"the poses are those in {poses}", "matching and mapping")
 

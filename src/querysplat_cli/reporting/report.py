@@ -26,7 +26,7 @@ class Report:
     """One run. The fields are the JSON object's, described in docs/cli.md.
 
     `left_out` lists what was left out of the scene or of the work; each entry is an `Omission`. `warnings` are
-    sentences on why the scene may be wrong.
+    sentences on why the scene may be wrong. `full_size` describes the optimisation on large photos, if there was one.
     """
 
     ply: str
@@ -42,6 +42,7 @@ class Report:
     peak_memory_gib: float
     machine: str
     memory_estimate_gib: float | None = None
+    full_size: dict[str, Any] | None = None
 
     @property
     def interrupted(self) -> bool:

@@ -32,7 +32,7 @@ def score(gaussians: Gaussians, views: Views, cameras: Cameras, background: floa
     with torch.no_grad():
         for i, (name, (height, width)) in enumerate(zip(views.names, views.sizes, strict=True)):
             picture = render(gaussians, cameras[[i]], background=grey).colour[0].clamp(0, 1)[:, :height, :width]
-            photo = views.images[i][:, :height, :width]
+            photo = views.picture(i)[:, :height, :width]
             mask = views.masks[i][:height, :width]
             rows[name] = {
                 "psnr": float(psnr(picture, photo, mask)),

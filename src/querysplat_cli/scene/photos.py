@@ -99,6 +99,17 @@ def load_photo(path: Path, name: str, max_side: int) -> Photo | LeftOut:
     return Photo(name, path, pixels, focal)
 
 
+def longer_side(path: Path, default: int) -> int:
+    """The longer side of the picture in a file, in pixels; `default` where only its pixels show that."""
+    if path.suffix.lower() in HEIF_SUFFIXES:
+        _register_heif()
+    try:
+        with Image.open(path) as image:
+            return max(image.size)
+    except UnidentifiedImageError:
+        return default
+
+
 def short_names(paths: Sequence[PurePath]) -> list[str]:
     """The last parts of each path, as few as make it different from all others."""
     names = [path.name for path in paths]

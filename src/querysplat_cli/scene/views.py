@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 
@@ -36,17 +36,23 @@ class Photo:
 class Views:
     """Undistorted images on one canvas, each in its top-left corner.
 
-    `images` are in [0, 1], sRGB as stored. `masks` are True where a picture covers the canvas, and False on the padding
-    of smaller ones. `sizes` are (height, width) of each picture in pixels.
+    `images` are sRGB as stored, in [0, 1]. Large pictures are kept as uint8, from 0 to 255. `masks` are True where a
+    picture covers the canvas, and False on the padding of smaller ones. `sizes` are (height, width) of each picture in
+    pixels.
     """
 
-    images: Float[Tensor, "views 3 height width"]
+    images: Float[Tensor, "views 3 height width"] | UInt8[Tensor, "views 3 height width"]
     masks: Bool[Tensor, "views height width"]
     names: tuple[str, ...]
     sizes: tuple[tuple[int, int], ...]
 
     def __len__(self) -> int:
         return len(self.images)
+
+    def picture(self, view: int) -> Float[Tensor, "3 height width"]:
+        """One image in [0, 1]."""
+        image = self.images[view]
+        return image.float() / 255 if image.dtype == torch.uint8 else image
 
     def __getitem__(self, index: Sequence[int]) -> "Views":
         rows = torch.as_tensor(index, dtype=torch.long)

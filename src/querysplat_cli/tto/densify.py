@@ -60,7 +60,7 @@ def disagreement(gaussians: Gaussians, target: RenderingLoss) -> Float[Tensor, "
     """The absolute error of every pixel of every view, times each Gaussian's blending weight in it, added up."""
     total = torch.zeros_like(gaussians.opacities)
     for view in range(len(target.views)):
-        camera, photo = target.cameras[[view]], target.views.images[view]
+        camera, photo = target.cameras[[view]], target.views.picture(view)
         with torch.no_grad():
             picture = render(gaussians, camera, background=target.background, settings=target.settings).colour[0]
             error = (picture - photo).abs().mean(0) * target.views.masks[view]

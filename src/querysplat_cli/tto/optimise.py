@@ -106,7 +106,7 @@ class _Run(Generic[V]):
         self._target, self._refined, self._coverage = target, refined, coverage
         self._least_losses = losses
         self._pruned: Pruned | None = None
-        self._splits_left = TTO_POLICY.densify_after if start.densify else ()
+        self._splits_left = settings.densify_after if start.densify else ()
         self._undone_in_a_row = 0
         self._began = time.perf_counter()
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from querysplat_cli.prune.gaussians import Pruned
 from querysplat_cli.runtime.choices import Amount, Space
 from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.tto.policy import TTO_POLICY
 from querysplat_cli.tto.rendering_loss import RenderingLoss
 
 
@@ -43,6 +44,7 @@ class TtoSettings:
         step, as the authors' release does.
     seconds: the run ends when they are over, and the rate falls with the time; None sets no limit.
     keep_cover: whether what the scene covers between the views must stay covered.
+    densify_after: shares of the steps after which Gaussians are split, where they are.
     """
 
     steps: int
@@ -51,6 +53,7 @@ class TtoSettings:
     warm_up: int = 0
     seconds: float | None = None
     keep_cover: bool = False
+    densify_after: tuple[float, ...] = TTO_POLICY.densify_after
 
 
 @dataclass(frozen=True)

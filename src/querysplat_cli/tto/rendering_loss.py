@@ -46,12 +46,17 @@ class RenderingLoss:
 
     The loss of a set of views is the mean of the views' losses. Views are rendered one after another, and their
     gradients with respect to the Gaussians are added up, so that memory does not grow with the number of views.
+
+    background: behind the scene (None: black).
+    backgrounds: draws another colour for every gradient, so that the scene cannot use the background as its own
+        colour. Values, which are compared with each other, have the one `background`.
     """
 
     views: Views
     cameras: Cameras
     background: Tensor | None = None
     settings: RenderSettings = field(default_factory=RenderSettings)
+    backgrounds: torch.Generator | None = None
 
     def values(self, gaussians: Gaussians, chosen: list[int]) -> list[float]:
         """The loss of each of the views `chosen`."""
@@ -69,6 +74,9 @@ class RenderingLoss:
 
     def value_and_gradient(self, gaussians: Gaussians, chosen: list[int]) -> LossAndGradient:
         """The loss over the views `chosen`, and its gradient with respect to every Gaussian parameter."""
+        if self.backgrounds:
+            colour = torch.rand(3, generator=self.backgrounds).to(gaussians.means)
+            return replace(self, background=colour, backgrounds=None).value_and_gradient(gaussians, chosen)
         leaves = gaussians.map(lambda field: field.detach().requires_grad_())
         asked = self.cameras.w2c.requires_grad
         w2c, K = (field.detach().requires_grad_(asked) for field in (self.cameras.w2c, self.cameras.K))
@@ -85,7 +93,7 @@ class RenderingLoss:
     def _view(self, gaussians: Gaussians, cameras: Cameras, view: int) -> tuple[Tensor, float]:
         """Loss and mean squared error of one view."""
         picture = render(gaussians, cameras[[view]], background=self.background, settings=self.settings).colour
-        photo, mask = self.views.images[[view]], self.views.masks[[view]]
+        photo, mask = self.views.picture(view)[None], self.views.masks[[view]]
         with torch.no_grad():
             error = (picture.clamp(0, 1) - photo).square().mean(1)[mask].mean()
         return photometric_loss(picture, photo, mask), float(error)

@@ -49,7 +49,7 @@ class Parametrisation(Generic[V]):
     variables: the tensors that it changes.
     decode: makes Gaussians of them.
     rates: of each variable, by its name, relative to the learning rate.
-    densify: splits Gaussians at `TtoPolicy.densify_after`; None splits none.
+    densify: splits Gaussians at `TtoSettings.densify_after`; None splits none.
     """
 
     variables: V

@@ -1,0 +1,123 @@
+"""The photos that a scene was made of: where they lie, and how their lenses bend them.
+
+A scene is made of small pictures. These entries find the photos again, for an optimisation on larger ones.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.scene.cameras import Cameras, PhotoCamera, same_shape
+from querysplat_cli.scene.photos import load_photo, longer_side
+from querysplat_cli.scene.undistort import CANVAS_MULTIPLE, undistorted
+from querysplat_cli.scene.views import Photo, Views
+
+OVERSAMPLING = 2
+"""Photos are straightened at so many times the size of their pictures, where they have the pixels, and then reduced.
+Straightening blurs by about a pixel of its own size."""
+
+
+@dataclass(frozen=True)
+class PhotoFile:
+    """One photo's file and lens.
+
+    focal, principal: (fx, fy) and (cx, cy) in pixels of a photo of `height` × `width`, pixel centres at +0.5. The file
+    may hold more pixels of the same shape.
+    distortion: OpenCV's (k1, k2, p1, p2).
+    """
+
+    name: str
+    path: Path
+    focal: tuple[float, float]
+    principal: tuple[float, float]
+    distortion: tuple[float, float, float, float]
+    height: int
+    width: int
+
+    @classmethod
+    def of(cls, name: str, path: Path, camera: PhotoCamera) -> "PhotoFile":
+        focal, principal = tuple(map(float, camera.focal)), tuple(map(float, camera.principal))
+        distortion = tuple(map(float, camera.distortion))
+        return cls(name, path.resolve(), focal, principal, distortion, camera.height, camera.width)  # type: ignore[arg-type]
+
+    @property
+    def lens(self) -> PhotoCamera:
+        """A camera with this lens, at the origin."""
+        return PhotoCamera(np.eye(4), self.focal, self.principal, self.distortion, self.height, self.width)
+
+    def full_size(self) -> tuple[int, int]:
+        """(height, width) of the picture in the file."""
+        scale = longer_side(self.path, default=max(self.height, self.width)) / max(self.height, self.width)
+        return round(self.height * scale), round(self.width * scale)
+
+    def load(self, max_side: int) -> Photo:
+        """The photo, reduced to a longer side of at most `max_side`. Raises QuerySplatError when it has changed."""
+        photo = load_photo(self.path, self.name, max_side)
+        if not isinstance(photo, Photo):
+            raise QuerySplatError(f"{self.path}: {photo.why}", "Put the photo back, or make the scene again.")
+        if not same_shape((photo.height, photo.width), (self.height, self.width)):
+            raise QuerySplatError(
+                f"{self.path} has another shape than when the scene was made", "Make the scene again."
+            )
+        return photo
+
+
+def photo_files(
+    names: Sequence[str], cameras: Sequence[PhotoCamera] | None, paths: Mapping[str, Path]
+) -> tuple[PhotoFile, ...]:
+    """The files of views by their names; none where the views show photos without resampling (no `cameras`)."""
+    return tuple(PhotoFile.of(name, paths[name], camera) for name, camera in zip(names, cameras or (), strict=False))
+
+
+def write_photo_files(path: Path, files: Sequence[PhotoFile]) -> None:
+    entries = [{**asdict(file), "path": str(file.path)} for file in files]
+    path.write_text(json.dumps({"photos": entries}, indent=1) + "\n")
+
+
+def read_photo_files(path: Path) -> dict[str, PhotoFile]:
+    """Files by photo name; none where there is no such list. Raises ValueError or KeyError when it is damaged."""
+    if not path.is_file():
+        return {}
+    found = {}
+    for entry in json.loads(path.read_text())["photos"]:
+        lens = {part: tuple(entry[part]) for part in ("focal", "principal", "distortion")}
+        found[entry["name"]] = PhotoFile(**{**entry, **lens, "path": Path(entry["path"])})
+    return found
+
+
+def check_photo_files(files: Sequence[PhotoFile]) -> None:
+    """Raise QuerySplatError, in one line, when photos are gone."""
+    gone = [file.path for file in files if not file.path.is_file()]
+    if gone:
+        raise QuerySplatError(
+            f"{len(gone)} of the {len(files)} photos of this scene are gone, such as {gone[0]}",
+            "Put them back where they were, or make the scene again.",
+        )
+
+
+def large_views(files: Sequence[PhotoFile], views: Views, cameras: Cameras, max_size: int) -> tuple[Views, Cameras]:
+    """The pictures of `views` at a longer side of at most `max_size`, as uint8, and `cameras` for them.
+
+    The cameras keep their pose and focal length, which optimisation may have corrected. Photos are read and
+    straightened one at a time.
+    """
+    pictures, sizes, scales = [], [], []
+    for file, (height, width) in zip(files, views.sizes, strict=True):
+        one, _ = undistorted([file.load(OVERSAMPLING * max_size)], [file.lens], max_size=max_size)
+        ((rows, columns),) = one.sizes
+        pictures.append((one.images[0, :, :rows, :columns] * 255).round().clamp(0, 255).to(torch.uint8))
+        sizes.append((rows, columns))
+        scales.append(torch.tensor([columns / width, rows / height, 1.0]))
+    height, width = (-(-max(side) // CANVAS_MULTIPLE) * CANVAS_MULTIPLE for side in zip(*sizes, strict=True))
+    images = torch.zeros(len(files), 3, height, width, dtype=torch.uint8)
+    masks = torch.zeros(len(files), height, width, dtype=torch.bool)
+    for row, (picture, (rows, columns)) in enumerate(zip(pictures, sizes, strict=True)):
+        images[row, :, :rows, :columns] = picture
+        masks[row, :rows, :columns] = True
+    K = torch.stack(scales)[:, :, None] * cameras.K
+    return Views(images, masks, views.names, tuple(sizes)), Cameras(cameras.w2c, K, height, width)

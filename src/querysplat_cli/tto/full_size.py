@@ -1,0 +1,98 @@
+"""Test-time optimisation in Gaussian space on large photos, coarse to fine in pixels and in Gaussians."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import torch
+
+from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.views import Views
+from querysplat_cli.tto.full_size_plan import FullSizePlan, FullSizeStage
+from querysplat_cli.tto.full_size_policy import FULL_SIZE_POLICY
+from querysplat_cli.tto.gaussians import Changes, optimise_gaussians
+from querysplat_cli.tto.optimise import TtoResult
+from querysplat_cli.tto.options import Callbacks, TtoStep
+from querysplat_cli.tto.rendering_loss import RenderingLoss
+
+GREY = 0.5
+"""The background of losses and scores that are compared with each other."""
+
+
+@dataclass(frozen=True)
+class FullSizeResult:
+    """A scene after its stages and rounds, with their results, and why no more followed (a phrase)."""
+
+    gaussians: Gaussians
+    runs: tuple[tuple[FullSizeStage, TtoResult[Changes]], ...]
+    ended: str
+
+    @property
+    def interrupted(self) -> bool:
+        return any(result.interrupted for _, result in self.runs)
+
+
+def optimise_full_size(
+    gaussians: Gaussians,
+    views_at: Callable[[int], tuple[Views, Cameras]],
+    plan: FullSizePlan,
+    *,
+    seed: int,
+    progress: Callable[[FullSizeStage, TtoStep], None] = lambda stage, step: None,
+) -> FullSizeResult:
+    """Carry out `plan`. Each step renders one view over a background of random colour.
+
+    `views_at(max_size)` gives the input views at a longer side of at most so many pixels. Only those of one size are
+    held at a time.
+    """
+    generator = torch.Generator().manual_seed(seed)
+    runs: list[tuple[FullSizeStage, TtoResult[Changes]]] = []
+    target: RenderingLoss | None = None
+    size = 0
+
+    def run(stage: FullSizeStage) -> TtoResult[Changes]:
+        nonlocal target, size
+        if target is None or size != stage.max_size:
+            target = None  # the smaller pictures make room for the larger ones
+            views, cameras = views_at(stage.max_size)
+            grey = torch.full((3,), GREY, device=cameras.w2c.device)
+            target, size = RenderingLoss(views, cameras, grey, backgrounds=generator), stage.max_size
+        start = runs[-1][1].gaussians if runs else gaussians
+        result = optimise_gaussians(
+            start,
+            target,
+            stage.settings,
+            generator=generator,
+            callbacks=Callbacks(lambda step: progress(stage, step)),
+            densify_to=stage.gaussians if stage.gaussians > len(start) else None,
+        )
+        # Changes belong to Gaussians that are gone; only the numbers of the run are used.
+        runs.append((stage, result))
+        return result
+
+    ended = "every planned step was taken"
+    for stage in plan.stages:
+        if run(stage).interrupted:
+            ended = "Ctrl-C"
+            break
+    else:
+        if any(len(result.history) + result.undone < stage.settings.steps for stage, result in runs):
+            ended = "the time was over"
+        elif plan.round:
+            ended = _rounds(run, plan.round, plan.most_rounds)
+    return FullSizeResult(runs[-1][1].gaussians, tuple((stage, _lean(result)) for stage, result in runs), ended)
+
+
+def _rounds(run: Callable[[FullSizeStage], TtoResult[Changes]], each: FullSizeStage, most: int) -> str:
+    """Rounds until the loss on the input photos stops falling; returns why they ended."""
+    for _ in range(most):
+        result = run(each)
+        if result.interrupted:
+            return "Ctrl-C"
+        if result.loss_after > (1 - FULL_SIZE_POLICY.least_gain) * result.loss_before:
+            return "the loss on the input photos stopped falling"
+    return f"{most} rounds were taken"
+
+
+def _lean(result: TtoResult[Changes]) -> TtoResult[Changes]:
+    return replace(result, variables=result.variables.map(lambda part: part[:0]))

@@ -1,0 +1,134 @@
+"""`--quality high`, for photos and for a stored scene, through the command line."""
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import pytest
+
+from querysplat_cli.cli import run
+from querysplat_cli.runtime.errors import ExitCode
+from querysplat_cli.scene.formats.ply import read_ply
+from querysplat_cli.training.photographer import cast, walk
+from querysplat_cli.training.rooms import make_room
+from querysplat_cli.tto import full_size_plan
+
+SMALL = ["--max-size", "160", "--tto", "4", "--quiet"]
+QUICK = replace(full_size_plan.FULL_SIZE_POLICY, high_size=320, seconds=(0.8, 0.0))
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(full_size_plan, "FULL_SIZE_POLICY", QUICK)
+
+
+@pytest.fixture(scope="module")
+def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Five photos of a procedural room, 448 × 336."""
+    folder = tmp_path_factory.mktemp("room") / "photos"
+    folder.mkdir()
+    room = make_room(3)
+    cameras = walk(room, 5, 3)
+    for i in range(5):
+        picture = (cast(room, cameras[[i]], samples=1)[0][0] * 255).round().byte().permute(1, 2, 0).numpy()[..., ::-1]
+        cv2.imwrite(str(folder / f"{i}.png"), picture)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def standard(photos: Path) -> Path:
+    ply = photos.parent / "standard.ply"
+    assert run(["reconstruct", str(photos), "-o", str(ply), "--holdout-every", "4", *SMALL]) == 0
+    return ply
+
+
+@pytest.fixture
+def scene(standard: Path, tmp_path: Path) -> Path:
+    """A copy of a finished scene."""
+    shutil.copytree(standard.with_suffix(""), tmp_path / "scene")
+    shutil.copy(standard, tmp_path / "scene.ply")
+    return tmp_path / "scene.ply"
+
+
+def taken_further(ply: Path, capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
+    assert run(["tto", str(ply), "--quality", "high", "--json", "-q"]) == 0
+    report: dict[str, Any] = json.loads(capsys.readouterr().out)
+    assert report == json.loads((ply.with_suffix("") / "report.json").read_text())
+    return report
+
+
+def test_a_finished_scene_is_taken_further(scene: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = json.loads((scene.with_suffix("") / "report.json").read_text())
+    report = taken_further(scene, capsys)
+    assert report["full_size"]["level"] == "high"
+    assert report["full_size"]["ended"] == "every planned step was taken"
+    assert report["gaussians"] == report["full_size"]["gaussians"] == len(read_ply(scene))
+    assert [run["space"] for run in report["tto"]] == ["features", "gaussians"]
+    assert report["tto"][1]["max_size"] == report["quality"]["full_size"]["max_size"] == 320
+    assert report["tto"][1]["loss_after"] < report["tto"][1]["loss_before"]
+    assert set(report["quality"]["full_size"]["heldout"]["views"]) == {"0.png", "4.png"}
+    assert report["quality"]["input"]["psnr"] != before["quality"]["input"]["psnr"]
+    again = taken_further(scene, capsys)  # the photos are found again from what was written back
+    assert len(again["tto"]) == 3
+
+
+def test_the_same_seed_gives_the_same_bytes(standard: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    files = []
+    for name in ("one", "two"):
+        shutil.copytree(standard.with_suffix(""), tmp_path / name)
+        shutil.copy(standard, tmp_path / f"{name}.ply")
+        taken_further(tmp_path / f"{name}.ply", capsys)
+        files.append((tmp_path / f"{name}.ply").read_bytes())
+    assert files[0] == files[1]
+    assert files[0] != standard.read_bytes()
+
+
+def test_photos_that_are_gone(scene: Path, photos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    listing = scene.with_suffix("") / "photos.json"
+    listing.write_text(listing.read_text().replace(str(photos.resolve()), str(tmp_path / "moved")))
+    before = scene.read_bytes()
+    assert run(["tto", str(scene), "--quality", "high", "-q"]) == ExitCode.BAD_INPUT
+    message = capsys.readouterr().err
+    assert message.count("error: ") == 1
+    assert "of this scene are gone" in message
+    listing.unlink()
+    assert run(["tto", str(scene), "--quality", "high", "-q"]) == ExitCode.BAD_INPUT
+    assert "does not say where" in capsys.readouterr().err
+    assert scene.read_bytes() == before
+
+
+@pytest.mark.parametrize("options", [["--steps", "3"], ["--lr", "0.1"], ["--densify", "9"], ["--prune", "auto"]])
+def test_options_that_the_quality_decides_are_refused(
+    options: list[str], scene: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["tto", str(scene), "--quality", "high", *options]) == ExitCode.BAD_INPUT
+    assert options[0] in capsys.readouterr().err
+
+
+def test_reconstruct_goes_on_to_the_large_photos(
+    photos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["reconstruct", str(photos), "-o", str(tmp_path / "a.ply"), "--quality", "high", "--json", *SMALL]
+    assert run([*command, "--holdout-every", "4"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["full_size"]["level"] == "high"
+    assert report["settings"]["quality"] == "high"
+    assert report["quality"]["full_size"]["heldout"]["psnr"] > 15
+    assert {"full size", "full size score"} <= report["seconds"].keys()
+    assert "joint" not in report["quality"]["heldout"]
+    assert "the other cameras' score" in {part["what"] for part in report["left_out"]}
+    assert report["gaussians"] == len(read_ply(tmp_path / "a.ply"))
+
+
+def test_draft_and_standard_leave_the_large_photos_alone(
+    photos: Path, standard: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["reconstruct", str(photos), "-o", str(tmp_path / "a.ply"), "--quality", "draft", "--json", *SMALL]
+    assert run([*command, "--tto", "0"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["full_size"] is None
+    assert "full_size" not in report["quality"]
+    assert json.loads((standard.with_suffix("") / "report.json").read_text())["full_size"] is None

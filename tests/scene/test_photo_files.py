@@ -1,0 +1,96 @@
+"""Finding a scene's photos again, and their large undistorted views."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.scene.cameras import PhotoCamera
+from querysplat_cli.scene.photo_files import (
+    PhotoFile,
+    check_photo_files,
+    large_views,
+    photo_files,
+    read_photo_files,
+    write_photo_files,
+)
+from querysplat_cli.scene.photos import load_photos
+from querysplat_cli.scene.undistort import undistorted
+
+SHAPES = ((240, 320), (240, 180))
+DISTORTED = (0.08, -0.02, 0.001, 0.0)
+
+
+def camera(shape: tuple[int, int]) -> PhotoCamera:
+    """The camera of a photo that was read at half of its size."""
+    height, width = shape[0] // 2, shape[1] // 2
+    w2c = np.eye(4)
+    w2c[:3, 3] = 0.1, 0.2, 3.0
+    return PhotoCamera(w2c, (150.0, 151.0), (width / 2, height / 2 - 2), DISTORTED, height, width)
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> tuple[PhotoFile, ...]:
+    names = ("a.png", "b.png")
+    for seed, (name, (height, width)) in enumerate(zip(names, SHAPES, strict=True)):
+        noise = np.random.default_rng(seed).integers(0, 255, (height // 8, width // 8, 3), dtype=np.uint8)
+        cv2.imwrite(str(tmp_path / name), cv2.resize(noise, (width, height), interpolation=cv2.INTER_CUBIC))
+    paths = {name: tmp_path / name for name in names}
+    return photo_files(names, [camera(shape) for shape in SHAPES], paths)
+
+
+def test_large_views_are_those_of_the_photos_themselves(files: tuple[PhotoFile, ...]) -> None:
+    """Views of 96 pixels become views of 240, as if the photos had been undistorted at that size at once."""
+    photos, _ = load_photos([file.path for file in files])
+    lenses = [camera(shape) for shape in SHAPES]
+    small, cameras = undistorted(photos, lenses, max_size=96)
+    expected, theirs = undistorted(photos, lenses, max_size=240)
+    views, found = large_views(files, small, cameras, 240)
+    assert views.images.dtype == torch.uint8
+    assert views.sizes == expected.sizes == ((180, 240), (240, 180))
+    assert views.masks.equal(expected.masks)
+    assert float((views.picture(0) - expected.images[0]).abs().max()) < 0.5 / 255 + 1e-6
+    torch.testing.assert_close(found.K, theirs.K, rtol=1e-5, atol=1e-3)
+    assert (found.height, found.width) == (theirs.height, theirs.width)
+    assert found.w2c.equal(cameras.w2c)
+
+
+def test_corrected_cameras_stay_corrected(files: tuple[PhotoFile, ...]) -> None:
+    photos, _ = load_photos([file.path for file in files])
+    small, cameras = undistorted(photos, [camera(shape) for shape in SHAPES], max_size=96)
+    longer = cameras.K.clone()
+    longer[:, 0, 0] *= 1.1
+    _, before = large_views(files, small, cameras, 240)
+    _, after = large_views(files, small, replace(cameras, K=longer), 240)
+    torch.testing.assert_close(after.K[:, 0, 0], 1.1 * before.K[:, 0, 0])
+
+
+def test_the_size_in_the_file_is_found(files: tuple[PhotoFile, ...]) -> None:
+    assert [file.full_size() for file in files] == list(SHAPES)
+
+
+def test_round_trip(files: tuple[PhotoFile, ...], tmp_path: Path) -> None:
+    write_photo_files(tmp_path / "photos.json", files)
+    assert read_photo_files(tmp_path / "photos.json") == {file.name: file for file in files}
+    assert read_photo_files(tmp_path / "none.json") == {}
+
+
+def test_views_that_were_never_resampled_have_no_files() -> None:
+    assert photo_files(("a.png",), None, {}) == ()
+
+
+def test_photos_that_are_gone_are_named_in_one_line(files: tuple[PhotoFile, ...]) -> None:
+    check_photo_files(files)
+    files[1].path.unlink()
+    with pytest.raises(QuerySplatError, match=r"^1 of the 2 photos of this scene are gone, such as .*b\.png$"):
+        check_photo_files(files)
+
+
+def test_a_photo_of_another_shape_is_refused(files: tuple[PhotoFile, ...]) -> None:
+    cv2.imwrite(str(files[0].path), np.zeros((200, 200, 3), np.uint8))
+    with pytest.raises(QuerySplatError, match="another shape"):
+        files[0].load(100)

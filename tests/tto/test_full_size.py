@@ -1,0 +1,181 @@
+"""Optimisation on large photos: the plan, and what it does to a coarse scene."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.views import Views
+from querysplat_cli.splat.render import render
+from querysplat_cli.tto.full_size import FullSizeResult, optimise_full_size
+from querysplat_cli.tto.full_size_plan import FullSizePlan, FullSizeStage, Photos, plan_full_size
+from querysplat_cli.tto.full_size_policy import FULL_SIZE_POLICY
+from querysplat_cli.tto.options import TtoSettings, TtoStep
+from querysplat_cli.tto.policy import TTO_POLICY
+from querysplat_cli.tto.rendering_loss import RenderingLoss, tensors
+
+SIZE = 72
+LARGE = Photos(20, 1200, 1600, 448)
+
+
+def cameras(size: int, shift: float = 0.0) -> Cameras:
+    w2c = torch.eye(4).repeat(4, 1, 1)
+    w2c[:, 0, 3] = torch.linspace(0.15, -0.15, 4) + shift
+    K = torch.tensor([[1.25 * size, 0, size / 2], [0, 1.25 * size, size / 2], [0, 0, 1]]).repeat(4, 1, 1)
+    return Cameras(w2c, K, size, size)
+
+
+def wall(side: int) -> Gaussians:
+    """`side` × `side` round Gaussians of random colours in a plane two units away."""
+    line = (torch.arange(side) + 0.5) / side * 1.8 - 0.9
+    y, x = torch.meshgrid(line, line, indexing="ij")
+    n = side * side
+    return Gaussians(
+        means=torch.stack([x.ravel(), y.ravel(), torch.full((n,), 2.0)], 1),
+        quats=torch.tensor([1.0, 0, 0, 0]).repeat(n, 1),
+        scales=torch.full((n, 3), 1.2 / side),
+        opacities=torch.full((n,), 0.97),
+        sh=torch.rand(n, 1, 3, generator=torch.Generator().manual_seed(0)) * 2 - 1,
+    )
+
+
+def views_at(size: int) -> tuple[Views, Cameras]:
+    """Photos of a fine wall as uint8."""
+    images = (render(wall(12), cameras(size)).colour.clamp(0, 1) * 255).round().to(torch.uint8)
+    masks = torch.ones(4, size, size, dtype=torch.bool)
+    return Views(images, masks, ("a", "b", "c", "d"), ((size, size),) * 4), cameras(size)
+
+
+def stage(size: int, gaussians: int, steps: int = 40, seconds: float | None = None) -> FullSizeStage:
+    settings = TtoSettings(steps, 0.05, views_per_step=1, seconds=seconds, densify_after=(0.1, 0.3))
+    return FullSizeStage(size, settings, gaussians)
+
+
+def coarse() -> Gaussians:
+    some = wall(4)
+    return replace(some, sh=torch.zeros_like(some.sh))
+
+
+def optimised(plan: FullSizePlan, seed: int = 0) -> FullSizeResult:
+    return optimise_full_size(coarse(), views_at, plan, seed=seed)
+
+
+TWO_STAGES = FullSizePlan((stage(36, 30), stage(SIZE, 60)), 1.0)
+
+
+def test_two_stages_improve_a_view_between_the_photos() -> None:
+    result = optimised(TWO_STAGES)
+    assert [each.max_size for each, _ in result.runs] == [36, SIZE]
+    assert [len(run.gaussians) for _, run in result.runs] == [30, 60]
+    assert result.ended == "every planned step was taken"
+    between = cameras(SIZE, shift=0.05)
+    truth = render(wall(12), between).colour.clamp(0, 1)
+    errors = [float((render(some, between).colour - truth).square().mean()) for some in (coarse(), result.gaussians)]
+    assert errors[1] < 0.6 * errors[0]
+
+
+def test_the_same_seed_gives_the_same_gaussians() -> None:
+    one, two, other = optimised(TWO_STAGES), optimised(TWO_STAGES), optimised(TWO_STAGES, seed=1)
+    assert all(a.equal(b) for a, b in zip(tensors(one.gaussians), tensors(two.gaussians), strict=True))
+    assert not one.gaussians.means.equal(other.gaussians.means)
+
+
+def test_only_pictures_of_one_size_are_asked_for_at_a_time() -> None:
+    asked = []
+
+    def counted(size: int) -> tuple[Views, Cameras]:
+        asked.append(size)
+        return views_at(size)
+
+    plan = FullSizePlan((stage(36, 20, 3), stage(36, 24, 3), stage(SIZE, 24, 3)), 1.0)
+    optimise_full_size(coarse(), counted, plan, seed=0)
+    assert asked == [36, SIZE]
+
+
+def test_rounds_end_when_the_loss_stops_falling() -> None:
+    """A rate that moves nothing gains nothing, so the first round is the last."""
+    idle = replace(stage(SIZE, 16), settings=TtoSettings(4, 1e-9, views_per_step=1))
+    result = optimised(FullSizePlan((stage(SIZE, 20),), 1.0, idle, 5))
+    assert len(result.runs) == 2
+    assert "stopped falling" in result.ended
+    busy = replace(stage(SIZE, 20), settings=TtoSettings(12, 0.02, views_per_step=1))
+    result = optimised(FullSizePlan((stage(SIZE, 20, 4),), 1.0, busy, 2))
+    assert (len(result.runs), result.ended) == (3, "2 rounds were taken")
+
+
+def test_ctrl_c_keeps_what_was_reached_and_begins_no_other_stage() -> None:
+    def interrupt(_: FullSizeStage, step: TtoStep) -> None:
+        if step.step == 20:
+            raise KeyboardInterrupt
+
+    result = optimise_full_size(coarse(), views_at, TWO_STAGES, seed=0, progress=interrupt)
+    assert result.interrupted
+    assert len(result.runs) == 1
+    assert result.ended == "Ctrl-C"
+    assert len(result.gaussians) > 16
+
+
+def test_a_random_background_is_behind_gradients_and_grey_behind_values() -> None:
+    views, some = views_at(36)
+    nothing = replace(coarse(), opacities=torch.full((16,), 1e-6))
+    target = RenderingLoss(views, some, torch.full((3,), 0.5), backgrounds=torch.Generator().manual_seed(0))
+    losses = {round(target.value_and_gradient(nothing, [0]).loss, 6) for _ in range(3)}
+    assert len(losses) == 3
+    assert target.value(nothing, [0]) == target.value(nothing, [0])
+
+
+def test_the_plan_goes_from_coarse_to_fine() -> None:
+    plan = plan_full_size("high", LARGE, 50_000)
+    assert [each.max_size for each in plan.stages] == [800, 1600]
+    assert 50_000 < plan.stages[0].gaussians < plan.stages[1].gaussians == FULL_SIZE_POLICY.high_gaussians
+    assert all(each.settings.seconds is None for each in plan.stages)
+    assert plan.round is None
+    assert 300 < plan.seconds < 600
+
+
+def test_small_photos_have_one_stage_and_few_photos_have_few_steps() -> None:
+    (only,) = plan_full_size("high", replace(LARGE, height=480, width=640), 40_000).stages
+    assert only.max_size == 640
+    few = plan_full_size("high", replace(LARGE, count=2), 40_000)
+    assert sum(each.settings.steps for each in few.stages) <= 2 * TTO_POLICY.passes
+    assert all(each.settings.keep_cover for each in few.stages)
+    assert not any(each.settings.keep_cover for each in plan_full_size("high", LARGE, 40_000).stages)
+
+
+def test_photos_without_more_pixels_are_shown_less_often() -> None:
+    def passes(width: int, count: int = 8) -> float:
+        photos = Photos(count, width * 3 // 4, width, 448)
+        return sum(each.settings.steps for each in plan_full_size("high", photos, 30_000).stages) / count
+
+    assert passes(448) == passes(300) == FULL_SIZE_POLICY.passes
+    assert passes(448) < passes(560) <= FULL_SIZE_POLICY.most_passes
+
+
+@pytest.mark.parametrize("level", ["high", "max"])
+def test_splitting_never_aims_below_the_gaussians_that_there_are(level: str) -> None:
+    plan = plan_full_size(level, replace(LARGE, count=3), 900_000)  # type: ignore[arg-type]
+    assert {each.gaussians for each in plan.stages} == {900_000}
+
+
+def test_max_uses_the_whole_photos_and_goes_on_in_rounds() -> None:
+    photos = replace(LARGE, height=3000, width=4000)
+    high, largest = plan_full_size("high", photos, 50_000), plan_full_size("max", photos, 50_000)
+    assert high.stages[-1].max_size == 1600
+    assert largest.stages[-1].max_size == 4000
+    assert largest.round
+    assert largest.seconds > 2 * high.seconds
+
+
+def test_a_short_time_makes_the_photos_smaller_but_never_smaller_than_the_scene() -> None:
+    sizes = [plan_full_size("high", LARGE, 50_000, seconds=s).stages[-1].max_size for s in (1.0, 100.0, 200.0, 2000.0)]
+    assert sizes[0] == LARGE.working
+    assert sizes == sorted(sizes)
+    assert sizes[1] < sizes[2] < sizes[3] == 1600
+
+
+def test_a_given_time_ends_the_stages_by_the_clock() -> None:
+    plan = plan_full_size("high", LARGE, 50_000, seconds=100.0)
+    assert sum(each.settings.seconds or 0 for each in plan.stages) == pytest.approx(100)
+    assert optimised(FullSizePlan((stage(36, 20, 10_000, seconds=0.2),), 0.2)).ended == "the time was over"
