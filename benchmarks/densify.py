@@ -18,7 +18,7 @@ from common.arguments import PhotoParser, folder_or_scratch
 from common.builds import build
 from common.output import Table, write_json
 from common.photo_sets import PhotoSet, Use
-from common.samples import SIZE, posed, real_samples
+from common.samples import SEED, SIZE, posed, real_samples
 from querysplat_cli.model.checkpoints import load
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.queries.prepare import prepare
@@ -75,7 +75,7 @@ def scene(model: QuerySplat, sample: Sample, share: float) -> Gaussians:
 
 def further(photo_set: PhotoSet, start: Gaussians, sample: Sample, run: Run) -> Row:
     """The scene after `run`."""
-    target = RenderingLoss(sample.views, sample.cameras)
+    target = RenderingLoss.for_solid_scenes(sample.views, sample.cameras, SEED)
     gaussians, began = start, time.process_time()
     if run.steps:
         (plan,) = plan_tto(run.steps, views=len(sample.views), gaussians=len(start), space="gaussians")

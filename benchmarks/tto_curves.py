@@ -89,7 +89,8 @@ def curve(model: QuerySplat, start: Start, sample: Sample, plan: tuple[TtoRun, .
     first = gaussians_of(model, start)
     watch = Watch(sum(run.settings.steps for run in plan), measure)
     watch.point(first)
-    target = WatchedLoss(sample.views, sample.cameras, watch=watch)
+    solid = RenderingLoss.for_solid_scenes(sample.views, sample.cameras, SEED)
+    target = WatchedLoss(**vars(solid), watch=watch)
     adapted = adapt(model, start, target, plan, OptimiseOptions(prune="auto", seed=SEED))
     watch.point(adapted.gaussians)
     return watch.points

@@ -100,6 +100,7 @@ def test_what_is_reported(scene: tuple[Path, dict[str, Any]]) -> None:
     assert 0 < heldout["pose_difference"]["degrees"] < 1
     assert 0 < heldout["pose_difference"]["pixels"] < 5
     assert report["quality"]["input"]["psnr"] > 22
+    assert report["quality"]["input"]["psnr_grey"] > report["quality"]["input"]["psnr"] - 0.5
     for part in report["left_out"]:
         assert part.keys() == {"what", "why", "saved", "bytes", "seconds", "psnr_lost"}
     pruned = next(part for part in report["left_out"] if part["what"] == "Gaussians")

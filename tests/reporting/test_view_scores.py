@@ -1,5 +1,7 @@
 """Scores compared with closed forms."""
 
+import math
+
 import pytest
 import torch
 
@@ -18,4 +20,7 @@ def test_what_no_gaussian_covers_is_the_background(background: float, decibels: 
         torch.tensor([[0.0, 0, -3]]), torch.eye(4)[:1], torch.full((1, 3), 0.1), torch.full((1,), 0.9),
         torch.zeros(1, 1, 3),
     )  # fmt: skip
-    assert score(behind, views, camera, background).psnr == pytest.approx(decibels, abs=1e-3)
+    found = score(behind, views, camera, background)
+    assert found.psnr == pytest.approx(decibels, abs=1e-3)
+    assert found.background == background
+    assert found.psnr_grey == math.inf

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from querysplat_cli.scene.cameras import Cameras
-from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.gaussians import SH_0, Gaussians
 from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.render import render
 from querysplat_cli.tto.gaussians import Changes, changed, optimise_gaussians
@@ -135,3 +135,39 @@ def test_a_run_ends_with_its_time(monkeypatch: pytest.MonkeyPatch) -> None:
     # The clock is read twice a step, and a step that would not end in time is not started.
     assert len(result.history) in (9, 10)
     assert result.history[-1].seconds <= 20
+
+
+def test_a_black_wall_becomes_opaque() -> None:
+    """Over black, photos of a black wall ask for no Gaussian. Over random colours, they ask for an opaque wall."""
+    x, y = torch.meshgrid(torch.linspace(-1, 1, 12), torch.linspace(-1, 1, 12), indexing="xy")
+    black = torch.full((144, 1, 3), -0.5 / SH_0)
+    wall = Gaussians(
+        means=torch.stack([x.flatten(), y.flatten(), torch.full((144,), 1.5)], 1),
+        quats=torch.tensor([[1.0, 0, 0, 0]]).repeat(144, 1),
+        scales=torch.full((144, 3), 0.12),
+        opacities=torch.full((144,), 0.2),
+        sh=black,
+    )
+    views, cameras = photos_of(wall)
+    assert float(views.images.max()) < 1e-6
+
+    def coverage(target: RenderingLoss) -> float:
+        generator = torch.Generator().manual_seed(0)
+        result = optimise_gaussians(wall, target, TtoSettings(40, 0.1), generator=generator)
+        return float(render(result.gaussians, cameras).alpha.mean())
+
+    before = float(render(wall, cameras).alpha.mean())
+    assert coverage(RenderingLoss(views, cameras)) == pytest.approx(before, abs=1e-6)
+    assert coverage(RenderingLoss.for_solid_scenes(views, cameras, 3)) > 0.95 > before + 0.2
+
+
+def test_random_backgrounds_follow_the_seed() -> None:
+    views, cameras = photos_of(cloud())
+
+    def run(seed: int) -> Gaussians:
+        target = RenderingLoss.for_solid_scenes(views, cameras, seed)
+        generator = torch.Generator().manual_seed(0)
+        return optimise_gaussians(disturbed(cloud()), target, TtoSettings(5, 0.02), generator=generator).gaussians
+
+    assert torch.equal(run(1).means, run(1).means)
+    assert not torch.equal(run(1).means, run(2).means)

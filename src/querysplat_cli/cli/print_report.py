@@ -60,7 +60,7 @@ def _omission_text(part: dict[str, Any]) -> str:
 
 
 def _quality_text(quality: dict[str, Any]) -> str:
-    text = f"PSNR {quality['psnr']:.2f} dB, SSIM {quality['ssim']:.3f}"
+    text = f"PSNR {quality['psnr']:.2f} dB, {quality['psnr_grey']:.2f} dB on grey, SSIM {quality['ssim']:.3f}"
     if "cameras" not in quality:
         return text
     other = "joint" if quality["cameras"] == "isolated" else "isolated"

@@ -19,10 +19,11 @@ from querysplat_cli.scene.formats.ply import read_ply
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.photo_files import PhotoFile, check_photo_files, large_views
 from querysplat_cli.scene.views import Views
-from querysplat_cli.tto.full_size import GREY, FullSizeResult, optimise_full_size
+from querysplat_cli.tto.full_size import FullSizeResult, optimise_full_size
 from querysplat_cli.tto.full_size_plan import FullSizePlan, FullSizeStage, Photos, plan_full_size
 from querysplat_cli.tto.options import TtoStep
 from querysplat_cli.tto.plan import TtoRun
+from querysplat_cli.tto.rendering_loss import GREY
 
 
 @dataclass(frozen=True)

@@ -30,12 +30,17 @@ def optimise_start(
 ) -> Adapted:
     """Carry out `plan` on the device of the model, and leave out SH bands that change nothing; the result on the CPU.
 
-    Scenes of official models keep all bands, and all Gaussians unless a number is asked for, as in the release.
+    Scenes of official models keep all bands, and all Gaussians unless a number is asked for, and are optimised over
+    black, as in the release.
     """
     if options.keep_all or start.anchors is None:
         options = replace(options, keep_all=True, prune="off" if options.prune == "auto" else options.prune)
     device = next(model.parameters()).device
-    target = RenderingLoss(*to_device(photos, device))
+    views, cameras = to_device(photos, device)
+    if start.anchors is None:
+        target = RenderingLoss(views, cameras)
+    else:
+        target = RenderingLoss.for_solid_scenes(views, cameras, options.seed)
     adapted = adapt(model, to_device(start, device), target, plan, options, _shown(plan, progress))
     if not options.keep_all:
         last, tested = replace(target, cameras=adapted.cameras), tested_views(len(target.views))

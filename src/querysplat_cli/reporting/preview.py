@@ -1,4 +1,4 @@
-"""A picture of photos beside their renders, which shows the scene without a viewer."""
+"""A picture of photos beside renders over grey, which shows the scene without a viewer."""
 
 from pathlib import Path
 
@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import torch
 
+from querysplat_cli.reporting.view_scores import MID_GREY
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.pictures import eight_bit, write_picture
@@ -25,7 +26,7 @@ def preview(gaussians: Gaussians, groups: dict[str, tuple[Views, Cameras]]) -> n
     for caption, (views, cameras) in groups.items():
         rows = np.unique(np.linspace(0, len(views) - 1, min(PREVIEW_ROWS, len(views))).round().astype(int)).tolist()
         with torch.no_grad():
-            renders = render(gaussians, cameras[rows]).colour.clamp(0, 1)
+            renders = render(gaussians, cameras[rows], background=torch.full((3,), MID_GREY)).colour.clamp(0, 1)
         for row, picture in zip(rows, renders, strict=True):
             height, width = views.sizes[row]
             pair = [eight_bit(image[:, :height, :width]) for image in (views.images[row], picture)]

@@ -74,7 +74,7 @@ def seconds_entry(seconds: dict[str, float]) -> dict[str, float]:
 
 def quality_entry(quality: Quality) -> dict[str, Any]:
     """PSNR in dB and SSIM, means and view by view."""
-    return {"psnr": round(quality.psnr, 3), "ssim": round(quality.ssim, 4), "views": quality.views}
+    return {**quality.summary(), "background": quality.background, "views": quality.views}
 
 
 def heldout_entry(
@@ -84,10 +84,7 @@ def heldout_entry(
     kept = scores.get(chosen)
     if kept is None:
         return None
-    brief: dict[str, Any] = {
-        name: quality and {"psnr": round(quality.psnr, 3), "ssim": round(quality.ssim, 4)}
-        for name, quality in scores.items()
-    }
+    brief: dict[str, Any] = {name: quality and quality.summary() for name, quality in scores.items()}
     apart = difference and {
         "degrees": round(difference.degrees, 4),
         "pixels": None if difference.pixels is None else round(difference.pixels, 3),

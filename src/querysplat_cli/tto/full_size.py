@@ -13,10 +13,7 @@ from querysplat_cli.tto.full_size_policy import FULL_SIZE_POLICY
 from querysplat_cli.tto.gaussians import Changes, optimise_gaussians
 from querysplat_cli.tto.optimise import TtoResult
 from querysplat_cli.tto.options import Callbacks, TtoStep
-from querysplat_cli.tto.rendering_loss import RenderingLoss
-
-GREY = 0.5
-"""The background of losses and scores that are compared with each other."""
+from querysplat_cli.tto.rendering_loss import GREY, RenderingLoss
 
 
 @dataclass(frozen=True)

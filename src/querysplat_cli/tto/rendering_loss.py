@@ -40,6 +40,10 @@ class LossAndGradient:
         torch.autograd.backward(made, slopes)
 
 
+GREY = 0.5
+"""The background of losses and scores that are compared with each other."""
+
+
 @dataclass(frozen=True)
 class RenderingLoss:
     """L1 + 0.2·D-SSIM between renders and photos (paper, section 3.4; the LPIPS term needs its weights).
@@ -58,6 +62,15 @@ class RenderingLoss:
     settings: RenderSettings = field(default_factory=RenderSettings)
     backgrounds: torch.Generator | None = None
 
+    @classmethod
+    def for_solid_scenes(cls, views: Views, cameras: Cameras, seed: int) -> "RenderingLoss":
+        """Values over grey, and gradients over random backgrounds.
+
+        Over a fixed background, dark or bright places of the photos would become transparent instead of opaque.
+        """
+        grey = torch.full((3,), GREY, device=cameras.w2c.device)
+        return cls(views, cameras, grey, backgrounds=torch.Generator().manual_seed(seed))
+
     def values(self, gaussians: Gaussians, chosen: list[int]) -> list[float]:
         """The loss of each of the views `chosen`."""
         with torch.no_grad():
@@ -74,16 +87,16 @@ class RenderingLoss:
 
     def value_and_gradient(self, gaussians: Gaussians, chosen: list[int]) -> LossAndGradient:
         """The loss over the views `chosen`, and its gradient with respect to every Gaussian parameter."""
+        drawn = self
         if self.backgrounds:
-            colour = torch.rand(3, generator=self.backgrounds).to(gaussians.means)
-            return replace(self, background=colour, backgrounds=None).value_and_gradient(gaussians, chosen)
+            drawn = replace(self, background=torch.rand(3, generator=self.backgrounds).to(gaussians.means))
         leaves = gaussians.map(lambda field: field.detach().requires_grad_())
         asked = self.cameras.w2c.requires_grad
         w2c, K = (field.detach().requires_grad_(asked) for field in (self.cameras.w2c, self.cameras.K))
         cameras = replace(self.cameras, w2c=w2c, K=K)
         losses, errors = [], []
         for view in chosen:
-            loss, error = self._view(leaves, cameras, view)
+            loss, error = drawn._view(leaves, cameras, view)
             (loss / len(chosen)).backward()
             losses.append(float(loss.detach()))
             errors.append(error)
