@@ -153,7 +153,7 @@ def test_a_black_wall_becomes_opaque() -> None:
 
     def coverage(target: RenderingLoss) -> float:
         generator = torch.Generator().manual_seed(0)
-        result = optimise_gaussians(wall, target, TtoSettings(40, 0.1), generator=generator)
+        result = optimise_gaussians(wall, target, TtoSettings(80, 0.1), generator=generator)
         return float(render(result.gaussians, cameras).alpha.mean())
 
     before = float(render(wall, cameras).alpha.mean())
