@@ -10,7 +10,7 @@ from torch import Tensor
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.views import Views
-from querysplat_cli.splat.render import RenderSettings, render
+from querysplat_cli.splat.render import Rendering, RenderSettings, render
 from querysplat_cli.splat.similarity import photometric_loss
 
 
@@ -74,7 +74,7 @@ class RenderingLoss:
     def values(self, gaussians: Gaussians, chosen: list[int]) -> list[float]:
         """The loss of each of the views `chosen`."""
         with torch.no_grad():
-            return [float(self._view(gaussians, self.cameras, view)[0]) for view in chosen]
+            return [self._judged(gaussians, view)[0] for view in chosen]
 
     def value(self, gaussians: Gaussians, chosen: list[int]) -> float:
         """The loss over the views `chosen`."""
@@ -83,33 +83,43 @@ class RenderingLoss:
     def psnr(self, gaussians: Gaussians, chosen: list[int]) -> float:
         """The mean over the views `chosen`, in dB."""
         with torch.no_grad():
-            return _decibels([self._view(gaussians, self.cameras, view)[1] for view in chosen])
+            return _decibels([self._judged(gaussians, view)[1] for view in chosen])
 
     def value_and_gradient(self, gaussians: Gaussians, chosen: list[int]) -> LossAndGradient:
         """The loss over the views `chosen`, and its gradient with respect to every Gaussian parameter."""
-        drawn = self
-        if self.backgrounds:
-            drawn = replace(self, background=_random_background(self.backgrounds).to(gaussians.means))
+        behind = _random_background(self.backgrounds).to(gaussians.means) if self.backgrounds else self.background
         leaves = gaussians.map(lambda field: field.detach().requires_grad_())
         asked = self.cameras.w2c.requires_grad
         w2c, K = (field.detach().requires_grad_(asked) for field in (self.cameras.w2c, self.cameras.K))
         cameras = replace(self.cameras, w2c=w2c, K=K)
         losses, errors = [], []
         for view in chosen:
-            loss, error = drawn._view(leaves, cameras, view)
-            (loss / len(chosen)).backward()
-            losses.append(float(loss.detach()))
+            rendering = self._render(leaves, cameras, view, behind)
+            (self._loss(rendering.colour, view) / len(chosen)).backward()
+            loss, error = self._values(rendering, view, behind)
+            losses.append(loss)
             errors.append(error)
         camera_gradient = (gradient_of(w2c), gradient_of(K)) if asked else None
         return LossAndGradient(losses, _decibels(errors), leaves.map(gradient_of), camera_gradient)
 
-    def _view(self, gaussians: Gaussians, cameras: Cameras, view: int) -> tuple[Tensor, float]:
-        """Loss and mean squared error of one view."""
-        picture = render(gaussians, cameras[[view]], background=self.background, settings=self.settings).colour
-        photo, mask = self.views.picture(view)[None], self.views.masks[[view]]
-        with torch.no_grad():
-            error = (picture.clamp(0, 1) - photo).square().mean(1)[mask].mean()
-        return photometric_loss(picture, photo, mask), float(error)
+    def _judged(self, gaussians: Gaussians, view: int) -> tuple[float, float]:
+        rendering = self._render(gaussians, self.cameras, view, self.background)
+        return self._values(rendering, view, self.background)
+
+    def _render(self, gaussians: Gaussians, cameras: Cameras, view: int, behind: Tensor | None) -> Rendering:
+        return render(gaussians, cameras[[view]], background=behind, settings=self.settings)
+
+    def _loss(self, picture: Tensor, view: int) -> Tensor:
+        return photometric_loss(picture, self.views.picture(view)[None], self.views.masks[[view]])
+
+    @torch.no_grad()
+    def _values(self, rendering: Rendering, view: int, behind: Tensor | None) -> tuple[float, float]:
+        """Loss and mean squared error of a view over `background`, whatever it was rendered over."""
+        picture = rendering.colour
+        if self.background is not None and behind is not None:
+            picture = picture + (1 - rendering.alpha[:, None]) * (self.background - behind)[:, None, None]
+        error = (picture.clamp(0, 1) - self.views.picture(view)).square().mean(1)[self.views.masks[[view]]].mean()
+        return float(self._loss(picture, view)), float(error)
 
 
 def tensors(holder: Any) -> list[Tensor]:
