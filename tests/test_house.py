@@ -123,3 +123,9 @@ def test_lower_bounds_are_the_lowest_tested_versions() -> None:
     pins = dict(line.split("==") for line in lines if not line.startswith("#"))
     assert bounds.keys() == pins.keys()
     assert not {name: pins[name] for name, bound in bounds.items() if not f"{pins[name]}.".startswith(f"{bound}.")}
+
+
+def test_test_files_have_names_of_their_own() -> None:
+    """pytest imports them by their bare names."""
+    names = [path.name for path in (REPOSITORY / "tests").rglob("test_*.py")]
+    assert sorted(names) == sorted(set(names))
