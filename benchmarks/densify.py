@@ -75,7 +75,7 @@ def scene(model: QuerySplat, sample: Sample, share: float) -> Gaussians:
 
 def further(photo_set: PhotoSet, start: Gaussians, sample: Sample, run: Run) -> Row:
     """The scene after `run`."""
-    target = RenderingLoss.for_solid_scenes(sample.views, sample.cameras, SEED)
+    target = RenderingLoss.for_solid_scenes(sample.views, sample.cameras, torch.Generator().manual_seed(SEED))
     gaussians, began = start, time.process_time()
     if run.steps:
         (plan,) = plan_tto(run.steps, views=len(sample.views), gaussians=len(start), space="gaussians")

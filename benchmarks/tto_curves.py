@@ -89,7 +89,7 @@ def curve(model: QuerySplat, start: Start, sample: Sample, plan: tuple[TtoRun, .
     first = gaussians_of(model, start)
     watch = Watch(sum(run.settings.steps for run in plan), measure)
     watch.point(first)
-    solid = RenderingLoss.for_solid_scenes(sample.views, sample.cameras, SEED)
+    solid = RenderingLoss.for_solid_scenes(sample.views, sample.cameras, torch.Generator().manual_seed(SEED))
     target = WatchedLoss(**vars(solid), watch=watch)
     adapted = adapt(model, start, target, plan, OptimiseOptions(prune="auto", seed=SEED))
     watch.point(adapted.gaussians)

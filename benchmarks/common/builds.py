@@ -45,7 +45,7 @@ def optimised_again(model: QuerySplat, scene: BuiltScene, prune: Amount, **chang
     return optimise_memories(
         model,
         start_of(scene),
-        RenderingLoss.for_solid_scenes(views, scene.posed.cameras, SEED),
+        RenderingLoss.for_solid_scenes(views, scene.posed.cameras, torch.Generator().manual_seed(SEED)),
         replace(run.settings, **changes),
         generator=torch.Generator().manual_seed(SEED),
         callbacks=Callbacks(prune=pruning_to(prune, len(views))),

@@ -19,11 +19,11 @@ from querysplat_cli.scene.formats.ply import read_ply
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.photo_files import PhotoFile, check_photo_files, large_views
 from querysplat_cli.scene.views import Views
+from querysplat_cli.splat.conventions import MID_GREY
 from querysplat_cli.tto.full_size import FullSizeResult, optimise_full_size
 from querysplat_cli.tto.full_size_plan import FullSizePlan, FullSizeStage, Photos, plan_full_size
 from querysplat_cli.tto.options import TtoStep
 from querysplat_cli.tto.plan import TtoRun
-from querysplat_cli.tto.rendering_loss import GREY
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def take_to_full_size(
     better = to_device(result.gaussians, torch.device("cpu"))
     size = result.runs[-1][0].max_size
     with stages("full size score"):
-        quality: dict[str, Any] = {"max_size": size, "background": GREY, "input": None, "heldout": None}
+        quality: dict[str, Any] = {"max_size": size, "background": MID_GREY, "input": None, "heldout": None}
         groups = {"input": (files, scene.views, scene.cameras)}
         if scene.heldout:
             groups["heldout"] = (held, *scene.heldout)
@@ -128,7 +128,7 @@ def take_stored_scene(path: Path, level: FullSizeLevel, *, seed: int, device: to
 def _scored(
     gaussians: Gaussians, files: Sequence[PhotoFile], views: Views, cameras: Cameras, size: int
 ) -> dict[str, Any]:
-    return quality_entry(score(gaussians, *large_views(files, views, cameras, size), GREY))
+    return quality_entry(score(gaussians, *large_views(files, views, cameras, size), MID_GREY))
 
 
 def _entries(result: FullSizeResult) -> list[dict[str, Any]]:

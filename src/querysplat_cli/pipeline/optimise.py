@@ -40,7 +40,7 @@ def optimise_start(
     if start.anchors is None:
         target = RenderingLoss(views, cameras)
     else:
-        target = RenderingLoss.for_solid_scenes(views, cameras, options.seed)
+        target = RenderingLoss.for_solid_scenes(views, cameras, torch.Generator().manual_seed(options.seed))
     adapted = adapt(model, to_device(start, device), target, plan, options, _shown(plan, progress))
     if not options.keep_all:
         last, tested = replace(target, cameras=adapted.cameras), tested_views(len(target.views))

@@ -6,11 +6,11 @@ import cv2
 import numpy as np
 import torch
 
-from querysplat_cli.reporting.view_scores import MID_GREY
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.pictures import eight_bit, write_picture
 from querysplat_cli.scene.views import Views
+from querysplat_cli.splat.conventions import MID_GREY
 from querysplat_cli.splat.render import render
 
 PREVIEW_ROWS = 4

@@ -7,10 +7,9 @@ import torch
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.views import Views
+from querysplat_cli.splat.conventions import MID_GREY
 from querysplat_cli.splat.render import render
 from querysplat_cli.splat.similarity import psnr, ssim_metric
-
-MID_GREY = 0.5
 
 
 @dataclass(frozen=True)
@@ -38,7 +37,7 @@ def score(gaussians: Gaussians, views: Views, cameras: Cameras, background: floa
         for i, (name, (height, width)) in enumerate(zip(views.names, views.sizes, strict=True)):
             drawn = render(gaussians, cameras[[i]])
             over = {
-                level: (drawn.colour[0] + (1 - drawn.alpha) * level).clamp(0, 1)[:, :height, :width]
+                level: drawn.over(torch.full((3,), level))[0].clamp(0, 1)[:, :height, :width]
                 for level in {background, MID_GREY}
             }
             picture = over[background]

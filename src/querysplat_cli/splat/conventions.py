@@ -11,6 +11,9 @@ SHORTEST_QUATERNION = 1e-30
 CLAMP_MARGIN = 0.3
 """The Jacobian is evaluated inside the frustum, widened by this share of half the field of view."""
 
+MID_GREY = 0.5
+"""The background of renders that are compared with each other, and of previews."""
+
 
 @dataclass(frozen=True)
 class RenderSettings:

@@ -1,7 +1,7 @@
 """Gaussians and cameras in, pictures out: the one public entry of the splatter."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from importlib import import_module
 
 import torch
@@ -27,6 +27,12 @@ class Rendering:
     alpha: Float[Tensor, "views height width"]
     depth: Float[Tensor, "views height width"]
 
+    def over(self, background: Float[Tensor, "3"] | None) -> Float[Tensor, "views 3 height width"]:
+        """The colour over another background, where this is rendered over black."""
+        if background is None:
+            return self.colour
+        return self.colour + (1 - self.alpha[:, None]) * background.to(self.colour)[:, None, None]
+
 
 def render(
     gaussians: Gaussians,
@@ -47,9 +53,8 @@ def render(
     _refuse_non_finite({"w2c": cameras.w2c, "K": cameras.K})
     blend: Callable[..., tuple[Tensor, Tensor, Tensor]] = _backend(gaussians, backend).blend
     colour, alpha, weighted_depth = blend(gaussians, cameras, settings or RenderSettings())
-    if background is not None:
-        colour = colour + (1 - alpha[:, None]) * background.to(colour)[:, None, None]
-    return Rendering(colour, alpha, weighted_depth / alpha.clamp_min(1e-10))
+    black = Rendering(colour, alpha, weighted_depth / alpha.clamp_min(1e-10))
+    return replace(black, colour=black.over(background))
 
 
 def _backend(gaussians: Gaussians, name: str):  # type: ignore[no-untyped-def]

@@ -13,7 +13,7 @@ from querysplat_cli.tto.full_size_policy import FULL_SIZE_POLICY
 from querysplat_cli.tto.gaussians import Changes, optimise_gaussians
 from querysplat_cli.tto.optimise import TtoResult
 from querysplat_cli.tto.options import Callbacks, TtoStep
-from querysplat_cli.tto.rendering_loss import GREY, RenderingLoss
+from querysplat_cli.tto.rendering_loss import RenderingLoss
 
 
 @dataclass(frozen=True)
@@ -52,8 +52,7 @@ def optimise_full_size(
         if target is None or size != stage.max_size:
             target = None  # the smaller pictures make room for the larger ones
             views, cameras = views_at(stage.max_size)
-            grey = torch.full((3,), GREY, device=cameras.w2c.device)
-            target, size = RenderingLoss(views, cameras, grey, backgrounds=generator), stage.max_size
+            target, size = RenderingLoss.for_solid_scenes(views, cameras, generator), stage.max_size
         start = runs[-1][1].gaussians if runs else gaussians
         result = optimise_gaussians(
             start,

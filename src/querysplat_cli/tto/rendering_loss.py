@@ -10,6 +10,7 @@ from torch import Tensor
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.views import Views
+from querysplat_cli.splat.conventions import MID_GREY
 from querysplat_cli.splat.render import Rendering, RenderSettings, render
 from querysplat_cli.splat.similarity import photometric_loss
 
@@ -40,10 +41,6 @@ class LossAndGradient:
         torch.autograd.backward(made, slopes)
 
 
-GREY = 0.5
-"""The background of losses and scores that are compared with each other."""
-
-
 @dataclass(frozen=True)
 class RenderingLoss:
     """L1 + 0.2·D-SSIM between renders and photos (paper, section 3.4; the LPIPS term needs its weights).
@@ -63,18 +60,18 @@ class RenderingLoss:
     backgrounds: torch.Generator | None = None
 
     @classmethod
-    def for_solid_scenes(cls, views: Views, cameras: Cameras, seed: int) -> "RenderingLoss":
+    def for_solid_scenes(cls, views: Views, cameras: Cameras, generator: torch.Generator) -> "RenderingLoss":
         """Values over grey, and gradients over random backgrounds.
 
         Over a fixed background, dark or bright places of the photos would become transparent instead of opaque.
         """
-        grey = torch.full((3,), GREY, device=cameras.w2c.device)
-        return cls(views, cameras, grey, backgrounds=torch.Generator().manual_seed(seed))
+        grey = torch.full((3,), MID_GREY, device=cameras.w2c.device)
+        return cls(views, cameras, grey, backgrounds=generator)
 
     def values(self, gaussians: Gaussians, chosen: list[int]) -> list[float]:
         """The loss of each of the views `chosen`."""
         with torch.no_grad():
-            return [self._judged(gaussians, view)[0] for view in chosen]
+            return [self._value(self._render(gaussians, self.cameras, view), view) for view in chosen]
 
     def value(self, gaussians: Gaussians, chosen: list[int]) -> float:
         """The loss over the views `chosen`."""
@@ -83,7 +80,7 @@ class RenderingLoss:
     def psnr(self, gaussians: Gaussians, chosen: list[int]) -> float:
         """The mean over the views `chosen`, in dB."""
         with torch.no_grad():
-            return _decibels([self._judged(gaussians, view)[1] for view in chosen])
+            return _decibels([self._error(self._render(gaussians, self.cameras, view), view) for view in chosen])
 
     def value_and_gradient(self, gaussians: Gaussians, chosen: list[int]) -> LossAndGradient:
         """The loss over the views `chosen`, and its gradient with respect to every Gaussian parameter."""
@@ -94,32 +91,30 @@ class RenderingLoss:
         cameras = replace(self.cameras, w2c=w2c, K=K)
         losses, errors = [], []
         for view in chosen:
-            rendering = self._render(leaves, cameras, view, behind)
-            (self._loss(rendering.colour, view) / len(chosen)).backward()
-            loss, error = self._values(rendering, view, behind)
-            losses.append(loss)
-            errors.append(error)
+            rendering = self._render(leaves, cameras, view)
+            loss = self._loss(rendering.over(behind), view)
+            (loss / len(chosen)).backward()
+            losses.append(self._value(rendering, view) if self.backgrounds else float(loss.detach()))
+            errors.append(self._error(rendering, view))
         camera_gradient = (gradient_of(w2c), gradient_of(K)) if asked else None
         return LossAndGradient(losses, _decibels(errors), leaves.map(gradient_of), camera_gradient)
 
-    def _judged(self, gaussians: Gaussians, view: int) -> tuple[float, float]:
-        rendering = self._render(gaussians, self.cameras, view, self.background)
-        return self._values(rendering, view, self.background)
-
-    def _render(self, gaussians: Gaussians, cameras: Cameras, view: int, behind: Tensor | None) -> Rendering:
-        return render(gaussians, cameras[[view]], background=behind, settings=self.settings)
+    def _render(self, gaussians: Gaussians, cameras: Cameras, view: int) -> Rendering:
+        return render(gaussians, cameras[[view]], settings=self.settings)
 
     def _loss(self, picture: Tensor, view: int) -> Tensor:
         return photometric_loss(picture, self.views.picture(view)[None], self.views.masks[[view]])
 
     @torch.no_grad()
-    def _values(self, rendering: Rendering, view: int, behind: Tensor | None) -> tuple[float, float]:
-        """Loss and mean squared error of a view over `background`, whatever it was rendered over."""
-        picture = rendering.colour
-        if self.background is not None and behind is not None:
-            picture = picture + (1 - rendering.alpha[:, None]) * (self.background - behind)[:, None, None]
-        error = (picture.clamp(0, 1) - self.views.picture(view)).square().mean(1)[self.views.masks[[view]]].mean()
-        return float(self._loss(picture, view)), float(error)
+    def _value(self, rendering: Rendering, view: int) -> float:
+        """The loss over `background`."""
+        return float(self._loss(rendering.over(self.background), view))
+
+    @torch.no_grad()
+    def _error(self, rendering: Rendering, view: int) -> float:
+        """The mean squared error over `background`."""
+        picture = rendering.over(self.background).clamp(0, 1)
+        return float((picture - self.views.picture(view)).square().mean(1)[self.views.masks[[view]]].mean())
 
 
 def tensors(holder: Any) -> list[Tensor]:
