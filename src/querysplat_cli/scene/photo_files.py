@@ -14,7 +14,7 @@ import torch
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera, same_shape
 from querysplat_cli.scene.photos import load_photo, longer_side
-from querysplat_cli.scene.undistort import CANVAS_MULTIPLE, undistorted
+from querysplat_cli.scene.undistort import on_canvas, undistorted
 from querysplat_cli.scene.views import Photo, Views
 
 OVERSAMPLING = 2
@@ -106,18 +106,12 @@ def large_views(files: Sequence[PhotoFile], views: Views, cameras: Cameras, max_
     The cameras keep their pose and focal length, which optimisation may have corrected. Photos are read and
     straightened one at a time.
     """
-    pictures, sizes, scales = [], [], []
+    pictures, scales = [], []
     for file, (height, width) in zip(files, views.sizes, strict=True):
         one, _ = undistorted([file.load(OVERSAMPLING * max_size)], [file.lens], max_size=max_size)
         ((rows, columns),) = one.sizes
         pictures.append((one.images[0, :, :rows, :columns] * 255).round().clamp(0, 255).to(torch.uint8))
-        sizes.append((rows, columns))
         scales.append(torch.tensor([columns / width, rows / height, 1.0]))
-    height, width = (-(-max(side) // CANVAS_MULTIPLE) * CANVAS_MULTIPLE for side in zip(*sizes, strict=True))
-    images = torch.zeros(len(files), 3, height, width, dtype=torch.uint8)
-    masks = torch.zeros(len(files), height, width, dtype=torch.bool)
-    for row, (picture, (rows, columns)) in enumerate(zip(pictures, sizes, strict=True)):
-        images[row, :, :rows, :columns] = picture
-        masks[row, :rows, :columns] = True
     K = torch.stack(scales)[:, :, None] * cameras.K
-    return Views(images, masks, views.names, tuple(sizes)), Cameras(cameras.w2c, K, height, width)
+    large = on_canvas(pictures, views.names)
+    return large, Cameras(cameras.w2c, K, *large.masks.shape[1:])

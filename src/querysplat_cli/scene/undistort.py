@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import cv2
 import numpy as np
 import torch
+from torch import Tensor
 
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera, rescaled
 from querysplat_cli.scene.views import Photo, Views
@@ -30,16 +31,22 @@ def undistorted(photos: Sequence[Photo], cameras: Sequence[PhotoCamera], *, max_
             flat = cv2.resize(flat.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA)
         pictures.append(flat)
         matrices.append(np.diag([width / photo.width, height / photo.height, 1.0]) @ K)
-    sizes = tuple(picture.shape[:2] for picture in pictures)
+    tensors = [torch.from_numpy(picture).permute(2, 0, 1).float() / 255 for picture in pictures]
+    views = on_canvas(tensors, tuple(photo.name for photo in photos))
+    w2c = torch.from_numpy(np.stack([camera.w2c for camera in cameras])).float()
+    return views, Cameras(w2c, torch.from_numpy(np.stack(matrices)).float(), *views.masks.shape[1:])
+
+
+def on_canvas(pictures: Sequence[Tensor], names: tuple[str, ...]) -> Views:
+    """Pictures [3, height, width] of one type, each in the top-left corner of a canvas that holds the largest sides."""
+    sizes = tuple((picture.shape[1], picture.shape[2]) for picture in pictures)
     height, width = (-(-max(side) // CANVAS_MULTIPLE) * CANVAS_MULTIPLE for side in zip(*sizes, strict=True))
-    images = torch.zeros(len(pictures), 3, height, width)
+    images = torch.zeros(len(pictures), 3, height, width, dtype=pictures[0].dtype)
     masks = torch.zeros(len(pictures), height, width, dtype=torch.bool)
     for row, (picture, (rows, columns)) in enumerate(zip(pictures, sizes, strict=True)):
-        images[row, :, :rows, :columns] = torch.from_numpy(picture).permute(2, 0, 1).float() / 255
+        images[row, :, :rows, :columns] = picture
         masks[row, :rows, :columns] = True
-    w2c = torch.from_numpy(np.stack([camera.w2c for camera in cameras])).float()
-    views = Views(images, masks, tuple(photo.name for photo in photos), sizes)
-    return views, Cameras(w2c, torch.from_numpy(np.stack(matrices)).float(), height, width)
+    return Views(images, masks, names, sizes)
 
 
 def _straightened(pixels: np.ndarray, camera: PhotoCamera) -> tuple[np.ndarray, np.ndarray]:
