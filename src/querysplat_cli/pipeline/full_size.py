@@ -1,21 +1,19 @@
 """A scene that was made of small pictures is optimised further on its photos at a large size."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import torch
 
-from querysplat_cli.pipeline.scene_folder import StoredScene, ply_path, read_scene, write_scene
-from querysplat_cli.reporting.report import Report, machine, quality_entry, seconds_entry, tto_entries
+from querysplat_cli.pipeline.scene_folder import StoredScene
+from querysplat_cli.reporting.report import quality_entry, tto_entries
 from querysplat_cli.reporting.view_scores import score
 from querysplat_cli.runtime.choices import FullSizeLevel
-from querysplat_cli.runtime.device import peak_gib, to_device
+from querysplat_cli.runtime.device import to_device
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import Cameras
-from querysplat_cli.scene.formats.ply import read_ply
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.photo_files import PhotoFile, check_photo_files, large_views
 from querysplat_cli.scene.views import Views
@@ -97,32 +95,6 @@ def files_of(scene: StoredScene, views: Views) -> list[PhotoFile]:
             "Make the scene again. Only the encoder `classical` uses photos that can be found again.",
         )
     return [scene.photos[name] for name in views.names]
-
-
-def take_stored_scene(path: Path, level: FullSizeLevel, *, seed: int, device: torch.device, stages: Stages) -> Report:
-    """`take_to_full_size` for the scene in `path` (its folder or its .ply), which is written back."""
-    with stages("read"):
-        scene, before = read_scene(path)
-        gaussians = read_ply(ply_path(path))
-    found = take_to_full_size(scene, gaussians, level, seed=seed, device=device, stages=stages)
-    with stages("score"):
-        groups = {"input": (scene.views, scene.cameras), "heldout": scene.heldout}
-        quality: dict[str, Any] = {
-            name: quality_entry(score(found.gaussians, *group)) if group else None for name, group in groups.items()
-        }
-    with stages("write"):
-        report = replace(
-            Report.from_dict(before),
-            gaussians=len(found.gaussians),
-            seconds=seconds_entry(stages.seconds),
-            quality={**quality, "full_size": found.quality},
-            tto=[*before["tto"], *found.runs],
-            full_size=found.summary,
-            peak_memory_gib=round(peak_gib(), 2),
-            machine=machine(),
-        )
-        write_scene(ply_path(path), scene, found.gaussians, report.as_dict())
-    return report
 
 
 def _scored(

@@ -8,7 +8,7 @@ import torch
 
 from querysplat_cli.model.checkpoints import load
 from querysplat_cli.model.querysplat import QuerySplat
-from querysplat_cli.pipeline.full_size import take_stored_scene
+from querysplat_cli.pipeline.full_size import take_to_full_size
 from querysplat_cli.pipeline.optimise import optimise_start
 from querysplat_cli.pipeline.scene_folder import StoredScene, ply_path, read_scene, write_scene
 from querysplat_cli.pipeline.settings import ResumeSettings
@@ -16,12 +16,13 @@ from querysplat_cli.prune.gaussians import target_count
 from querysplat_cli.reporting import omissions
 from querysplat_cli.reporting.report import Report, machine, quality_entry, seconds_entry, tto_entries
 from querysplat_cli.reporting.view_scores import score
-from querysplat_cli.runtime.choices import Space
+from querysplat_cli.runtime.choices import FullSizeLevel, Space
 from querysplat_cli.runtime.device import find_device, peak_gib
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.precision import check_precision
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.formats.ply import read_ply
+from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.tto.adapt import Adapted
 from querysplat_cli.tto.cameras import with_refined_focal
 from querysplat_cli.tto.features import Start
@@ -40,8 +41,7 @@ def optimise_scene(settings: ResumeSettings, stages: Stages | None = None) -> Re
     stages, path, options = stages or Stages(), settings.scene, _options(settings)
     if settings.quality:
         _check_plain(settings)
-        device = find_device(settings.device)
-        return take_stored_scene(path, settings.quality, seed=settings.seed, device=device, stages=stages)
+        return _at_full_size(settings, settings.quality, stages)
     with stages("read"):
         scene, before = read_scene(path)
         model = load_again(scene.model, before["settings"], settings.weights, find_device(settings.device))
@@ -55,23 +55,61 @@ def optimise_scene(settings: ResumeSettings, stages: Stages | None = None) -> Re
         start = Start(scene.memories, scene.anchors, gaussians, None if apart else scene.kept)
         adapted = optimise_start(model, start, (scene.views, scene.cameras), plan, options, progress)
         stored = _with(scene, adapted)
+    runs, left_out = tto_entries(adapted.runs), omissions.taken_further(before["left_out"], adapted)
+    return _write_back(path, stored, adapted.gaussians, before, stages, tto=runs, left_out=left_out)
+
+
+def _at_full_size(settings: ResumeSettings, level: FullSizeLevel, stages: Stages) -> Report:
+    """Optimise the Gaussians of the stored scene on its large photos, and write it back."""
+    path, device = settings.scene, find_device(settings.device)
+    with stages("read"):
+        scene, before = read_scene(path)
+        gaussians = read_ply(ply_path(path))
+    found = take_to_full_size(scene, gaussians, level, seed=settings.seed, device=device, stages=stages)
+    return _write_back(
+        path,
+        scene,
+        found.gaussians,
+        before,
+        stages,
+        quality={"full_size": found.quality},
+        tto=found.runs,
+        full_size=found.summary,
+    )
+
+
+def _write_back(
+    path: Path,
+    scene: StoredScene,
+    gaussians: Gaussians,
+    before: dict[str, Any],
+    stages: Stages,
+    *,
+    tto: list[dict[str, Any]],
+    quality: dict[str, Any] | None = None,
+    **changes: Any,
+) -> Report:
+    """Score the scene, and write it with the report `before` brought up to date.
+
+    `tto` are the entries of new runs, `quality` further scores, and `changes` other fields of the report.
+    """
     with stages("score"):
-        quality = {
-            name: quality_entry(score(adapted.gaussians, *group)) if group else None
-            for name, group in (("input", (stored.views, stored.cameras)), ("heldout", stored.heldout))
+        scores = {
+            name: quality_entry(score(gaussians, *group)) if group else None
+            for name, group in (("input", (scene.views, scene.cameras)), ("heldout", scene.heldout))
         }
     with stages("write"):
         report = replace(
             Report.from_dict(before),
-            gaussians=len(adapted.gaussians),
+            gaussians=len(gaussians),
             seconds=seconds_entry(stages.seconds),
-            quality=quality,
-            left_out=omissions.taken_further(before["left_out"], adapted),
-            tto=[*before["tto"], *tto_entries(adapted.runs)],
+            quality=scores | (quality or {}),
+            tto=[*before["tto"], *tto],
             peak_memory_gib=round(peak_gib(), 2),
             machine=machine(),
+            **changes,
         )
-        write_scene(ply_path(path), stored, adapted.gaussians, report.as_dict())
+        write_scene(ply_path(path), scene, gaussians, report.as_dict())
     return report
 
 
