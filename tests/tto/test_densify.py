@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from tto_scenes import wall
 
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
@@ -31,20 +32,6 @@ def views(images: torch.Tensor) -> Views:
     count = len(images)
     masks = torch.ones(count, SIZE, SIZE, dtype=torch.bool)
     return Views(images, masks, tuple(f"{i}.png" for i in range(count)), ((SIZE, SIZE),) * count)
-
-
-def wall(side: int, seed: int = 0) -> Gaussians:
-    """`side` × `side` round Gaussians of random colours in a plane two units away."""
-    line = (torch.arange(side) + 0.5) / side * 1.8 - 0.9
-    y, x = torch.meshgrid(line, line, indexing="ij")
-    n = side * side
-    return Gaussians(
-        means=torch.stack([x.ravel(), y.ravel(), torch.full((n,), 2.0)], 1),
-        quats=torch.tensor([1.0, 0, 0, 0]).repeat(n, 1),
-        scales=torch.full((n, 3), 0.8 / side),
-        opacities=torch.full((n,), 0.8),
-        sh=torch.rand(n, 1, 3, generator=torch.Generator().manual_seed(seed)) * 2 - 1,
-    )
 
 
 def ellipsoids(count: int, opacity: float) -> Gaussians:
@@ -119,7 +106,7 @@ def test_disagreement_is_the_error_under_each_gaussian() -> None:
 
 
 def test_gaussians_of_a_wrong_colour_are_split() -> None:
-    some = wall(6)
+    some = wall(6, size=0.8, opacity=0.8)
     target = RenderingLoss(views(render(some, cameras(3)).colour), cameras(3))
     wrong = torch.tensor([8, 21])
     sh = some.sh.clone()
@@ -136,8 +123,8 @@ def test_gaussians_of_a_wrong_colour_are_split() -> None:
 
 def optimised(densify_to: int | None, steps: int = 90, lr: float = 0.1, **options: object) -> TtoResult:
     """Sixteen Gaussians, of one grey, on photos of 144 colours."""
-    target = RenderingLoss(views(render(wall(12), cameras(4)).colour.clamp(0, 1)), cameras(4))
-    grey = wall(4)
+    target = RenderingLoss(views(render(wall(12, size=0.8, opacity=0.8), cameras(4)).colour.clamp(0, 1)), cameras(4))
+    grey = wall(4, size=0.8, opacity=0.8)
     return optimise_gaussians(
         replace(grey, sh=torch.zeros_like(grey.sh)),
         target,
@@ -151,7 +138,7 @@ def optimised(densify_to: int | None, steps: int = 90, lr: float = 0.1, **option
 def test_a_coarse_scene_gains_in_views_that_were_not_optimised() -> None:
     """Coarse Gaussians on fine photos: with splitting, a view between the photos comes out better."""
     between = cameras(4, shift=0.05)
-    truth = render(wall(12), between).colour.clamp(0, 1)
+    truth = render(wall(12, size=0.8, opacity=0.8), between).colour.clamp(0, 1)
     plain, split_up = optimised(None), optimised(100)
     errors = [(render(each.gaussians, between).colour - truth).square().mean() for each in (plain, split_up)]
     assert errors[1] < 0.7 * errors[0]

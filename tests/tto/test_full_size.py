@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from tto_scenes import wall
 
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
@@ -27,23 +28,9 @@ def cameras(size: int, shift: float = 0.0) -> Cameras:
     return Cameras(w2c, K, size, size)
 
 
-def wall(side: int) -> Gaussians:
-    """`side` × `side` round Gaussians of random colours in a plane two units away."""
-    line = (torch.arange(side) + 0.5) / side * 1.8 - 0.9
-    y, x = torch.meshgrid(line, line, indexing="ij")
-    n = side * side
-    return Gaussians(
-        means=torch.stack([x.ravel(), y.ravel(), torch.full((n,), 2.0)], 1),
-        quats=torch.tensor([1.0, 0, 0, 0]).repeat(n, 1),
-        scales=torch.full((n, 3), 1.2 / side),
-        opacities=torch.full((n,), 0.97),
-        sh=torch.rand(n, 1, 3, generator=torch.Generator().manual_seed(0)) * 2 - 1,
-    )
-
-
 def views_at(size: int) -> tuple[Views, Cameras]:
     """Photos of a fine wall as uint8."""
-    images = (render(wall(12), cameras(size)).colour.clamp(0, 1) * 255).round().to(torch.uint8)
+    images = (render(wall(12, size=1.2, opacity=0.97), cameras(size)).colour.clamp(0, 1) * 255).round().to(torch.uint8)
     masks = torch.ones(4, size, size, dtype=torch.bool)
     return Views(images, masks, ("a", "b", "c", "d"), ((size, size),) * 4), cameras(size)
 
@@ -54,7 +41,7 @@ def stage(size: int, gaussians: int, steps: int = 40, seconds: float | None = No
 
 
 def coarse() -> Gaussians:
-    some = wall(4)
+    some = wall(4, size=1.2, opacity=0.97)
     return replace(some, sh=torch.zeros_like(some.sh))
 
 
@@ -71,7 +58,7 @@ def test_two_stages_improve_a_view_between_the_photos() -> None:
     assert [len(run.gaussians) for _, run in result.runs] == [30, 60]
     assert result.ended == "every planned step was taken"
     between = cameras(SIZE, shift=0.05)
-    truth = render(wall(12), between).colour.clamp(0, 1)
+    truth = render(wall(12, size=1.2, opacity=0.97), between).colour.clamp(0, 1)
     errors = [float((render(some, between).colour - truth).square().mean()) for some in (coarse(), result.gaussians)]
     assert errors[1] < 0.6 * errors[0]
 

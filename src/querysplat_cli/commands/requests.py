@@ -8,7 +8,7 @@ from annotated_types import Ge, Gt
 
 from querysplat_cli.runtime.choices import Axis
 from querysplat_cli.runtime.errors import QuerySplatError
-from querysplat_cli.runtime.options import Force, MovedWeights, Option, Seed
+from querysplat_cli.runtime.options import Force, MovedWeights, Option, Seed, StoredScenePath
 
 
 def read_size(text: str) -> tuple[int, int]:
@@ -120,7 +120,7 @@ class Conversion:
 class InspectRequest:
     """Pictures of what a stored scene consists of."""
 
-    scene: Annotated[Path, Option("The folder that `reconstruct` wrote, or the .ply beside it.", argument=True)]
+    scene: StoredScenePath
     output: Annotated[
         Path | None,
         Option(

@@ -15,6 +15,7 @@ from querysplat_cli.runtime.options import (
     Option,
     Prune,
     Seed,
+    StoredScenePath,
     Weights,
 )
 
@@ -143,7 +144,7 @@ class ReconstructSettings:
 class ResumeSettings:
     """How a stored scene is optimised further. None means that the program chooses."""
 
-    scene: Annotated[Path, Option("The folder that `reconstruct` wrote, or the .ply beside it.", argument=True)]
+    scene: StoredScenePath
     quality: Annotated[
         FullSizeLevel | None,
         Option(
