@@ -16,9 +16,11 @@ from querysplat_cli.prune.views import near_duplicates
 from querysplat_cli.queries.prepare import PreparedQueries, prepare
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.exposures import Exposures
 from querysplat_cli.scene.views import LeftOut, Views
 from querysplat_cli.tto.adapt import Adapted
 from querysplat_cli.tto.cameras import refinable, with_refined_focal
+from querysplat_cli.tto.exposure_fit import PhotoColours, compare_photos
 from querysplat_cli.tto.features import Start
 from querysplat_cli.tto.options import OptimiseOptions
 from querysplat_cli.tto.plan import TtoRun, plan_release, plan_tto
@@ -33,6 +35,7 @@ class BuiltScene:
         corrected them.
     duplicates: views that were left out of the scene.
     time_for_more: whether the budget has room for another scene.
+    colours: how far the photos agree in colour; None where that was not measured.
     """
 
     posed: PosedViews
@@ -41,6 +44,7 @@ class BuiltScene:
     adapted: Adapted
     duplicates: tuple[LeftOut, ...] = ()
     time_for_more: bool = True
+    colours: PhotoColours | None = None
 
     def heldout(self, cameras: PosedSplit) -> tuple[Views, Cameras] | None:
         """The held-out views of the pass that the scene was made from, with cameras corrected as the inputs' were."""
@@ -69,9 +73,7 @@ def encode_and_build(
         geometry = encoder.estimate_geometry(posed, seed=settings.seed, progress=progress)
     if last:
         encoder.free()
-    prepared = _prepared(posed, geometry, model, settings, stages)
-    geometry = replace(geometry, features=())  # they are large, and optimisation needs the memory
-    scene = _optimised(posed, geometry, prepared, model, settings, stages, share)
+    scene = _built(posed, geometry, model, settings, stages, share)
     return replace(scene, duplicates=duplicates)
 
 
@@ -83,36 +85,58 @@ def build_scene(
     stages: Stages | None = None,
 ) -> BuiltScene:
     """Queries, memories and test-time optimisation: a scene from given cameras and geometry."""
-    stages = stages or Stages()
-    prepared = _prepared(posed, geometry, model, settings, stages)
-    return _optimised(posed, replace(geometry, features=()), prepared, model, settings, stages)
+    return _built(posed, geometry, model, settings, stages or Stages())
 
 
-def _prepared(
-    posed: PosedViews, geometry: Geometry, model: QuerySplat, settings: ReconstructSettings, stages: Stages
-) -> PreparedQueries:
+def _built(
+    posed: PosedViews,
+    geometry: Geometry,
+    model: QuerySplat,
+    settings: ReconstructSettings,
+    stages: Stages,
+    share: BudgetShare | None = None,
+) -> BuiltScene:
+    """The scene. Where photos disagree in colour, its queries are made of their colours without the differences."""
     with stages("queries"):
-        return prepare(
+        colours = _compared(posed, geometry, model, settings)
+        exposures = colours.exposures if colours and not colours.agree else None
+        alike = replace(posed, views=exposures.removed_from(posed.views)) if exposures else posed
+        prepared = prepare(
             model,
-            posed,
+            alike,
             geometry,
             queries=settings.queries,
             soft_query_limit=None if settings.keep_everything or settings.tto == 0 else TTO_POLICY.queries,
             target=settings.tto_target,
             keep_all=settings.keep_everything,
         )
+    geometry = replace(geometry, features=())  # they are large, and optimisation needs the memory
+    adapted, time_for_more = _optimised(posed, prepared, model, settings, stages, share, exposures)
+    return BuiltScene(posed, geometry, prepared, adapted, time_for_more=time_for_more, colours=colours)
+
+
+def _compared(
+    posed: PosedViews, geometry: Geometry, model: QuerySplat, settings: ReconstructSettings
+) -> PhotoColours | None:
+    """How far the photos agree in colour. Official models are optimised as in the release, without transforms."""
+    if settings.exposure == "off" or model.config.queries == "learned" or geometry.depth is None:
+        return None
+    return compare_photos(posed.views, posed.cameras, geometry) if len(posed.views) > 1 else None
 
 
 def _optimised(
     posed: PosedViews,
-    geometry: Geometry,
     prepared: PreparedQueries,
     model: QuerySplat,
     settings: ReconstructSettings,
     stages: Stages,
-    share: BudgetShare | None = None,
-) -> BuiltScene:
-    """The optimisation takes as much of the time `share` as leaves enough for the other scenes of the same budget."""
+    share: BudgetShare | None,
+    exposures: Exposures | None,
+) -> tuple[Adapted, bool]:
+    """The optimised scene, and whether the budget has room for another.
+
+    The optimisation takes as much of the time `share` as leaves enough for the other scenes of the same budget.
+    """
     with stages("tto") as progress:
         options = _options(settings, posed)
         count = _gaussian_count(prepared, model)
@@ -121,8 +145,8 @@ def _optimised(
         optimised = any(run.settings.steps for run in plan)
         variables = prepared.variables.map(torch.Tensor.float) if optimised else prepared.variables
         start = Start(variables, prepared.anchors)
-        adapted = optimise_start(model, start, (posed.views, posed.cameras), plan, options, progress)
-    return BuiltScene(posed, geometry, prepared, adapted, time_for_more=time_for_more)
+        photos = posed.views, posed.cameras
+        return optimise_start(model, start, photos, plan, options, progress, exposures), time_for_more
 
 
 def _options(settings: ReconstructSettings, posed: PosedViews) -> OptimiseOptions:

@@ -14,6 +14,7 @@ from querysplat_cli.runtime.device import to_device
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.exposures import Exposures
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.photo_files import PhotoFile, check_photo_files, large_views
 from querysplat_cli.scene.views import Views
@@ -31,12 +32,14 @@ class FullSize:
     quality: PSNR and SSIM at the large size, of the inputs and of the held-out views.
     runs: one entry for each stage and round, as for other runs.
     summary: the level, the plan, and why the optimisation ended.
+    exposures: the colour transforms of the input photos, where the scene had any.
     """
 
     gaussians: Gaussians
     quality: dict[str, Any]
     runs: list[dict[str, Any]]
     summary: dict[str, Any]
+    exposures: Exposures | None = None
 
 
 def take_to_full_size(
@@ -73,7 +76,8 @@ def take_to_full_size(
         def views_at(size: int) -> tuple[Views, Cameras]:
             return to_device(large_views(files, scene.views, scene.cameras, size), device)
 
-        result = optimise_full_size(to_device(gaussians, device), views_at, plan, seed=seed, progress=show)
+        start = to_device(gaussians, device)
+        result = optimise_full_size(start, views_at, plan, seed=seed, exposures=scene.exposures, progress=show)
     better = to_device(result.gaussians, torch.device("cpu"))
     size = result.runs[-1][0].max_size
     with stages("full size score"):
@@ -83,7 +87,7 @@ def take_to_full_size(
             groups["heldout"] = (held, *scene.heldout)
         for name, group in groups.items():
             quality[name] = _scored(better, *group, size)
-    return FullSize(better, quality, _entries(result), _summary(level, plan, result, len(better)))
+    return FullSize(better, quality, _entries(result), _summary(level, plan, result, len(better)), result.exposures)
 
 
 def files_of(scene: StoredScene, views: Views) -> list[PhotoFile]:

@@ -20,6 +20,7 @@ from querysplat_cli.prune.resolution import Blurred, blurred
 from querysplat_cli.reporting import omissions
 from querysplat_cli.reporting.report import (
     Report,
+    exposure_entry,
     heldout_entry,
     machine,
     quality_entry,
@@ -115,7 +116,7 @@ def _reconstruct(settings: ReconstructSettings, device: torch.device, stages: St
     )
     large = _at_full_size(inputs, passes, scene, settings, share, stages)
     if large:
-        scene = replace(scene, adapted=replace(scene.adapted, gaussians=large.gaussians))
+        scene = replace(scene, adapted=replace(scene.adapted, gaussians=large.gaussians, exposures=large.exposures))
     scores = _score(inputs, passes, scene, settings, stages)
     with stages("write"):
         report = _with_full_size(_report(inputs, passes, scene, scores, settings, stages), large)
@@ -215,6 +216,7 @@ def _report(
         peak_memory_gib=round(peak_gib(), 2),
         machine=machine(),
         memory_estimate_gib=expected and round(expected / 2**30, 2),
+        exposure=exposure_entry(scene.colours),
     )
 
 
@@ -283,4 +285,5 @@ def _stored(inputs: _Inputs, passes: HoldoutCameras, scene: BuiltScene, settings
         scene.prepared.map,
         scene.adapted.kept,
         {file.name: file for file in files},
+        scene.adapted.exposures,
     )
