@@ -133,6 +133,30 @@ def test_photos_that_agree_have_the_identity() -> None:
     torch.testing.assert_close(found.exposures.matrices, Exposures.identity(VIEWS).matrices, atol=0.03, rtol=0)
 
 
+def test_photos_without_depth_to_compare_them_by_agree() -> None:
+    unsure = replace(flat_geometry(), confidence=torch.zeros(VIEWS, SIZE, SIZE))
+    found = compare_photos(photos(changes()), cameras(), unsure)
+    assert found.agree
+    torch.testing.assert_close(found.exposures.matrices, Exposures.identity(VIEWS).matrices)
+
+
+def test_noise_is_no_disagreement(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Errors of the transforms, which few noisy points leave, do not count as differences between photos."""
+    found = []
+    for seed in range(8):
+        samples = observed(Exposures.identity(VIEWS), points=60)
+        noise = 0.2 * torch.randn(len(samples), 3, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+        noisy = replace(samples, colour=samples.colour + noise)
+        monkeypatch.setattr(exposure_fit, "sample_colours", lambda *_, noisy=noisy: noisy)
+        colours = compare_photos(photos(), cameras(), flat_geometry())
+        errors = colours.exposures.matrices - Exposures.identity(VIEWS).matrices
+        assert float(errors.square().mean().sqrt()) > 0.04
+        found.append(colours.disagreement)
+    assert sum(found) / len(found) < 0.03
+    assert max(found) < EXPOSURE_POLICY.disagreement
+
+
+@pytest.mark.usefixtures("no_ridge")
 def test_photos_that_differ_are_found() -> None:
     found = compare_photos(photos(changes()), cameras(), flat_geometry())
     assert not found.agree
@@ -178,6 +202,7 @@ def test_transformed_renders_are_renders_of_transformed_gaussians() -> None:
     torch.testing.assert_close(found.alpha, expected.alpha)
 
 
+@pytest.mark.usefixtures("no_ridge")
 def test_refitting_finds_the_transforms_of_a_scene_that_is_right() -> None:
     target, views = RefittedExposures(Exposures.identity(VIEWS)), photos(changes())
     for _ in range(12):

@@ -3,6 +3,7 @@
 Here they are fitted to points that several photos show. `exposure_refit` goes on during optimisation.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -36,8 +37,10 @@ class PhotoColours:
 def compare_photos(views: Views, cameras: Cameras, geometry: Geometry) -> PhotoColours:
     """Fit the transforms to the colours of points that several views show."""
     samples = sample_colours(views, cameras, geometry)
-    exposures, colours = fit_samples(samples, len(views))
-    return PhotoColours(exposures, _disagreement(exposures, colours[samples.point], samples, cameras))
+    exposures, points = fit_samples(samples, len(views))
+    odd = samples.point % 2 == 1
+    halves = [fit_samples(samples.chosen(half), len(views))[0] for half in (odd, ~odd)]
+    return PhotoColours(exposures, _disagreement(halves, points[samples.point], samples, cameras))
 
 
 def fit_samples(samples: ColourSamples, views: int) -> tuple[Exposures, Float[Tensor, "points 3"]]:
@@ -76,20 +79,24 @@ _IDENTITY = torch.eye(3, 4, dtype=torch.float64)
 
 
 def _disagreement(
-    exposures: Exposures, colours: Float[Tensor, "n 3"], samples: ColourSamples, cameras: Cameras
+    halves: Sequence[Exposures], colours: Float[Tensor, "n 3"], samples: ColourSamples, cameras: Cameras
 ) -> float:
     """How far each view's transform is from the mean of the others', weighted by the inverse squared distance.
 
-    Root mean square over views and over channels of the colours that the view shows.
+    Root mean square over views and over channels of the colours that the view shows. The square is the product of what
+    two `halves` of the points find. Their errors are independent, and do not add up to a disagreement.
     """
     distance = torch.cdist(cameras.centres.double(), cameras.centres.double())
     nearness = 1 / (distance.square() + 1e-6 * distance.max().square() + 1e-12)
     nearness.fill_diagonal_(0)
-    beside = torch.einsum("vo,oij->vij", nearness / nearness.sum(1, keepdim=True), exposures.matrices)
-    change = _applied((exposures.matrices - beside)[samples.view], colours).square().mean(1)
-    count = torch.bincount(samples.view, minlength=len(exposures))
-    by_view = _summed(change, samples.view, len(exposures))[count > 0] / count[count > 0]
-    return float(by_view.mean().sqrt()) if len(by_view) else 0.0
+    nearness /= nearness.sum(1, keepdim=True)
+    one, other = (
+        _applied((half.matrices - torch.einsum("vo,oij->vij", nearness, half.matrices))[samples.view], colours)
+        for half in halves
+    )
+    count = torch.bincount(samples.view, minlength=len(cameras))
+    by_view = _summed((one * other).mean(1), samples.view, len(cameras))[count > 0] / count[count > 0]
+    return float(by_view.mean().clamp_min(0).sqrt()) if len(by_view) else 0.0
 
 
 def _with_identity_mean_of(exposures: Exposures, chosen: Bool[Tensor, "views"]) -> Exposures:

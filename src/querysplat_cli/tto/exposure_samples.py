@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -29,6 +29,10 @@ class ColourSamples:
 
     def __len__(self) -> int:
         return len(self.point)
+
+    def chosen(self, rows: Bool[Tensor, "n"]) -> "ColourSamples":
+        """The observations of some rows; their points get new numbers."""
+        return ColourSamples(self.point[rows].unique(return_inverse=True)[1], self.view[rows], self.colour[rows])
 
 
 def sample_colours(views: Views, cameras: Cameras, geometry: Geometry) -> ColourSamples:
