@@ -7,6 +7,7 @@ import torch
 from tto_scenes import wall
 
 from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.exposures import Exposures
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.render import render
@@ -183,3 +184,20 @@ def test_a_given_time_ends_the_stages_by_the_clock() -> None:
     plan = plan_full_size("high", LARGE, 50_000, seconds=100.0)
     assert sum(each.settings.seconds or 0 for each in plan.stages) == pytest.approx(100)
     assert optimised(FullSizePlan((stage(36, 20, 10_000, seconds=0.2),), 0.2)).ended == "the time was over"
+
+
+def test_colour_transforms_go_through_all_stages() -> None:
+    """Photos 1 and 3 are darker. Transforms find that out, and the scene keeps the colours of the mean photo."""
+    gains = torch.tensor([1.0, 0.7, 1.0, 0.7])
+
+    def dimmed(size: int) -> tuple[Views, Cameras]:
+        views, where = views_at(size)
+        return replace(views, images=(views.images * gains[:, None, None, None]).to(torch.uint8)), where
+
+    start = Exposures.identity(4)
+    found = optimise_full_size(coarse(), dimmed, TWO_STAGES, seed=0, exposures=start).exposures
+    assert found
+    torch.testing.assert_close(found.matrices.mean(0), start.matrices[0])
+    brightness = found.matrices[:, :, :3].sum(2).mean(1) + 2 * found.matrices[:, :, 3].mean(1)
+    torch.testing.assert_close(brightness.float(), gains / gains.mean(), atol=0.06, rtol=0)
+    assert optimised(TWO_STAGES).exposures is None

@@ -1,6 +1,6 @@
 """A scene that was made of small pictures is optimised further in Gaussian space, on its photos at a larger size."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -14,6 +14,7 @@ from querysplat_cli.runtime.device import to_device
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.exposures import Exposures
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.photo_files import PhotoFile, check_photo_files, large_views
 from querysplat_cli.scene.views import Views
@@ -28,12 +29,14 @@ from querysplat_cli.tto.plan import TtoRun
 class LargePhotos:
     """Views of a scene at the sizes that their photos have.
 
-    `files` are the photos of `views`; without them, the pictures are as large as `views`.
+    `files` are the photos of `views`; without them, the pictures are as large as `views`. `exposures` are the colour
+    transforms of the photos, where the scene has any.
     """
 
     views: Views
     cameras: Cameras
     files: Sequence[PhotoFile] = ()
+    exposures: Exposures | None = None
 
     @property
     def working(self) -> int:
@@ -61,6 +64,7 @@ class FullSize:
     size: the longer side of the largest pictures, in pixels.
     runs: one entry for each stage and round, as for other runs.
     summary: the level, the plan, and why the optimisation ended.
+    exposures: the colour transforms of the input photos, where the scene had any.
     """
 
     gaussians: Gaussians
@@ -68,6 +72,7 @@ class FullSize:
     runs: list[dict[str, Any]]
     summary: dict[str, Any]
     interrupted: bool
+    exposures: Exposures | None = None
 
 
 def take_to_full_size(
@@ -98,27 +103,32 @@ def take_to_full_size(
     def views_at(size: int) -> tuple[Views, Cameras]:
         return to_device(photos.at(size), device)
 
-    result = optimise_full_size(to_device(gaussians, device), views_at, plan, seed=seed, progress=show)
-    better = to_device(result.gaussians, torch.device("cpu"))
-    size = result.runs[-1][0].max_size
-    return FullSize(better, size, _entries(result), _summary(level, plan, result, len(better)), result.interrupted)
+    start = to_device(gaussians, device)
+    result = optimise_full_size(start, views_at, plan, seed=seed, exposures=photos.exposures, progress=show)
+    return FullSize(
+        to_device(result.gaussians, torch.device("cpu")),
+        result.runs[-1][0].max_size,
+        _entries(result),
+        _summary(level, plan, result),
+        result.interrupted,
+        result.exposures,
+    )
 
 
-def full_size_quality(found: FullSize, groups: Mapping[str, LargePhotos | None]) -> dict[str, Any]:
-    """The entry `quality.full_size` of the report: PSNR and SSIM of each group over grey, at the size of `found`."""
+def full_size_quality(found: FullSize, inputs: LargePhotos, heldout: LargePhotos | None) -> dict[str, Any]:
+    """The entry `quality.full_size` of the report: PSNR and SSIM over grey, at the size of `found`."""
     quality: dict[str, Any] = {"max_size": found.size, "background": MID_GREY}
-    for name, photos in groups.items():
+    for name, photos in {"input": inputs, "heldout": heldout}.items():
         quality[name] = photos and quality_entry(score(found.gaussians, *photos.at(found.size), MID_GREY))
     return quality
 
 
-def stored_photos(scene: StoredScene) -> dict[str, LargePhotos | None]:
+def stored_photos(scene: StoredScene) -> tuple[LargePhotos, LargePhotos | None]:
     """Input and held-out photos of a stored scene. Raises QuerySplatError when photos are gone."""
-    groups = {"input": (scene.views, scene.cameras), "heldout": scene.heldout}
-    found = {name: group and LargePhotos(*group, files_of(scene, group[0])) for name, group in groups.items()}
-    for photos in found.values():
-        check_photo_files(photos.files if photos else ())
-    return found
+    inputs = LargePhotos(scene.views, scene.cameras, files_of(scene, scene.views), scene.exposures)
+    heldout = scene.heldout and LargePhotos(*scene.heldout, files_of(scene, scene.heldout[0]))
+    check_photo_files([*inputs.files, *(heldout.files if heldout else ())])
+    return inputs, heldout
 
 
 def files_of(scene: StoredScene, views: Views) -> list[PhotoFile]:
@@ -138,11 +148,11 @@ def _entries(result: FullSizeResult) -> list[dict[str, Any]]:
     return [{**entry, "max_size": size} for entry, size in zip(tto_entries(runs), sizes, strict=True)]
 
 
-def _summary(level: FullSizeLevel, plan: FullSizePlan, result: FullSizeResult, count: int) -> dict[str, Any]:
+def _summary(level: FullSizeLevel, plan: FullSizePlan, result: FullSizeResult) -> dict[str, Any]:
     return {
         "level": level,
         "ended": result.ended,
-        "gaussians": count,
+        "gaussians": len(result.gaussians),
         "planned_seconds": round(plan.seconds, 1),
         "stages": [asdict(stage) for stage in plan.stages],
         "most_rounds": plan.most_rounds,

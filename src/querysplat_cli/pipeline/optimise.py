@@ -11,8 +11,10 @@ from querysplat_cli.prune.bands import without_idle_bands
 from querysplat_cli.runtime.device import to_device
 from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.exposures import Exposures
 from querysplat_cli.scene.views import Views
 from querysplat_cli.tto.adapt import Adapted, adapt
+from querysplat_cli.tto.exposure_refit import RefittedExposures
 from querysplat_cli.tto.features import Start
 from querysplat_cli.tto.options import OptimiseOptions, TtoStep
 from querysplat_cli.tto.plan import TtoRun
@@ -27,11 +29,12 @@ def optimise_start(
     plan: Sequence[TtoRun],
     options: OptimiseOptions,
     progress: Progress,
+    exposures: Exposures | None = None,
 ) -> Adapted:
     """Carry out `plan` on the device of the model, and leave out SH bands that change nothing; the result on the CPU.
 
     Scenes of official models keep all bands, and all Gaussians unless a number is asked for, and are optimised over
-    black, as in the release.
+    black, as in the release. `exposures` are the colour transforms of the photos to start with.
     """
     if options.keep_all or start.anchors is None:
         options = replace(options, keep_all=True, prune="off" if options.prune == "auto" else options.prune)
@@ -40,7 +43,9 @@ def optimise_start(
     if start.anchors is None:
         target = RenderingLoss(views, cameras)
     else:
-        target = RenderingLoss.for_solid_scenes(views, cameras, torch.Generator().manual_seed(options.seed))
+        backgrounds = torch.Generator().manual_seed(options.seed)
+        refitted = RefittedExposures(exposures) if exposures else None
+        target = RenderingLoss.for_solid_scenes(views, cameras, backgrounds, refitted)
     adapted = adapt(model, to_device(start, device), target, plan, options, _shown(plan, progress))
     if not options.keep_all:
         last, tested = replace(target, cameras=adapted.cameras), tested_views(len(target.views))

@@ -43,7 +43,7 @@ def optimise_scene(settings: ResumeSettings, stages: Stages | None = None) -> Re
         _check_plain(settings)
         return _at_full_size(settings, settings.quality, stages)
     with stages("read"):
-        scene, before = read_scene(path)
+        scene, before = _read(settings)
         model = load_again(scene.model, before["settings"], settings.weights, find_device(settings.device))
         spaces = [run["space"] for run in before["tto"] if run["steps"]]
         space = options.space or (spaces[-1] if spaces else "features")
@@ -53,7 +53,8 @@ def optimise_scene(settings: ResumeSettings, stages: Stages | None = None) -> Re
     with stages("tto") as progress:
         plan = _plan(scene, before["gaussians"], options, space, resumed=space in spaces)
         start = Start(scene.memories, scene.anchors, gaussians, None if apart else scene.kept)
-        adapted = optimise_start(model, start, (scene.views, scene.cameras), plan, options, progress)
+        photos = scene.views, scene.cameras
+        adapted = optimise_start(model, start, photos, plan, options, progress, scene.exposures)
         stored = _with(scene, adapted)
     runs, left_out = tto_entries(adapted.runs), omissions.taken_further(before["left_out"], adapted)
     return _write_back(path, stored, adapted.gaussians, before, stages, tto=runs, left_out=left_out)
@@ -63,19 +64,16 @@ def _at_full_size(settings: ResumeSettings, level: FullSizeLevel, stages: Stages
     """Optimise the Gaussians of the stored scene on its large photos, and write it back."""
     path, device = settings.scene, find_device(settings.device)
     with stages("read"):
-        scene, before = read_scene(path)
+        scene, before = _read(settings)
         gaussians = read_ply(ply_path(path))
-    photos = stored_photos(scene)
+    inputs, heldout = stored_photos(scene)
     with stages("full size") as progress:
-        assert photos["input"]
-        found = take_to_full_size(
-            photos["input"], gaussians, level, seed=settings.seed, device=device, progress=progress
-        )
+        found = take_to_full_size(inputs, gaussians, level, seed=settings.seed, device=device, progress=progress)
     with stages("full size score"):
-        quality = full_size_quality(found, photos)
+        quality = full_size_quality(found, inputs, heldout)
     return _write_back(
         path,
-        scene,
+        replace(scene, exposures=found.exposures),
         found.gaussians,
         before,
         stages,
@@ -118,6 +116,14 @@ def _write_back(
         )
         write_scene(ply_path(path), scene, gaussians, report.as_dict())
     return report
+
+
+def _read(settings: ResumeSettings) -> tuple[StoredScene, dict[str, Any]]:
+    """The stored scene, without colour transforms where --exposure is off, and its report."""
+    scene, before = read_scene(settings.scene)
+    if settings.exposure == "off" and scene.exposures:
+        return replace(scene, exposures=None), {**before, "exposure": {**before["exposure"], "corrected": False}}
+    return scene, before
 
 
 def _check_plain(settings: ResumeSettings) -> None:
@@ -194,4 +200,11 @@ def _with(scene: StoredScene, adapted: Adapted) -> StoredScene:
     heldout = scene.heldout
     if heldout:
         heldout = heldout[0], with_refined_focal(heldout[1], scene.cameras, adapted.cameras)
-    return replace(scene, cameras=adapted.cameras, heldout=heldout, memories=adapted.memories, kept=adapted.kept)
+    return replace(
+        scene,
+        cameras=adapted.cameras,
+        heldout=heldout,
+        memories=adapted.memories,
+        kept=adapted.kept,
+        exposures=adapted.exposures,
+    )

@@ -6,7 +6,15 @@ from typing import Annotated
 
 from annotated_types import Ge
 
-from querysplat_cli.runtime.choices import Fit, FullSizeLevel, HoldoutProtocol, Quality, Space, Target
+from querysplat_cli.runtime.choices import (
+    ExposureCorrection,
+    Fit,
+    FullSizeLevel,
+    HoldoutProtocol,
+    Quality,
+    Space,
+    Target,
+)
 from querysplat_cli.runtime.options import (
     Device,
     Force,
@@ -135,6 +143,14 @@ class ReconstructSettings:
         replace(REFINE_CAMERAS, default="where the cameras fit badly"),
     ] = None
 
+    exposure: Annotated[
+        ExposureCorrection,
+        Option(
+            "Give each photo a colour transform where exposure or white balance changes from photo to photo. off: the "
+            "scene has to show the colours of every photo itself."
+        ),
+    ] = "auto"
+
     @property
     def full_size(self) -> FullSizeLevel | None:
         """The quality, where it goes on in Gaussian space: high and max always, standard with an automatic plan."""
@@ -189,3 +205,9 @@ class ResumeSettings:
     weights: MovedWeights = None
     device: Device = "auto"
     seed: Seed = 42
+    exposure: Annotated[
+        ExposureCorrection,
+        Option(
+            "Go on with the colour transforms of the photos, if the scene has any. off: leave them out from now on.",
+        ),
+    ] = "auto"

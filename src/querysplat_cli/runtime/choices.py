@@ -23,6 +23,9 @@ photos at up to 900 pixels (standard), 1,600 pixels (high) or as large as they a
 FullSizeLevel = Literal["standard", "high", "max"]
 """The qualities that go on in Gaussian space."""
 
+ExposureCorrection = Literal["auto", "off"]
+"""Whether each photo has a colour transform. auto: where photos show the same surfaces in different colours."""
+
 Fit = Literal["crop", "pad"]
 """How a photo fits a network. crop: the largest centred square. pad: the whole photo, on a canvas as wide as the widest
 and as high as the highest photo."""
