@@ -27,6 +27,7 @@ from querysplat_cli.reporting.report import (
     tto_entries,
     views_entry,
 )
+from querysplat_cli.reporting.unseen import Unseen, unseen
 from querysplat_cli.reporting.view_scores import Quality, score
 from querysplat_cli.runtime.choices import HoldoutProtocol
 from querysplat_cli.runtime.device import find_device, free_bytes, peak_gib
@@ -59,10 +60,11 @@ class _Inputs:
 
 @dataclass(frozen=True)
 class _Scores:
-    """Of the inputs, and of the held-out views by the source of their cameras (None: not scored)."""
+    """Of the inputs, of the held-out views by the source of their cameras (None: not scored), and what no photo saw."""
 
     inputs: Quality
     heldout: dict[HoldoutProtocol, Quality | None]
+    unseen: Unseen | None
 
 
 def reconstruct(settings: ReconstructSettings, stages: Stages | None = None) -> Report:
@@ -171,6 +173,7 @@ def _score(
     """Scores of the scene, and of a second one with the other pass's cameras where there is time for it."""
     with stages("score"):
         quality = score(scene.adapted.gaussians, scene.posed.views, scene.adapted.cameras)
+        film = unseen(scene.adapted.gaussians, scene.adapted.cameras)
         heldout = {passes.chosen.protocol: _score_heldout(scene, passes.chosen)}
     other = passes.other
     if other and other.heldout and not settings.full_size and scene.time_for_more and not scene.adapted.interrupted:
@@ -179,7 +182,7 @@ def _score(
             second = encode_and_build(other.inputs, inputs.encoder, inputs.model, settings, Stages(), share=share)
             if not second.adapted.interrupted:
                 heldout[other.protocol] = _score_heldout(second, other)
-    return _Scores(quality, heldout)
+    return _Scores(quality, heldout, film)
 
 
 def _score_heldout(scene: BuiltScene, cameras: PosedSplit) -> Quality | None:
@@ -215,6 +218,7 @@ def _report(
         peak_memory_gib=round(peak_gib(), 2),
         machine=machine(),
         memory_estimate_gib=expected and round(expected / 2**30, 2),
+        unseen=scores.unseen.entry() if scores.unseen else None,
     )
 
 

@@ -27,6 +27,7 @@ class Report:
 
     `left_out` lists what was left out of the scene or of the work; each entry is an `Omission`. `warnings` are
     sentences on why the scene may be wrong. `full_size` describes the optimisation on large photos, if there was one.
+    `unseen` is how much of a film around the scene no photo saw (None where there is no film).
     """
 
     ply: str
@@ -43,6 +44,7 @@ class Report:
     machine: str
     memory_estimate_gib: float | None = None
     full_size: dict[str, Any] | None = None
+    unseen: dict[str, float] | None = None
 
     @property
     def interrupted(self) -> bool:
