@@ -12,6 +12,7 @@ from querysplat_cli.runtime.device import to_device
 from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.views import Views
+from querysplat_cli.splat.smoothing import smoothed
 from querysplat_cli.tto.adapt import Adapted, adapt
 from querysplat_cli.tto.features import Start
 from querysplat_cli.tto.options import OptimiseOptions, TtoStep
@@ -30,8 +31,9 @@ def optimise_start(
 ) -> Adapted:
     """Carry out `plan` on the device of the model, and leave out SH bands that change nothing; the result on the CPU.
 
-    Scenes of official models keep all bands, and all Gaussians unless a number is asked for, and are optimised over
-    black, as in the release.
+    Its Gaussians are nowhere thinner than the pixels of the finest photo that sees them. Scenes of official models have
+    no such bound, keep all bands, and all Gaussians unless a number is asked for, and are optimised over black, as in
+    the release.
     """
     if options.keep_all or start.anchors is None:
         options = replace(options, keep_all=True, prune="off" if options.prune == "auto" else options.prune)
@@ -41,12 +43,22 @@ def optimise_start(
         target = RenderingLoss(views, cameras)
     else:
         target = RenderingLoss.for_solid_scenes(views, cameras, torch.Generator().manual_seed(options.seed))
+        target = replace(target, finest=_enlarged(cameras, options.finest_size))
     adapted = adapt(model, to_device(start, device), target, plan, options, _shown(plan, progress))
+    if target.finest is not None:
+        finest = _enlarged(adapted.cameras, options.finest_size)
+        adapted = replace(adapted, gaussians=smoothed(adapted.gaussians, finest))
     if not options.keep_all:
         last, tested = replace(target, cameras=adapted.cameras), tested_views(len(target.views))
         fewer, idle = without_idle_bands(adapted.gaussians, lambda some: last.psnr(some, tested))
         adapted = replace(adapted, gaussians=fewer, idle_bands=idle)
     return to_device(adapted, torch.device("cpu"))
+
+
+def _enlarged(cameras: Cameras, longer_side: int | None) -> Cameras:
+    """`cameras` whose pictures have that longer side; the same ones for None."""
+    factor = 1.0 if longer_side is None else longer_side / max(cameras.height, cameras.width)
+    return cameras.resized(round(factor * cameras.height), round(factor * cameras.width))
 
 
 def _shown(plan: Sequence[TtoRun], progress: Progress) -> Callable[[TtoStep], None]:

@@ -15,6 +15,7 @@ from querysplat_cli.pipeline.settings import ResumeSettings
 from querysplat_cli.prune.gaussians import target_count
 from querysplat_cli.reporting import omissions
 from querysplat_cli.reporting.report import Report, machine, quality_entry, seconds_entry, tto_entries
+from querysplat_cli.reporting.unseen import unseen
 from querysplat_cli.reporting.view_scores import score
 from querysplat_cli.runtime.choices import FullSizeLevel, Space
 from querysplat_cli.runtime.device import find_device, peak_gib
@@ -51,6 +52,7 @@ def optimise_scene(settings: ResumeSettings, stages: Stages | None = None) -> Re
         _check(path, options, space, before["gaussians"], apart=apart)
         gaussians = read_ply(ply_path(path)) if apart else None
     with stages("tto") as progress:
+        options = replace(options, finest_size=_finest_size(before))
         plan = _plan(scene, before["gaussians"], options, space, resumed=space in spaces)
         start = Start(scene.memories, scene.anchors, gaussians, None if apart else scene.kept)
         adapted = optimise_start(model, start, (scene.views, scene.cameras), plan, options, progress)
@@ -98,6 +100,7 @@ def _write_back(
             name: quality_entry(score(gaussians, *group)) if group else None
             for name, group in (("input", (scene.views, scene.cameras)), ("heldout", scene.heldout))
         }
+        film = unseen(gaussians, scene.cameras)
     with stages("write"):
         report = replace(
             Report.from_dict(before),
@@ -107,6 +110,7 @@ def _write_back(
             tto=[*before["tto"], *tto],
             peak_memory_gib=round(peak_gib(), 2),
             machine=machine(),
+            unseen=film.entry() if film else None,
             **changes,
         )
         write_scene(ply_path(path), scene, gaussians, report.as_dict())
@@ -135,6 +139,12 @@ def _options(settings: ResumeSettings) -> OptimiseOptions:
         refine_cameras=settings.refine_cameras,
         seed=settings.seed,
     )
+
+
+def _finest_size(before: dict[str, Any]) -> int | None:
+    """The longer side of the large photos that the scene was optimised on; None where it was not."""
+    large = before["quality"].get("full_size")
+    return large and large["max_size"]
 
 
 def load_again(name: str, settings: dict[str, Any], weights: Path | None, device: torch.device) -> QuerySplat:

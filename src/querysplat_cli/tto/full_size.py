@@ -8,6 +8,7 @@ import torch
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.views import Views
+from querysplat_cli.splat.smoothing import smoothed
 from querysplat_cli.tto.full_size_plan import FullSizePlan, FullSizeStage
 from querysplat_cli.tto.full_size_policy import FULL_SIZE_POLICY
 from querysplat_cli.tto.gaussians import Changes, optimise_gaussians
@@ -40,7 +41,7 @@ def optimise_full_size(
     """Carry out `plan`. Each step renders one view over a background of random colour.
 
     `views_at(max_size)` gives the input views at a longer side of at most so many pixels. Only those of one size are
-    held at a time.
+    held at a time. No Gaussian of the result is thinner than a pixel of the last pictures (`splat/smoothing.py`).
     """
     generator = torch.Generator().manual_seed(seed)
     runs: list[tuple[FullSizeStage, TtoResult[Changes]]] = []
@@ -76,7 +77,9 @@ def optimise_full_size(
             ended = "the time was over"
         elif plan.round:
             ended = _rounds(run, plan.round, plan.most_rounds)
-    return FullSizeResult(runs[-1][1].gaussians, tuple((stage, _lean(result)) for stage, result in runs), ended)
+    assert target
+    sharp = smoothed(runs[-1][1].gaussians, target.cameras)
+    return FullSizeResult(sharp, tuple((stage, _lean(result)) for stage, result in runs), ended)
 
 
 def _rounds(run: Callable[[FullSizeStage], TtoResult[Changes]], each: FullSizeStage, most: int) -> str:

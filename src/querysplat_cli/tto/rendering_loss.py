@@ -51,6 +51,8 @@ class RenderingLoss:
     background: behind the scene (None: black).
     backgrounds: draws the colour of every gradient, so that the scene cannot use the background as its own
         colour. Values, which are compared with each other, have the one `background`.
+    finest: cameras whose pixels bound how thin optimisation may make a Gaussian (`splat/smoothing.py`; None: nothing
+        bounds that).
     """
 
     views: Views
@@ -58,15 +60,16 @@ class RenderingLoss:
     background: Tensor | None = None
     settings: RenderSettings = field(default_factory=RenderSettings)
     backgrounds: torch.Generator | None = None
+    finest: Cameras | None = None
 
     @classmethod
     def for_solid_scenes(cls, views: Views, cameras: Cameras, generator: torch.Generator) -> "RenderingLoss":
-        """Values over grey, and gradients over random backgrounds.
+        """Values over grey, and gradients over random backgrounds; Gaussians no thinner than pixels.
 
         Over a fixed background, dark or bright places of the photos would become transparent instead of opaque.
         """
         grey = torch.full((3,), MID_GREY, device=cameras.w2c.device)
-        return cls(views, cameras, grey, backgrounds=generator)
+        return cls(views, cameras, grey, backgrounds=generator, finest=cameras)
 
     def values(self, gaussians: Gaussians, chosen: list[int]) -> list[float]:
         """The loss of each of the views `chosen`."""
