@@ -133,6 +133,7 @@ def _options(settings: ReconstructSettings, posed: PosedViews) -> OptimiseOption
         refine_cameras=_refines(settings.refine_cameras, posed),
         keep_all=settings.keep_everything,
         seed=settings.seed,
+        backdrop=settings.backdrop,
     )
 
 

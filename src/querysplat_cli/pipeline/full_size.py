@@ -7,6 +7,7 @@ from typing import Any
 import torch
 
 from querysplat_cli.pipeline.scene_folder import StoredScene
+from querysplat_cli.queries.backdrop import with_backdrop
 from querysplat_cli.reporting.report import quality_entry, tto_entries
 from querysplat_cli.reporting.view_scores import score
 from querysplat_cli.runtime.choices import FullSizeLevel
@@ -28,12 +29,14 @@ from querysplat_cli.tto.plan import TtoRun
 class FullSize:
     """A scene after its optimisation on large photos, and its entries in the report.
 
+    backdrop: how many of the Gaussians, the last ones, are the backdrop.
     quality: PSNR and SSIM at the large size, of the inputs and of the held-out views.
     runs: one entry for each stage and round, as for other runs.
     summary: the level, the plan, and why the optimisation ended.
     """
 
     gaussians: Gaussians
+    backdrop: int
     quality: dict[str, Any]
     runs: list[dict[str, Any]]
     summary: dict[str, Any]
@@ -51,12 +54,13 @@ def take_to_full_size(
 ) -> FullSize:
     """Optimise `gaussians` on the photos of `scene`, and score the result at the large size.
 
-    With `seconds` the clock ends the steps, and decides how large the photos are. Raises QuerySplatError when photos
-    are gone.
+    The backdrop of a scene that has one is left out meanwhile, and made anew. With `seconds` the clock ends the steps,
+    and decides how large the photos are. Raises QuerySplatError when photos are gone.
     """
     files = files_of(scene, scene.views)
     held = files_of(scene, scene.heldout[0]) if scene.heldout else []
     check_photo_files([*files, *held])
+    gaussians = gaussians[: len(gaussians) - scene.backdrop]
     with stages("full size") as progress:
         height, width = max((file.full_size() for file in files), key=lambda size: size[0] * size[1])
         working = max(scene.cameras.height, scene.cameras.width)
@@ -75,6 +79,9 @@ def take_to_full_size(
 
         result = optimise_full_size(to_device(gaussians, device), views_at, plan, seed=seed, progress=show)
     better = to_device(result.gaussians, torch.device("cpu"))
+    behind = 0
+    if scene.backdrop:
+        better, behind = with_backdrop(better, scene.views, scene.cameras)
     size = result.runs[-1][0].max_size
     with stages("full size score"):
         quality: dict[str, Any] = {"max_size": size, "background": MID_GREY, "input": None, "heldout": None}
@@ -83,7 +90,7 @@ def take_to_full_size(
             groups["heldout"] = (held, *scene.heldout)
         for name, group in groups.items():
             quality[name] = _scored(better, *group, size)
-    return FullSize(better, quality, _entries(result), _summary(level, plan, result, len(better)))
+    return FullSize(better, behind, quality, _entries(result), _summary(level, plan, result, len(better)))
 
 
 def files_of(scene: StoredScene, views: Views) -> list[PhotoFile]:

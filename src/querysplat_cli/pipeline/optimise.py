@@ -8,6 +8,7 @@ import torch
 
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.prune.bands import without_idle_bands
+from querysplat_cli.queries.backdrop import with_backdrop
 from querysplat_cli.runtime.device import to_device
 from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.cameras import Cameras
@@ -52,7 +53,11 @@ def optimise_start(
         last, tested = replace(target, cameras=adapted.cameras), tested_views(len(target.views))
         fewer, idle = without_idle_bands(adapted.gaussians, lambda some: last.psnr(some, tested))
         adapted = replace(adapted, gaussians=fewer, idle_bands=idle)
-    return to_device(adapted, torch.device("cpu"))
+    adapted = to_device(adapted, torch.device("cpu"))
+    if options.backdrop and start.anchors is not None:
+        whole, count = with_backdrop(adapted.gaussians, photos[0], adapted.cameras)
+        return replace(adapted, gaussians=whole, backdrop=count)
+    return adapted
 
 
 def _enlarged(cameras: Cameras, longer_side: int | None) -> Cameras:

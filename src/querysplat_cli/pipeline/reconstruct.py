@@ -117,7 +117,7 @@ def _reconstruct(settings: ReconstructSettings, device: torch.device, stages: St
     )
     large = _at_full_size(inputs, passes, scene, settings, share, stages)
     if large:
-        scene = replace(scene, adapted=replace(scene.adapted, gaussians=large.gaussians))
+        scene = replace(scene, adapted=replace(scene.adapted, gaussians=large.gaussians, backdrop=large.backdrop))
     scores = _score(inputs, passes, scene, settings, stages)
     with stages("write"):
         report = _with_full_size(_report(inputs, passes, scene, scores, settings, stages), large)
@@ -219,6 +219,7 @@ def _report(
         machine=machine(),
         memory_estimate_gib=expected and round(expected / 2**30, 2),
         unseen=scores.unseen.entry() if scores.unseen else None,
+        backdrop=scene.adapted.backdrop,
     )
 
 
@@ -287,4 +288,5 @@ def _stored(inputs: _Inputs, passes: HoldoutCameras, scene: BuiltScene, settings
         scene.prepared.map,
         scene.adapted.kept,
         {file.name: file for file in files},
+        scene.adapted.backdrop,
     )

@@ -49,16 +49,19 @@ def optimise_scene(settings: ResumeSettings, stages: Stages | None = None) -> Re
         spaces = [run["space"] for run in before["tto"] if run["steps"]]
         space = options.space or (spaces[-1] if spaces else "features")
         apart = "gaussians" in spaces
-        _check(path, options, space, before["gaussians"], apart=apart)
-        gaussians = read_ply(ply_path(path)) if apart else None
+        count = before["gaussians"] - scene.backdrop
+        _check(path, options, space, count, apart=apart)
+        gaussians = read_ply(ply_path(path))[:count] if apart else None
     with stages("tto") as progress:
-        options = replace(options, finest_size=_finest_size(before))
-        plan = _plan(scene, before["gaussians"], options, space, resumed=space in spaces)
+        options = replace(options, finest_size=_finest_size(before), backdrop=scene.backdrop > 0)
+        plan = _plan(scene, count, options, space, resumed=space in spaces)
         start = Start(scene.memories, scene.anchors, gaussians, None if apart else scene.kept)
         adapted = optimise_start(model, start, (scene.views, scene.cameras), plan, options, progress)
         stored = _with(scene, adapted)
     runs, left_out = tto_entries(adapted.runs), omissions.taken_further(before["left_out"], adapted)
-    return _write_back(path, stored, adapted.gaussians, before, stages, tto=runs, left_out=left_out)
+    return _write_back(
+        path, stored, adapted.gaussians, before, stages, tto=runs, left_out=left_out, backdrop=adapted.backdrop
+    )
 
 
 def _at_full_size(settings: ResumeSettings, level: FullSizeLevel, stages: Stages) -> Report:
@@ -75,6 +78,7 @@ def _at_full_size(settings: ResumeSettings, level: FullSizeLevel, stages: Stages
         before,
         stages,
         quality={"full_size": found.quality},
+        backdrop=found.backdrop,
         tto=found.runs,
         full_size=found.summary,
     )
@@ -197,4 +201,11 @@ def _with(scene: StoredScene, adapted: Adapted) -> StoredScene:
     heldout = scene.heldout
     if heldout:
         heldout = heldout[0], with_refined_focal(heldout[1], scene.cameras, adapted.cameras)
-    return replace(scene, cameras=adapted.cameras, heldout=heldout, memories=adapted.memories, kept=adapted.kept)
+    return replace(
+        scene,
+        cameras=adapted.cameras,
+        heldout=heldout,
+        memories=adapted.memories,
+        kept=adapted.kept,
+        backdrop=adapted.backdrop,
+    )

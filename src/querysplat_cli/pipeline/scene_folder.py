@@ -48,7 +48,8 @@ class StoredScene:
     """A scene that can be optimised further.
 
     `model` is the preset or checkpoint that decodes the memories. `kept` marks the decoded Gaussians that belong to
-    the scene (None: all). `photos` are the files of input and held-out photos by name; it may lack some.
+    the scene (None: all). `photos` are the files of input and held-out photos by name; it may lack some. The last
+    Gaussians of the .ply, as many as `backdrop` says, are the backdrop.
     """
 
     views: Views
@@ -60,6 +61,7 @@ class StoredScene:
     map: MemoryMap | None = None
     kept: Bool[Tensor, "n"] | None = None
     photos: dict[str, PhotoFile] = dataclasses.field(default_factory=dict)
+    backdrop: int = 0
 
     @property
     def groups(self) -> dict[str, tuple[Views, Cameras]]:
@@ -144,7 +146,8 @@ def read_scene(path: Path) -> tuple[StoredScene, dict[str, Any]]:
         anchors = _unflatten(Anchors, "anchors", tensors) if "anchors.means" in tensors else None
         where = _unflatten(MemoryMap, "map", tensors) if "map.grid" in tensors else None
         memory = _unflatten(Memories, "memories", tensors)
-        scene = StoredScene(views, inputs.cameras, held, memory, anchors, model, where, tensors.get("kept"), photos)
+        kept, behind = tensors.get("kept"), int(report.get("backdrop", 0))
+        scene = StoredScene(views, inputs.cameras, held, memory, anchors, model, where, kept, photos, behind)
     except (OSError, SafetensorError, KeyError, ValueError) as error:
         raise QuerySplatError(f"{folder} is damaged: {error}", "Run `querysplat reconstruct` again.") from error
     return scene, report

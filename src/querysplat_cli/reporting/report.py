@@ -26,8 +26,9 @@ class Report:
     """One run. The fields are the JSON object's, described in docs/cli.md.
 
     `left_out` lists what was left out of the scene or of the work; each entry is an `Omission`. `warnings` are
-    sentences on why the scene may be wrong. `full_size` describes the optimisation on large photos, if there was one.
-    `unseen` is how much of a film around the scene no photo saw (None where there is no film).
+    sentences on why the scene may be wrong. `full_size` describes the optimisation on large photos, if there was
+    one. `backdrop` counts the Gaussians of the backdrop, the last ones of the file. `unseen` is how much of a film
+    around the scene no photo saw (None where there is no film).
     """
 
     ply: str
@@ -45,6 +46,7 @@ class Report:
     memory_estimate_gib: float | None = None
     full_size: dict[str, Any] | None = None
     unseen: dict[str, float] | None = None
+    backdrop: int = 0
 
     @property
     def interrupted(self) -> bool:

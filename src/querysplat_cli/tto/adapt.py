@@ -28,6 +28,7 @@ class Adapted:
 
     Where the Gaussians were optimised themselves, `memories` no longer decode to them. Elsewhere `gaussians` are the
     decoded ones that are `kept` (all where it is None), without `idle_bands`. `cameras` are those of the input views.
+    The last Gaussians, as many as `backdrop` says, are the backdrop. It belongs to no memory and is never optimised.
     """
 
     memories: Memories
@@ -37,6 +38,7 @@ class Adapted:
     kept: Bool[Tensor, "n"] | None = None
     pruned: Pruned | None = None
     idle_bands: IdleBands | None = None
+    backdrop: int = 0
 
     @property
     def interrupted(self) -> bool:

@@ -24,6 +24,7 @@ class OptimiseOptions:
     seed: of the order in which views are drawn.
     finest_size: longer side of the pictures, in pixels, that bound how thin a Gaussian may become; None takes the views
         themselves. A scene that was optimised on larger photos keeps their detail so.
+    backdrop: whether the scene gets a backdrop (`queries/backdrop.py`).
     """
 
     steps: int | None = None
@@ -35,6 +36,7 @@ class OptimiseOptions:
     keep_all: bool = False
     seed: int = 42
     finest_size: int | None = None
+    backdrop: bool = False
 
 
 @dataclass(frozen=True)
