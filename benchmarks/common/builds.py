@@ -44,7 +44,7 @@ def optimised_again(model: QuerySplat, scene: BuiltScene, prune: Amount, **chang
     run, _ = scene.adapted.runs[0]
     return optimise_memories(
         model,
-        start_of(scene),
+        replace(start_of(scene), finest=scene.posed.cameras),
         RenderingLoss.for_solid_scenes(views, scene.posed.cameras, torch.Generator().manual_seed(SEED)),
         replace(run.settings, **changes),
         generator=torch.Generator().manual_seed(SEED),

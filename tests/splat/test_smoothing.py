@@ -1,6 +1,7 @@
 """The 3D smoothing filter: no Gaussian is thinner than the finest pixel that shows it."""
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
@@ -8,8 +9,7 @@ import torch
 
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.splat.render import RenderSettings, render
-from querysplat_cli.splat.smoothing import SMOOTHING_POLICY, hold_above, sampling, smoothed
+from querysplat_cli.splat.smoothing import SMOOTHING_POLICY, bounded, convolved, hold_above, least_scales
 
 FOCAL, SIZE = 60.0, 64
 
@@ -49,7 +49,7 @@ def test_no_gaussian_is_thinner_than_the_finest_photo_that_sees_it_can_show(seed
     """The bound is computed here anew, one Gaussian and one camera at a time."""
     before = scattered(200, seed)
     cameras = cameras_at((0, 0, -1), (0.5, 0.2, 0.3), (-2, 0, -4))
-    after = smoothed(before, cameras)
+    after = bounded(before, cameras)
     checked = 0
     for n, point in enumerate(before.means):
         pixels = []
@@ -72,17 +72,17 @@ def test_no_gaussian_is_thinner_than_the_finest_photo_that_sees_it_can_show(seed
         assert torch.equal(getattr(after, name), getattr(before, name))
 
 
-def test_smoothing_twice_changes_nothing_more() -> None:
+def test_bounding_twice_changes_nothing_more() -> None:
     cameras = cameras_at((0, 0, -1), (0.5, 0.2, 0.3))
-    after = smoothed(scattered(300, 0), cameras)
-    again = smoothed(after, cameras)
+    after = bounded(scattered(300, 0), cameras)
+    again = bounded(after, cameras)
     assert torch.equal(again.scales, after.scales)
     torch.testing.assert_close(again.opacities, after.opacities)
 
 
 def test_a_needle_becomes_thicker_and_keeps_its_length() -> None:
     pixel = 2 / FOCAL
-    (after,) = smoothed(one(0.5, 1e-4, 1e-4), cameras_at((0, 0, 0))).scales
+    (after,) = bounded(one(0.5, 1e-4, 1e-4), cameras_at((0, 0, 0))).scales
     wanted = math.sqrt(SMOOTHING_POLICY.variance) * pixel
     torch.testing.assert_close(after, torch.tensor([0.5, wanted, wanted]))
 
@@ -91,33 +91,45 @@ def test_the_nearest_photo_counts() -> None:
     far, near = cameras_at((0, 0, -8)), cameras_at((0, 0, 0))
     both = cameras_at((0, 0, -8), (0, 0, 0))
     means = torch.tensor([[0.0, 0, 2.0]])
-    assert torch.equal(sampling(means, both).least, sampling(means, near).least)
-    assert float(sampling(means, far).least) == pytest.approx(5 * float(sampling(means, near).least))
+    assert torch.equal(least_scales(means, both), least_scales(means, near))
+    assert float(least_scales(means, far)) == pytest.approx(5 * float(least_scales(means, near)))
 
 
+@pytest.mark.parametrize("smooth", [bounded, convolved])
 @pytest.mark.parametrize("scales", [(0.2, 1e-3, 1e-3), (0.2, 0.2, 1e-4), (2e-3, 2e-3, 2e-3), (0.1, 5e-3, 0.2)], ids=str)
-def test_the_opacity_keeps_what_a_gaussian_adds_to_the_finest_photo(scales: tuple[float, float, float]) -> None:
-    """The integral of alpha over a picture that is fine enough to show the Gaussian as it is."""
+def test_the_opacity_keeps_the_integral_of_the_density(
+    smooth: Callable[[Gaussians, Cameras], Gaussians], scales: tuple[float, float, float]
+) -> None:
     before = one(*scales, opacity=0.9)
-    after = smoothed(before, cameras_at((0, 0, 0)))
-    assert float(after.scales.prod()) > float(before.scales.prod())
-    microscope = cameras_at((0, 0, 0), focal=3000.0, size=1600)
-    exact = RenderSettings(low_pass=0.0, alpha_min=1e-9)
-    integrals = [
-        float(render(some.to(torch.float64), microscope.to(torch.float64), settings=exact).alpha.sum())
-        for some in (before, after)
-    ]
-    assert integrals[1] == pytest.approx(integrals[0], rel=0.02)
+    after = smooth(before, cameras_at((0, 0, 0)))
+    assert float(after.scales.prod()) > 1.01 * float(before.scales.prod())
+    for some in (before, after):  # opacity·exp(−x²/2s²) over all of space, along one axis after the other
+        whole = float(some.opacities)
+        for scale in some.scales[0].double():
+            x = torch.linspace(-8, 8, 4001).double() * scale
+            whole *= float(torch.trapezoid((-0.5 * (x / scale).square()).exp(), x))
+        assert whole == pytest.approx(0.9 * math.prod(scales) * (2 * math.pi) ** 1.5, rel=1e-4)
 
 
-def test_a_disc_that_photos_show_from_the_front_stays_opaque() -> None:
-    after = smoothed(one(0.2, 0.2, 1e-5, opacity=0.95), cameras_at((0, 0, 0)))
-    assert float(after.opacities) == pytest.approx(0.95, rel=1e-3)
+def test_the_filter_is_a_convolution() -> None:
+    """Two filters, one after the other, are one whose variance is the sum."""
+    some = scattered(100, 0)
+    three, four, five = (cameras_at((0, 0, -1), focal=60 / least, size=64) for least in (0.03, 0.04, 0.05))
+    torch.testing.assert_close(least_scales(some.means, three) * 5 / 3, least_scales(some.means, five))
+    twice, once = convolved(convolved(some, three), four), convolved(some, five)
+    torch.testing.assert_close(twice.scales, once.scales)
+    torch.testing.assert_close(twice.opacities, once.opacities)
+
+
+def test_what_went_through_the_filter_keeps_the_bound_exactly() -> None:
+    cameras = cameras_at((0, 0, -1), (0.5, 0.2, 0.3), (-2, 0, -4))
+    after = convolved(scattered(1000, 0), cameras)
+    assert torch.equal(bounded(after, cameras).scales, after.scales)
 
 
 def test_a_gaussian_that_is_large_enough_stays_as_it_is() -> None:
     before = one(0.2, 0.1, 0.3)
-    after = smoothed(before, cameras_at((0, 0, 0)))
+    after = bounded(before, cameras_at((0, 0, 0)))
     assert torch.equal(after.scales, before.scales)
     assert torch.equal(after.opacities, before.opacities)
 
@@ -132,6 +144,6 @@ def test_a_held_scale_can_still_grow_but_not_shrink() -> None:
 
 
 def test_gaussians_at_a_camera_have_no_bound_and_stay_finite() -> None:
-    after = smoothed(replace(one(0.1, 1e-6, 1e-6), means=torch.zeros(1, 3)), cameras_at((0, 0, 0)))
+    after = bounded(replace(one(0.1, 1e-6, 1e-6), means=torch.zeros(1, 3)), cameras_at((0, 0, 0)))
     assert bool(after.scales.isfinite().all())
     assert bool(after.opacities.isfinite().all())

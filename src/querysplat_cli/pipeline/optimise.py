@@ -13,7 +13,7 @@ from querysplat_cli.runtime.device import to_device
 from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.views import Views
-from querysplat_cli.splat.smoothing import smoothed
+from querysplat_cli.splat.smoothing import bounded
 from querysplat_cli.tto.adapt import Adapted, adapt
 from querysplat_cli.tto.features import Start
 from querysplat_cli.tto.options import OptimiseOptions, TtoStep
@@ -39,16 +39,18 @@ def optimise_start(
     if options.keep_all or start.anchors is None:
         options = replace(options, keep_all=True, prune="off" if options.prune == "auto" else options.prune)
     device = next(model.parameters()).device
-    views, cameras = to_device(photos, device)
+    start, (views, cameras) = to_device((start, photos), device)
     if start.anchors is None:
         target = RenderingLoss(views, cameras)
     else:
         target = RenderingLoss.for_solid_scenes(views, cameras, torch.Generator().manual_seed(options.seed))
         target = replace(target, finest=_enlarged(cameras, options.finest_size))
-    adapted = adapt(model, to_device(start, device), target, plan, options, _shown(plan, progress))
+        if options.smooth or any(run.settings.steps for run in plan):
+            start = replace(start, finest=target.finest)
+    adapted = adapt(model, start, target, plan, options, _shown(plan, progress))
     if target.finest is not None:
         finest = _enlarged(adapted.cameras, options.finest_size)
-        adapted = replace(adapted, gaussians=smoothed(adapted.gaussians, finest))
+        adapted = replace(adapted, gaussians=bounded(adapted.gaussians, finest))
     if not options.keep_all:
         last, tested = replace(target, cameras=adapted.cameras), tested_views(len(target.views))
         fewer, idle = without_idle_bands(adapted.gaussians, lambda some: last.psnr(some, tested))

@@ -53,7 +53,12 @@ def optimise_scene(settings: ResumeSettings, stages: Stages | None = None) -> Re
         _check(path, options, space, count, apart=apart)
         gaussians = read_ply(ply_path(path))[:count] if apart else None
     with stages("tto") as progress:
-        options = replace(options, finest_size=_finest_size(before), backdrop=scene.backdrop > 0)
+        options = replace(
+            options,
+            finest_size=_finest_size(before),
+            smooth=bool(spaces) and "backdrop" in before,  # scenes of earlier versions were not smoothed
+            backdrop=scene.backdrop > 0,
+        )
         plan = _plan(scene, count, options, space, resumed=space in spaces)
         start = Start(scene.memories, scene.anchors, gaussians, None if apart else scene.kept)
         adapted = optimise_start(model, start, (scene.views, scene.cameras), plan, options, progress)

@@ -1,13 +1,9 @@
 """The 3D smoothing filter of Mip-Splatting (Yu et al. 2024, arXiv:2311.16493, section 5.1): no detail below a pixel.
 
 Photos say nothing of detail that is finer than their pixels. A Gaussian that is thinner than a pixel of the finest
-photo was never seen as thin as that. From nearer by it is a needle or a crack, from farther away it flickers. So the
-pixels bound how thin a Gaussian may be.
-
-The paper convolves: scales become √(s² + v/rate²), where rate is focal length over depth, the largest over the photos
-that see the Gaussian. The scales that this can give are those of at least √v/rate. Here that bound itself is
-applied. Gaussians above it stay as they are, and applying it twice changes nothing, so a stored scene can be taken
-further.
+photo was never seen as thin as that. From nearer by it is a needle or a crack, from farther away it flickers. The
+filter convolves every Gaussian with one of variance v/rate², where the rate is focal length over depth, the largest
+over the photos that see the Gaussian.
 """
 
 from dataclasses import dataclass, replace
@@ -19,7 +15,6 @@ from torch import Tensor
 
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.scene.rotations import quaternion_to_matrix
 
 
 @dataclass(frozen=True)
@@ -37,68 +32,41 @@ class SmoothingPolicy:
 SMOOTHING_POLICY = SmoothingPolicy()
 
 
-@dataclass(frozen=True)
-class Sampling:
-    """How finely photos sample each of N Gaussians.
-
-    least: the least standard deviation that the photos can show, in scene units.
-    towards: the unit vector from the camera of the finest photo to the Gaussian.
-    """
-
-    least: Float[Tensor, "n"]
-    towards: Float[Tensor, "n 3"]
-
-
 @torch.no_grad()
-def sampling(means: Float[Tensor, "n 3"], cameras: Cameras) -> Sampling:
-    """The sampling by the photos of `cameras`, whether other Gaussians hide the Gaussian or not.
+def least_scales(means: Float[Tensor, "n 3"], cameras: Cameras) -> Float[Tensor, "n"]:
+    """The filter's standard deviation √v/rate for each Gaussian, in scene units: what it makes of a point.
 
-    A Gaussian that no photo sees is sampled as if the nearest camera were turned to it.
+    Other Gaussians in front do not count. A Gaussian that no photo of `cameras` sees is sampled as if the nearest
+    camera were turned to it.
     """
     seen = torch.full_like(means[:, 0], torch.inf)
     unseen = torch.full_like(seen, torch.inf)
-    nearest, finest = torch.zeros(2, len(means), dtype=torch.long, device=means.device)
     fx, fy, cx, cy = cameras.intrinsics
     for view, centre in enumerate(cameras.centres):
         x, y, z = (means @ cameras.w2c[view, :3, :3].T + cameras.w2c[view, :3, 3]).unbind(1)
         focal = torch.maximum(fx[view], fy[view])
         inside = (z > 0) & _within(x * fx[view], z, cx[view], cameras.width)
         inside &= _within(y * fy[view], z, cy[view], cameras.height)
-        pixel = torch.where(inside, z / focal, torch.inf)
-        finest[pixel < seen] = view
-        seen = torch.minimum(seen, pixel)
-        away = (means - centre).norm(dim=1) / focal
-        nearest[away < unseen] = view
-        unseen = torch.minimum(unseen, away)
-    chosen = torch.where(seen.isfinite(), finest, nearest)
-    pixel = torch.where(seen.isfinite(), seen, unseen)
-    towards = torch.nn.functional.normalize(means - cameras.centres[chosen], dim=1)
-    return Sampling(SMOOTHING_POLICY.variance**0.5 * pixel, towards)
+        seen = torch.minimum(seen, torch.where(inside, z / focal, torch.inf))
+        unseen = torch.minimum(unseen, (means - centre).norm(dim=1) / focal)
+    return SMOOTHING_POLICY.variance**0.5 * torch.where(seen.isfinite(), seen, unseen)
 
 
-def smoothed(gaussians: Gaussians, cameras: Cameras) -> Gaussians:
-    """Scales of at least `Sampling.least`, with opacities that keep what each Gaussian adds to the finest photo.
+def convolved(gaussians: Gaussians, cameras: Cameras) -> Gaussians:
+    """The Gaussians after the filter: scales √(s² + l²) with l of `least_scales`, and opacities that fall accordingly.
 
-    The integral of α over a picture is opacity times the area of the projected Gaussian. The opacity falls as the area
-    grows. The paper divides by the growth of the volume instead. That would make a thin disc transparent that its
-    photo shows from the front, where the disc covers as much as before.
+    Opacity times volume, the integral of the density over space, stays the same. Differentiable, but for l.
     """
-    found = sampling(gaussians.means, cameras)
-    scales = torch.maximum(gaussians.scales, found.least[:, None])
-    shares = projected_areas(gaussians, found.towards) / projected_areas(
-        replace(gaussians, scales=scales), found.towards
-    ).clamp_min(torch.finfo(scales.dtype).tiny)
-    return replace(gaussians, scales=scales, opacities=gaussians.opacities * shares.clamp_max(1))
+    least = least_scales(gaussians.means.detach(), cameras)
+    return _rescaled(gaussians, (gaussians.scales.square() + least[:, None].square()).sqrt())
 
 
-def projected_areas(gaussians: Gaussians, towards: Float[Tensor, "n 3"]) -> Float[Tensor, "n"]:
-    """The root of the determinant of the covariance in the plane perpendicular to the unit vector `towards`.
+def bounded(gaussians: Gaussians, cameras: Cameras) -> Gaussians:
+    """Scales of at least `least_scales`, the least that the filter can give; opacities as in `convolved`.
 
-    With the vector's components u along the axes, its square is Σ sⱼ²sₖ²uᵢ² over the three axes i and the others j, k.
+    Gaussians that went through the filter stay as they are, and applying this twice changes nothing.
     """
-    along = (quaternion_to_matrix(gaussians.quats) * towards[:, :, None]).sum(1)
-    across = gaussians.scales[:, [1, 2, 0]] * gaussians.scales[:, [2, 0, 1]]
-    return (across * along).norm(dim=1)
+    return _rescaled(gaussians, torch.maximum(gaussians.scales, least_scales(gaussians.means, cameras)[:, None]))
 
 
 def hold_above(scales: Float[Tensor, "n 3"], least: Float[Tensor, "n"]) -> Float[Tensor, "n 3"]:
@@ -117,6 +85,11 @@ class _Held(torch.autograd.Function):
     def backward(ctx: Any, slope: Tensor) -> tuple[Tensor, None]:
         (free,) = ctx.saved_tensors
         return torch.where(free | (slope < 0), slope, 0), None
+
+
+def _rescaled(gaussians: Gaussians, scales: Float[Tensor, "n 3"]) -> Gaussians:
+    shares = (gaussians.scales / scales.clamp_min(torch.finfo(scales.dtype).tiny)).prod(1)
+    return replace(gaussians, scales=scales, opacities=gaussians.opacities * shares)
 
 
 def _within(x: Tensor, z: Tensor, middle: Tensor, size: int) -> Bool[Tensor, "n"]:

@@ -8,7 +8,7 @@ import torch
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.views import Views
-from querysplat_cli.splat.smoothing import smoothed
+from querysplat_cli.splat.smoothing import bounded
 from querysplat_cli.tto.full_size_plan import FullSizePlan, FullSizeStage
 from querysplat_cli.tto.full_size_policy import FULL_SIZE_POLICY
 from querysplat_cli.tto.gaussians import Changes, optimise_gaussians
@@ -78,7 +78,7 @@ def optimise_full_size(
         elif plan.round:
             ended = _rounds(run, plan.round, plan.most_rounds)
     assert target
-    sharp = smoothed(runs[-1][1].gaussians, target.cameras)
+    sharp = bounded(runs[-1][1].gaussians, target.cameras)
     return FullSizeResult(sharp, tuple((stage, _lean(result)) for stage, result in runs), ended)
 
 

@@ -21,7 +21,6 @@ from querysplat_cli.tto.coverage_loss import CoverageLoss
 from querysplat_cli.tto.options import NO_CALLBACKS, Callbacks, TtoSettings, TtoStep
 from querysplat_cli.tto.policy import TTO_POLICY
 from querysplat_cli.tto.rendering_loss import LossAndGradient, RenderingLoss, tensors
-from querysplat_cli.tto.smoothing import with_bounded_scales
 from querysplat_cli.tto.variables import Parametrisation, UndoableAdam, V, finite
 
 
@@ -68,8 +67,6 @@ def optimise(
     which marks rows of the Gaussians that there were at the start.
     """
     assert not (callbacks.prune and start.densify)
-    if target.finest is not None:
-        start = with_bounded_scales(start, target.finest)
     views = list(range(len(target.views)))
     with torch.no_grad():
         first = start.decode(start.variables)

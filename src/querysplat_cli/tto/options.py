@@ -24,6 +24,7 @@ class OptimiseOptions:
     seed: of the order in which views are drawn.
     finest_size: longer side of the pictures, in pixels, that bound how thin a Gaussian may become; None takes the views
         themselves. A scene that was optimised on larger photos keeps their detail so.
+    smooth: whether decoded Gaussians are smoothed without any step, too, because earlier steps smoothed them.
     backdrop: whether the scene gets a backdrop (`queries/backdrop.py`).
     """
 
@@ -36,6 +37,7 @@ class OptimiseOptions:
     keep_all: bool = False
     seed: int = 42
     finest_size: int | None = None
+    smooth: bool = False
     backdrop: bool = False
 
 

@@ -76,8 +76,8 @@ class TtoPolicy:
     coefficients, of which 1 is 0.28 of a channel. Bands, which depend on the direction, learn slowly, because they can
     fit one view and harm all others."""
     sampled_every: int = 20
-    """Steps after which it is found anew how finely the photos sample each Gaussian. Gaussians move little in so
-    many steps."""
+    """In Gaussian space, steps after which it is found anew how finely the photos sample each Gaussian. Gaussians move
+    little in so many steps."""
     camera_rate: float = 0.1
     """Learning rate of camera refinement, in pixels a step, before the rate falls."""
 

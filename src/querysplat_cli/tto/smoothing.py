@@ -1,48 +1,34 @@
-"""The bound of the 3D smoothing filter (`splat/smoothing.py`) during test-time optimisation."""
+"""The bound of the 3D smoothing filter (`splat/smoothing.py`) in Gaussian space."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import torch
 
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.splat.smoothing import hold_above, sampling
+from querysplat_cli.splat.smoothing import hold_above, least_scales
 from querysplat_cli.tto.policy import TTO_POLICY
-from querysplat_cli.tto.rendering_loss import RenderingLoss
-from querysplat_cli.tto.variables import Denser, Parametrisation, V
+from querysplat_cli.tto.variables import V
 
 
-def with_bounded_scales(start: Parametrisation[V], cameras: Cameras) -> Parametrisation[V]:
-    """`start`, whose Gaussians are nowhere thinner than the pixels of `cameras`, also after splits.
+def bounding(decode: Callable[[V], Gaussians], cameras: Cameras | None) -> Callable[[V], Gaussians]:
+    """`decode`, and then scales of at least what the filter makes of points. None bounds nothing.
 
-    Opacities are those of `start`: optimisation adapts them to the scales.
+    Gaussians that change from what they are went through the filter already, so they are not convolved again.
+    Opacities adapt to the scales by themselves. The sampling is found anew now and then.
     """
-    split = start.densify
+    if cameras is None:
+        return decode
+    calls, least = 0, torch.zeros(0)
 
-    def densify(gaussians: Gaussians, target: RenderingLoss, rounds: int) -> Denser[V]:
-        assert split
-        denser = split(gaussians, target, rounds)
-        bounded = _Bounded(cameras)
-        return replace(denser, decode=lambda variables: bounded(denser.decode(variables)))
-
-    bounded = _Bounded(cameras)
-    return replace(
-        start,
-        decode=lambda variables: bounded(start.decode(variables)),
-        densify=densify if split else None,
-    )
-
-
-class _Bounded:
-    """Bounds the scales of always the same number of Gaussians. Their sampling is found anew now and then."""
-
-    def __init__(self, cameras: Cameras) -> None:
-        self._cameras = cameras
-        self._calls = 0
-
-    def __call__(self, gaussians: Gaussians) -> Gaussians:
-        if self._calls % TTO_POLICY.sampled_every == 0:
+    def decoded(variables: V) -> Gaussians:
+        nonlocal calls, least
+        gaussians = decode(variables)
+        if calls % TTO_POLICY.sampled_every == 0:
             # A centre that is not finite has no sampling. The step that made it is undone.
-            self._least = torch.nan_to_num(sampling(gaussians.means.detach(), self._cameras).least, 0.0, 0.0)
-        self._calls += 1
-        return replace(gaussians, scales=hold_above(gaussians.scales, self._least))
+            least = torch.nan_to_num(least_scales(gaussians.means.detach(), cameras), 0.0, 0.0)
+        calls += 1
+        return replace(gaussians, scales=hold_above(gaussians.scales, least))
+
+    return decoded
