@@ -57,8 +57,8 @@ def test_needles_become_as_thick_as_pixels() -> None:
 
 def test_the_halves_of_split_gaussians_keep_the_bound(monkeypatch: pytest.MonkeyPatch) -> None:
     _, cameras = photos()
-    small = wall(10, size=0.19, opacity=0.9)
-    assert 1 < thinnest(small, cameras) < 1.1
+    small = wall(10, size=1.0, opacity=0.9)
+    small = replace(small, scales=1.05 * least_scales(small.means, cameras)[:, None].expand(-1, 3))
     rendered: list[Gaussians] = []
     plain = RenderingLoss.value_and_gradient
 
@@ -75,7 +75,7 @@ def test_the_halves_of_split_gaussians_keep_the_bound(monkeypatch: pytest.Monkey
     bounded, free = rendered[:8], rendered[8:]
     assert len(bounded[-1]) == len(free[-1]) == 400
     assert min(thinnest(each, cameras) for each in bounded) > 0.99
-    assert thinnest(free[-1], cameras) < 0.9
+    assert thinnest(free[-1], cameras) < 0.95
 
 
 def test_the_sampling_follows_gaussians_that_move() -> None:
