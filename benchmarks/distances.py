@@ -82,7 +82,7 @@ def rows(model: QuerySplat, photo_set: PhotoSet, options: Namespace) -> list[Row
     for variance in options.variances:
         smoothing.SMOOTHING_POLICY = smoothing.SmoothingPolicy(variance=max(variance, LEAST_VARIANCE))
         began = time.process_time()
-        adapted = build_scene(chosen.inputs, geometry, model, settings()).adapted
+        adapted = build_scene(chosen.inputs, geometry, model, settings(backdrop=True)).adapted
         seconds = time.process_time() - began
         scores = {name: some and score(adapted.gaussians, *some, MID_GREY) for name, some in sizes.items()}
         found.append(

@@ -24,8 +24,11 @@ UNLIMITED = 10**9
 
 
 def settings(**changes: Any) -> ReconstructSettings:
-    """Those of `reconstruct` by default, with `changes`; nothing is read or written by their paths."""
-    return replace(ReconstructSettings((), Path(), seed=SEED), **changes)
+    """Those of `reconstruct` by default, with `changes`; nothing is read or written by their paths.
+
+    There is no backdrop, so that scenes can be compared with others that come from the optimiser alone.
+    """
+    return replace(ReconstructSettings((), Path(), seed=SEED, backdrop=False), **changes)
 
 
 def build(model: QuerySplat, sample: Sample, **changes: Any) -> BuiltScene:
