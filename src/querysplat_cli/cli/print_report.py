@@ -39,6 +39,8 @@ def _table(report: dict[str, Any]) -> Table:
     if large:
         named = [(f"{group} views at {large['max_size']} px", large[group]) for group in ("input", "heldout")]
         rows += [(name, f"{_quality_text(found)} on grey") for name, found in named if found]
+    if report["unseen"]:
+        rows.append(("unseen", f"{report['unseen']['share']:.0%} of a film around the scene shows what no photo saw"))
     rows += [("tto", _tto_text(run)) for run in report["tto"]]
     if report["exposure"] and report["exposure"]["corrected"]:
         differ = report["exposure"]["disagreement"]

@@ -18,7 +18,7 @@ from querysplat_cli.scene.files import atomic_folder, atomic_path, refuse_existi
 from querysplat_cli.scene.formats.ply import read_ply
 from querysplat_cli.scene.formats.transforms import read_cameras
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.scene.paths import orbit, surround
+from querysplat_cli.scene.paths import opaque_centres, orbit, surround
 from querysplat_cli.scene.pictures import eight_bit, write_picture
 from querysplat_cli.splat.render import Rendering, render
 
@@ -66,13 +66,12 @@ def _cameras(request: RenderRequest, gaussians: Gaussians) -> tuple[list[str], C
     """Names, cameras and picture sizes of the frames."""
     beside = scene_folder(request.scene) / "cameras.json"
     if request.cameras == "orbit" or (request.cameras == "auto" and not beside.is_file()):
-        opaque = gaussians.means[gaussians.opacities >= min(0.5, float(gaussians.opacities.max()))]
+        opaque = opaque_centres(gaussians)
         if beside.is_file():
             inputs = read_cameras(beside)[0]
             size = inputs.sizes[0]
-            path = orbit(
-                replace(inputs.cameras, height=size[0], width=size[1]), opaque.median(0).values, request.frames
-            )
+            film = replace(inputs.cameras, height=size[0], width=size[1])
+            path = orbit(film, opaque.median(0).values, request.frames)
         else:
             size = request.size or FOREIGN_SIZE
             path = surround(opaque, request.frames, *size)

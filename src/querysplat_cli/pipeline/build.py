@@ -20,7 +20,7 @@ from querysplat_cli.queries.prepare import PreparedQueries, prepare
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.exposures import Exposures
-from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.gaussians import Gaussians, joined
 from querysplat_cli.scene.photo_files import PhotoFile, photo_files
 from querysplat_cli.scene.views import LeftOut, Views
 from querysplat_cli.tto.adapt import Adapted
@@ -41,6 +41,7 @@ class BuiltScene:
     adapted: after the runs on the working pictures.
     files: the photos of the input views, where they can be found again.
     full_size: after those on the photos; None where there were none.
+    backdrop: Gaussians behind everything (`queries/backdrop.py`); None where there are none.
     duplicates: views that were left out of the scene.
     time_for_more: whether the budget has room for another scene.
     colours: how far the photos agree in colour; None where that was not measured.
@@ -52,19 +53,21 @@ class BuiltScene:
     adapted: Adapted
     files: tuple[PhotoFile, ...] = ()
     full_size: FullSize | None = None
+    backdrop: Gaussians | None = None
     duplicates: tuple[LeftOut, ...] = ()
     time_for_more: bool = True
     colours: PhotoColours | None = None
 
     @property
     def gaussians(self) -> Gaussians:
-        """The scene as it is written."""
-        return self.full_size.gaussians if self.full_size else self.adapted.gaussians
+        """The scene as it is written; the backdrop comes last."""
+        found = self.full_size or self.adapted
+        return joined(found.gaussians, self.backdrop) if self.backdrop else found.gaussians
 
     @property
     def exposures(self) -> Exposures | None:
         """The colour transforms of the input photos; None where they show the scene's own colours."""
-        return self.full_size.exposures if self.full_size else self.adapted.exposures
+        return (self.full_size or self.adapted).exposures
 
     @property
     def interrupted(self) -> bool:
@@ -166,7 +169,10 @@ def _finished(
     files = photo_files(posed.views.names, posed.photo_cameras, allowance.paths) if allowance.paths else ()
     more = time is None or time.for_more
     scene = BuiltScene(posed, geometry, prepared, adapted, files, colours=colours, time_for_more=more)
-    return _taken_further(scene, next(model.parameters()).device, settings, stages, time)
+    scene = _taken_further(scene, next(model.parameters()).device, settings, stages, time)
+    if not settings.backdrop or prepared.anchors is None:
+        return scene
+    return replace(scene, backdrop=scene.inputs.backdrop(scene.gaussians))
 
 
 def _compared(

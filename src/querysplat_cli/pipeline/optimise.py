@@ -13,6 +13,7 @@ from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.exposures import Exposures
 from querysplat_cli.scene.views import Views
+from querysplat_cli.splat.smoothing import bounded
 from querysplat_cli.tto.adapt import Adapted, adapt
 from querysplat_cli.tto.exposure_refit import RefittedExposures
 from querysplat_cli.tto.features import Start
@@ -33,25 +34,38 @@ def optimise_start(
 ) -> Adapted:
     """Carry out `plan` on the device of the model, and leave out SH bands that change nothing; the result on the CPU.
 
-    Scenes of official models keep all bands, and all Gaussians unless a number is asked for, and are optimised over
-    black, as in the release. `exposures` are the colour transforms of the photos to start with.
+    Its Gaussians are nowhere thinner than the pixels of the finest photo that sees them. Scenes of official models have
+    no such bound, keep all bands, and all Gaussians unless a number is asked for, and are optimised over black, as in
+    the release. `exposures` are the colour transforms of the photos to start with.
     """
     if options.keep_all or start.anchors is None:
         options = replace(options, keep_all=True, prune="off" if options.prune == "auto" else options.prune)
     device = next(model.parameters()).device
-    views, cameras = to_device(photos, device)
+    start, (views, cameras) = to_device((start, photos), device)
     if start.anchors is None:
         target = RenderingLoss(views, cameras)
     else:
         backgrounds = torch.Generator().manual_seed(options.seed)
         refitted = RefittedExposures(exposures) if exposures else None
         target = RenderingLoss.for_solid_scenes(views, cameras, backgrounds, refitted)
-    adapted = adapt(model, to_device(start, device), target, plan, options, _shown(plan, progress))
+        target = replace(target, finest=_enlarged(cameras, options.finest_size))
+        if options.smooth or any(run.settings.steps for run in plan):
+            start = replace(start, finest=target.finest)
+    adapted = adapt(model, start, target, plan, options, _shown(plan, progress))
+    if target.finest is not None:
+        finest = _enlarged(adapted.cameras, options.finest_size)
+        adapted = replace(adapted, gaussians=bounded(adapted.gaussians, finest))
     if not options.keep_all:
         last, tested = replace(target, cameras=adapted.cameras), tested_views(len(target.views))
         fewer, idle = without_idle_bands(adapted.gaussians, lambda some: last.psnr(some, tested))
         adapted = replace(adapted, gaussians=fewer, idle_bands=idle)
     return to_device(adapted, torch.device("cpu"))
+
+
+def _enlarged(cameras: Cameras, longer_side: int | None) -> Cameras:
+    """`cameras` whose pictures have that longer side; the same ones for None."""
+    factor = 1.0 if longer_side is None else longer_side / max(cameras.height, cameras.width)
+    return cameras.resized(round(factor * cameras.height), round(factor * cameras.width))
 
 
 def _shown(plan: Sequence[TtoRun], progress: Progress) -> Callable[[TtoStep], None]:

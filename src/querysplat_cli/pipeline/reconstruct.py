@@ -30,6 +30,7 @@ from querysplat_cli.reporting.report import (
     tto_entries,
     views_entry,
 )
+from querysplat_cli.reporting.unseen import Unseen, unseen
 from querysplat_cli.reporting.view_scores import Quality, score
 from querysplat_cli.runtime.choices import HoldoutProtocol
 from querysplat_cli.runtime.device import find_device, free_bytes, peak_gib
@@ -67,7 +68,7 @@ class _Inputs:
 
 @dataclass(frozen=True)
 class _Scores:
-    """Of the inputs, and of the held-out views by the source of their cameras (None: not scored).
+    """Of the inputs, of the held-out views by the source of their cameras (None: not scored), and what no photo saw.
 
     large: at the size of the large photos, if there were any.
     """
@@ -75,6 +76,7 @@ class _Scores:
     inputs: Quality
     heldout: dict[HoldoutProtocol, Quality | None]
     large: dict[str, Any] | None
+    unseen: Unseen | None
 
 
 def reconstruct(settings: ReconstructSettings, stages: Stages | None = None) -> Report:
@@ -171,6 +173,7 @@ def _score(
     """Scores of the scene, and of a second one with the other pass's cameras where there is time for it."""
     with stages("score"):
         quality = score(scene.gaussians, scene.posed.views, scene.adapted.cameras)
+        film = unseen(scene.gaussians, scene.adapted.cameras)
         heldout = {passes.chosen.protocol: _score_heldout(scene, passes.chosen)}
     large = _score_large(inputs, passes.chosen, scene, stages)
     other = passes.other
@@ -180,7 +183,7 @@ def _score(
             second = encode_and_build(other.inputs, inputs.encoder, inputs.model, settings, Stages(), rest)
             if not second.interrupted:
                 heldout[other.protocol] = _score_heldout(second, other)
-    return _Scores(quality, heldout, large)
+    return _Scores(quality, heldout, large, film)
 
 
 def _score_heldout(scene: BuiltScene, cameras: PosedSplit) -> Quality | None:
@@ -195,7 +198,8 @@ def _score_large(inputs: _Inputs, cameras: PosedSplit, scene: BuiltScene, stages
     with stages("full size score"):
         heldout = scene.heldout(cameras)
         files = photo_files(heldout[0].names, cameras.heldout_photo_cameras, inputs.paths) if heldout else ()
-        return full_size_quality(scene.full_size, scene.inputs, heldout and LargePhotos(*heldout, files))
+        others = heldout and LargePhotos(*heldout, files)
+        return full_size_quality(scene.gaussians, scene.full_size.size, scene.inputs, others)
 
 
 def _report(
@@ -229,6 +233,8 @@ def _report(
         memory_estimate_gib=expected and round(expected / 2**30, 2),
         full_size=further.summary if further else None,
         exposure=exposure_entry(scene.colours),
+        unseen=scores.unseen.entry() if scores.unseen else None,
+        backdrop=len(scene.backdrop) if scene.backdrop else 0,
     )
 
 
@@ -263,5 +269,6 @@ def _stored(inputs: _Inputs, passes: HoldoutCameras, scene: BuiltScene, settings
         scene.prepared.map,
         scene.adapted.kept,
         {file.name: file for file in files},
+        len(scene.backdrop) if scene.backdrop else 0,
         scene.exposures,
     )

@@ -8,13 +8,14 @@ import torch
 
 from querysplat_cli.model.checkpoints import load
 from querysplat_cli.model.querysplat import QuerySplat
-from querysplat_cli.pipeline.full_size import full_size_quality, stored_photos, take_to_full_size
+from querysplat_cli.pipeline.full_size import LargePhotos, full_size_quality, stored_photos, take_to_full_size
 from querysplat_cli.pipeline.optimise import optimise_start
 from querysplat_cli.pipeline.scene_folder import StoredScene, ply_path, read_scene, write_scene
 from querysplat_cli.pipeline.settings import ResumeSettings
 from querysplat_cli.prune.gaussians import target_count
 from querysplat_cli.reporting import omissions
 from querysplat_cli.reporting.report import Report, machine, quality_entry, seconds_entry, tto_entries
+from querysplat_cli.reporting.unseen import unseen
 from querysplat_cli.reporting.view_scores import score
 from querysplat_cli.runtime.choices import FullSizeLevel, Space
 from querysplat_cli.runtime.device import find_device, peak_gib
@@ -22,7 +23,7 @@ from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.precision import check_precision
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.formats.ply import read_ply
-from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.gaussians import Gaussians, joined
 from querysplat_cli.tto.adapt import Adapted
 from querysplat_cli.tto.cameras import with_refined_focal
 from querysplat_cli.tto.features import Start
@@ -48,16 +49,22 @@ def optimise_scene(settings: ResumeSettings, stages: Stages | None = None) -> Re
         spaces = [run["space"] for run in before["tto"] if run["steps"]]
         space = options.space or (spaces[-1] if spaces else "features")
         apart = "gaussians" in spaces
-        _check(path, options, space, before["gaussians"], apart=apart)
-        gaussians = read_ply(ply_path(path)) if apart else None
+        count = before["gaussians"] - scene.backdrop
+        _check(path, options, space, count, apart=apart)
+        gaussians = read_ply(ply_path(path))[:count] if apart else None
     with stages("tto") as progress:
-        plan = _plan(scene, before["gaussians"], options, space, resumed=space in spaces)
+        options = replace(
+            options,
+            finest_size=_finest_size(before),
+            smooth=bool(spaces) and "backdrop" in before,  # scenes of earlier versions were not smoothed
+        )
+        plan = _plan(scene, count, options, space, resumed=space in spaces)
         start = Start(scene.memories, scene.anchors, gaussians, None if apart else scene.kept)
         photos = scene.views, scene.cameras
         adapted = optimise_start(model, start, photos, plan, options, progress, scene.exposures)
-        stored = _with(scene, adapted)
+        stored, gaussians = _behind(_with(scene, adapted), adapted.gaussians)
     runs, left_out = tto_entries(adapted.runs), omissions.taken_further(before["left_out"], adapted)
-    return _write_back(path, stored, adapted.gaussians, before, stages, tto=runs, left_out=left_out)
+    return _write_back(path, stored, gaussians, before, stages, tto=runs, left_out=left_out)
 
 
 def _at_full_size(settings: ResumeSettings, level: FullSizeLevel, stages: Stages) -> Report:
@@ -65,22 +72,32 @@ def _at_full_size(settings: ResumeSettings, level: FullSizeLevel, stages: Stages
     path, device = settings.scene, find_device(settings.device)
     with stages("read"):
         scene, before = _read(settings)
-        gaussians = read_ply(ply_path(path))
+        whole = read_ply(ply_path(path))
+        gaussians = whole[: len(whole) - scene.backdrop]
     inputs, heldout = stored_photos(scene)
     with stages("full size") as progress:
         found = take_to_full_size(inputs, gaussians, level, seed=settings.seed, device=device, progress=progress)
+    stored, gaussians = _behind(replace(scene, exposures=found.exposures), found.gaussians)
     with stages("full size score"):
-        quality = full_size_quality(found, inputs, heldout)
+        quality = full_size_quality(gaussians, found.size, inputs, heldout)
     return _write_back(
         path,
-        replace(scene, exposures=found.exposures),
-        found.gaussians,
+        stored,
+        gaussians,
         before,
         stages,
         quality={"full_size": quality},
         tto=found.runs,
         full_size=found.summary,
     )
+
+
+def _behind(scene: StoredScene, gaussians: Gaussians) -> tuple[StoredScene, Gaussians]:
+    """The scene and its Gaussians, with a new backdrop if it had one."""
+    if not scene.backdrop:
+        return scene, gaussians
+    behind = LargePhotos(scene.views, scene.cameras, exposures=scene.exposures).backdrop(gaussians)
+    return replace(scene, backdrop=len(behind)), joined(gaussians, behind)
 
 
 def _write_back(
@@ -103,6 +120,7 @@ def _write_back(
             name: quality_entry(score(gaussians, *group)) if group else None
             for name, group in (("input", (scene.views, scene.cameras)), ("heldout", scene.heldout))
         }
+        film = unseen(gaussians, scene.cameras)
     with stages("write"):
         report = replace(
             Report.from_dict(before),
@@ -112,6 +130,8 @@ def _write_back(
             tto=[*before["tto"], *tto],
             peak_memory_gib=round(peak_gib(), 2),
             machine=machine(),
+            unseen=film.entry() if film else None,
+            backdrop=scene.backdrop,
             **changes,
         )
         write_scene(ply_path(path), scene, gaussians, report.as_dict())
@@ -148,6 +168,12 @@ def _options(settings: ResumeSettings) -> OptimiseOptions:
         refine_cameras=settings.refine_cameras,
         seed=settings.seed,
     )
+
+
+def _finest_size(before: dict[str, Any]) -> int | None:
+    """The longer side of the large photos that the scene was optimised on; None where it was not."""
+    large = before["quality"].get("full_size")
+    return large and large["max_size"]
 
 
 def load_again(name: str, settings: dict[str, Any], weights: Path | None, device: torch.device) -> QuerySplat:

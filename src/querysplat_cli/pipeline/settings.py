@@ -126,6 +126,14 @@ class ReconstructSettings:
     seed: Seed = 42
     force: Force = False
     prune: Prune = "auto"
+    backdrop: Annotated[
+        bool,
+        Option(
+            "Put far Gaussians in blurred colours of the photos behind everything, so that no hole shows the viewer's "
+            "background.",
+            ("--backdrop/--no-backdrop",),
+        ),
+    ] = True
     keep_everything: Annotated[
         bool, Option("Leave nothing out: no pruning, all photos, every query. For comparisons.")
     ] = False

@@ -27,8 +27,10 @@ class Report:
     """One run. The fields are the JSON object's, described in docs/cli.md.
 
     `left_out` lists what was left out of the scene or of the work; each entry is an `Omission`. `warnings` are
-    sentences on why the scene may be wrong. `full_size` describes the optimisation on large photos, if there was one.
-    `exposure` says how far the photos agree in colour, where that was measured.
+    sentences on why the scene may be wrong. `full_size` describes the optimisation on large photos, if there was
+    one. `exposure` says how far the photos agree in colour, where that was measured. `backdrop` counts the Gaussians of
+    the backdrop, the last ones of the file. `unseen` is how much of a film around the scene no photo saw (None where
+    there is no film).
     """
 
     ply: str
@@ -46,6 +48,8 @@ class Report:
     memory_estimate_gib: float | None = None
     full_size: dict[str, Any] | None = None
     exposure: dict[str, Any] | None = None
+    unseen: dict[str, float] | None = None
+    backdrop: int = 0
 
     @property
     def interrupted(self) -> bool:

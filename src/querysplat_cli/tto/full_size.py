@@ -9,6 +9,7 @@ from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.exposures import Exposures
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.views import Views
+from querysplat_cli.splat.smoothing import bounded
 from querysplat_cli.tto.exposure_refit import RefittedExposures
 from querysplat_cli.tto.full_size_plan import FullSizePlan, FullSizeStage
 from querysplat_cli.tto.full_size_policy import FULL_SIZE_POLICY
@@ -47,7 +48,8 @@ def optimise_full_size(
     """Carry out `plan`. Each step renders one view over a background of random colour.
 
     `views_at(max_size)` gives the input views at a longer side of at most so many pixels. Only those of one size are
-    held at a time. `exposures` are the colour transforms to start with.
+    held at a time. `exposures` are the colour transforms to start with. No Gaussian of the result is thinner than a
+    pixel of the last pictures (`splat/smoothing.py`).
     """
     generator = torch.Generator().manual_seed(seed)
     refitted = RefittedExposures(exposures) if exposures else None
@@ -84,8 +86,10 @@ def optimise_full_size(
             ended = "the time was over"
         elif plan.round:
             ended = _rounds(run, plan.round, plan.most_rounds)
+    assert target
+    sharp = bounded(runs[-1][1].gaussians, target.cameras)
     lean = tuple((stage, _lean(result)) for stage, result in runs)
-    return FullSizeResult(runs[-1][1].gaussians, lean, ended, refitted.current if refitted else None)
+    return FullSizeResult(sharp, lean, ended, refitted.current if refitted else None)
 
 
 def _rounds(run: Callable[[FullSizeStage], TtoResult[Changes]], each: FullSizeStage, most: int) -> str:

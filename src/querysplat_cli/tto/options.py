@@ -22,6 +22,9 @@ class OptimiseOptions:
     refine_cameras: whether the input cameras are corrected, too.
     keep_all: whether Gaussians and SH bands stay even where they change nothing.
     seed: of the order in which views are drawn.
+    finest_size: longer side of the pictures, in pixels, that bound how thin a Gaussian may become; None takes the views
+        themselves. A scene that was optimised on larger photos keeps their detail so.
+    smooth: whether decoded Gaussians are smoothed without any step, too, because earlier steps smoothed them.
     """
 
     steps: int | None = None
@@ -32,6 +35,8 @@ class OptimiseOptions:
     refine_cameras: bool = False
     keep_all: bool = False
     seed: int = 42
+    finest_size: int | None = None
+    smooth: bool = False
 
 
 @dataclass(frozen=True)

@@ -54,6 +54,8 @@ class RenderingLoss:
         colour. Values, which are compared with each other, have the one `background`.
     exposures: transforms from the scene's colours to those of each photo (None: they are the same). They are refitted
         to every render that a gradient is taken of.
+    finest: cameras whose pixels bound how thin optimisation may make a Gaussian (`splat/smoothing.py`; None: nothing
+        bounds that).
     """
 
     views: Views
@@ -62,17 +64,18 @@ class RenderingLoss:
     settings: RenderSettings = field(default_factory=RenderSettings)
     backgrounds: torch.Generator | None = None
     exposures: RefittedExposures | None = None
+    finest: Cameras | None = None
 
     @classmethod
     def for_solid_scenes(
         cls, views: Views, cameras: Cameras, generator: torch.Generator, exposures: RefittedExposures | None = None
     ) -> "RenderingLoss":
-        """Values over grey, and gradients over random backgrounds.
+        """Values over grey, and gradients over random backgrounds; Gaussians no thinner than pixels.
 
         Over a fixed background, dark or bright places of the photos would become transparent instead of opaque.
         """
         grey = torch.full((3,), MID_GREY, device=cameras.w2c.device)
-        return cls(views, cameras, grey, backgrounds=generator, exposures=exposures)
+        return cls(views, cameras, grey, backgrounds=generator, exposures=exposures, finest=cameras)
 
     def render(self, gaussians: Gaussians, view: int) -> Rendering:
         """One view over black, in the colours of its photo."""
