@@ -1,6 +1,7 @@
 """Structure from motion: matches in, cameras and points out (COLMAP's incremental mapper)."""
 
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -25,26 +26,45 @@ COLMAP_DISTORTION: dict[str, Callable[..., tuple[float, float, float, float]]] =
 """OpenCV's (k1, k2, p1, p2) from the extra parameters of COLMAP's lens models."""
 
 
-def map_photos(matches: Matches, *, seed: int) -> SparseModel | None:
+@dataclass(frozen=True)
+class Mapped:
+    """COLMAP's model of some photos, the attempt that made it, and whether it is sound and lacks no photo."""
+
+    reconstruction: pycolmap.Reconstruction
+    attempt: Attempt
+    complete: bool
+
+    def photos(self) -> set[int]:
+        """Numbers of the photos that have a camera."""
+        return {image - 1 for image in self.reconstruction.reg_image_ids()}
+
+
+def map_photos(matches: Matches, *, seed: int) -> Mapped | None:
     """The model that explains most of the matches, or None when no two photos make one.
 
     The search ends with the first attempt whose model is sound and contains all photos that matches connect.
     """
     connected = len(matches.largest_group())
-    best: tuple[float, pycolmap.Reconstruction, Attempt] | None = None
+    best: tuple[float, Mapped] | None = None
     for attempt in CAMERA_POLICY.attempts:
         for reconstruction in _mapped(matches, attempt, seed):
             model = from_colmap(reconstruction)
             support, ordinary = epipolar_support(model, matches), has_ordinary_lens(model)
             score = support.score if ordinary else support.score / 2
-            if best is None or score > best[0]:
-                best = score, reconstruction, attempt
-            if len(model.cameras) >= connected and support.sound and ordinary:
-                return from_colmap(bundle_adjusted(reconstruction, fit_lens=attempt.fit_lens))
+            complete = len(model.cameras) >= connected and support.sound and ordinary
+            if complete or best is None or score > best[0]:
+                best = score, Mapped(reconstruction, attempt, complete)
+            if complete:
+                return best[1]
     if best is None:
         return None
-    _, reconstruction, attempt = best
-    return from_colmap(bundle_adjusted(_extended(reconstruction, matches, seed), fit_lens=attempt.fit_lens))
+    found = best[1]
+    return replace(found, reconstruction=_extended(found.reconstruction, matches, seed))
+
+
+def refined(mapped: Mapped) -> SparseModel:
+    """The model after the final bundle adjustment."""
+    return from_colmap(bundle_adjusted(mapped.reconstruction, fit_lens=mapped.attempt.fit_lens))
 
 
 def from_colmap(reconstruction: pycolmap.Reconstruction) -> SparseModel:

@@ -65,12 +65,14 @@ class CameraPolicy:
     """Photos with a longer side of at least so many pixels, in the median, are large: they have features in plenty."""
     ordinary_large: MatchEffort = MatchEffort(1600, False, None, 0.8, False, 15, 0, None, 3000)
     """The usual search in large photos. The features that it skips, in the doubled picture, would not be kept."""
-    thorough_large: MatchEffort = MatchEffort(800, True, 0.003, 0.9, True, 25, -1, 4000, 4000)
-    """The second search in large photos."""
+    tilted: MatchEffort = MatchEffort(1000, False, None, 0.9, False, 20, 0, 2000)
+    """The second search in large photos, in tilted views of those photos alone that were not placed."""
+    tilts: tuple[tuple[float, float], ...] = ((2.0, 0.0), (2.0, 36.0), (2.0, 72.0), (2.0, 108.0), (2.0, 144.0))
+    """Tilt and direction in degrees of these views. Morel & Yu take steps of 72° / tilt."""
     spread_cells: int = 16
     """A photo is divided into so many columns and rows, among which the features that are kept are spread."""
     thorough_photos: int = 20
-    """The second search is made for at most this many photos."""
+    """The second search is made for at most this many photos; in large photos for as many times as many others."""
     few_features: float = 0.2
     """A photo with less than this share of the median number of features counts as blurred, dark or plain."""
     assumed_focal: float = 1.2
