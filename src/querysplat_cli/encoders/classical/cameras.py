@@ -116,11 +116,11 @@ def _mapped(photos: Sequence[Photo], *, seed: int, progress: Progress) -> tuple[
             more = with_tilted_views(matches, missing, seed=seed)
             matches, found = _better(matches, found, more, map_photos(more, seed=seed))
         if large or not missing or len(photos) > CAMERA_POLICY.thorough_photos:
-            return matches, found and refined(found)
+            return matches, refined(found) if found else None
     progress("matching again", 0.7)
     with matched(photos, seed=seed, progress=lambda *_: None, effort=CAMERA_POLICY.thorough) as more:
         matches, found = _better(matches, found, more, map_photos(more, seed=seed))
-        return matches, found and refined(found)
+        return matches, refined(found) if found else None
 
 
 def _better(

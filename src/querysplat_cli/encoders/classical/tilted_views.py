@@ -22,7 +22,10 @@ from querysplat_cli.encoders.classical.verified_pairs import match_pairs, read_p
 
 @dataclass(frozen=True)
 class TiltedView:
-    """A squeezed picture of a photo: `number` in the folder, `size` (height, width); `to_photo` [2, 3] maps its pixels."""
+    """A squeezed picture of a photo, of `size` (height, width). `to_photo` [2, 3] maps its pixels to the photo's.
+
+    Its file and its image in the database have the name of a photo of this `number`.
+    """
 
     photo: int
     number: int
@@ -77,7 +80,7 @@ def _write_views(matches: Matches, weak: Sequence[int], folder: Path) -> list[Ti
     views: list[TiltedView] = []
     size = CAMERA_POLICY.tilted.feature_size
     for photo in weak:
-        grey = cv2.imread(str(matches.folder / image_name(photo)), cv2.IMREAD_GRAYSCALE)
+        grey = np.asarray(cv2.imread(str(matches.folder / image_name(photo)), cv2.IMREAD_GRAYSCALE))
         height, width = grey.shape
         scale = min(1.0, size / max(height, width))
         small = cv2.resize(grey, (round(width * scale), round(height * scale)), interpolation=cv2.INTER_AREA)
@@ -119,7 +122,7 @@ def _matched_views(matches: Matches, views: Sequence[TiltedView], folder: Path, 
         for view in views:
             keypoints = _in_photo(store.read_keypoints(view.number + 1), view)
             height, width = matches.sizes[view.photo]
-            inside = ((keypoints[:, :2] >= 0) & (keypoints[:, :2] < [width, height])).all(1)
+            inside = np.all((keypoints[:, :2] >= 0) & (keypoints[:, :2] < [width, height]), axis=1)
             for other in range(photos):
                 if other != view.photo and store.exists_matches(other + 1, view.number + 1):
                     rows = store.read_matches(other + 1, view.number + 1)
