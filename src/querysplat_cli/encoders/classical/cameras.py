@@ -10,7 +10,7 @@ from querysplat_cli.encoders.base import CameraRequest, PosedViews
 from querysplat_cli.encoders.classical.camera_warnings import camera_warnings
 from querysplat_cli.encoders.classical.epipolar import epipolar_support, median_epipolar_error
 from querysplat_cli.encoders.classical.features import are_large
-from querysplat_cli.encoders.classical.mapping import Mapped, from_colmap, map_photos, refined
+from querysplat_cli.encoders.classical.mapping import Mapped, map_photos
 from querysplat_cli.encoders.classical.matches import Matches, matched
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
 from querysplat_cli.encoders.classical.pure_rotation import placed_alone, placed_by_rotation
@@ -110,38 +110,50 @@ def _mapped(photos: Sequence[Photo], *, seed: int, progress: Progress) -> tuple[
     with matched(photos, seed=seed, progress=progress) as matches:
         progress("placing cameras", 0.6)
         found = map_photos(matches, seed=seed)
-        missing = _missing(matches, found)
-        if large and missing and len(missing) * len(photos) <= CAMERA_POLICY.thorough_photos**2:
+        weak = _missing(matches, found) or _loosely_tied(matches, found)
+        if large and weak and len(weak) * len(photos) <= CAMERA_POLICY.thorough_photos**2:
             progress("matching again", 0.7)
-            more = with_tilted_views(matches, missing, seed=seed)
+            more = with_tilted_views(matches, weak, seed=seed)
             matches, found = _better(matches, found, more, map_photos(more, seed=seed))
-        if large or not missing or len(photos) > CAMERA_POLICY.thorough_photos:
-            return matches, refined(found) if found else None
+        if large or not weak or len(photos) > CAMERA_POLICY.thorough_photos:
+            return matches, found.refined(matches) if found else None
     progress("matching again", 0.7)
     with matched(photos, seed=seed, progress=lambda *_: None, effort=CAMERA_POLICY.thorough) as more:
         matches, found = _better(matches, found, more, map_photos(more, seed=seed))
-        return matches, refined(found) if found else None
+        return matches, found.refined(matches) if found else None
 
 
 def _better(
     matches: Matches, first: Mapped | None, more: Matches, second: Mapped | None
 ) -> tuple[Matches, Mapped | None]:
-    """The matches and the model of a second search where it places more photos, else those of the first one."""
+    """The matches and the model of a second search where it places more photos, else those of the first one.
+
+    Of a few photos, as many are enough when the second model explains more matches of its own.
+    """
     if second is None:
         return matches, first
     if first is None:
         return more, second
-    wins = len(second.photos()) > len(first.photos())
-    return (
-        (more, second)
-        if wins and epipolar_support(from_colmap(second.reconstruction), more).sound
-        else (matches, first)
-    )
+    new, few = epipolar_support(second.model, more), len(matches.sizes) <= CAMERA_POLICY.few_photos
+    gain = len(second.model.cameras) - len(first.model.cameras)
+    if few and gain == 0:
+        gain = new.explained - epipolar_support(first.model, matches).explained
+    return (more, second) if gain > 0 and (few or new.sound) else (matches, first)
+
+
+def _loosely_tied(matches: Matches, found: Mapped | None) -> list[int]:
+    """All of a few photos where few matches determine the cameras."""
+    photos = list(range(len(matches.sizes)))
+    if found is None or len(photos) > CAMERA_POLICY.few_photos:
+        return []
+    support = epipolar_support(found.model, matches)
+    enough = CAMERA_POLICY.few_matches * (len(photos) - 1)
+    return photos if support.explained < enough or not support.sound else []
 
 
 def _missing(matches: Matches, found: Mapped | None) -> list[int]:
     """Photos without a camera that a longer search may place: neither blurred ones nor those of another place."""
-    placed = found.photos() if found else set()
+    placed = set(found.model.cameras) if found else set()
     enough = CAMERA_POLICY.few_features * float(np.median(matches.features))
     missing = []
     for photo, features in enumerate(matches.features):

@@ -14,6 +14,7 @@ from querysplat_cli.encoders.classical.epipolar import epipolar_support
 from querysplat_cli.encoders.classical.matches import Matches
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY, Attempt
 from querysplat_cli.encoders.classical.sparse_model import SparseModel
+from querysplat_cli.encoders.classical.two_views import map_two_photos
 from querysplat_cli.scene.cameras import PhotoCamera
 
 COLMAP_DISTORTION: dict[str, Callable[..., tuple[float, float, float, float]]] = {
@@ -28,15 +29,14 @@ COLMAP_DISTORTION: dict[str, Callable[..., tuple[float, float, float, float]]] =
 
 @dataclass(frozen=True)
 class Mapped:
-    """COLMAP's model of some photos, the attempt that made it, and whether it is sound and lacks no photo."""
+    """A model of some photos, and COLMAP's form of it where the final bundle adjustment is still to be made."""
 
-    reconstruction: pycolmap.Reconstruction
-    attempt: Attempt
-    complete: bool
+    model: SparseModel
+    reconstruction: pycolmap.Reconstruction | None
 
-    def photos(self) -> set[int]:
-        """Numbers of the photos that have a camera."""
-        return {image - 1 for image in self.reconstruction.reg_image_ids()}
+    def refined(self, matches: Matches) -> SparseModel:
+        """The model after the final bundle adjustment."""
+        return bundle_adjusted(self.reconstruction, matches.focals) if self.reconstruction else self.model
 
 
 def map_photos(matches: Matches, *, seed: int) -> Mapped | None:
@@ -44,27 +44,30 @@ def map_photos(matches: Matches, *, seed: int) -> Mapped | None:
 
     The search ends with the first attempt whose model is sound and contains all photos that matches connect.
     """
+    if len(matches.sizes) == 2:
+        two = map_two_photos(matches)
+        return Mapped(two, None) if two else None
     connected = len(matches.largest_group())
-    best: tuple[float, Mapped] | None = None
-    for attempt in CAMERA_POLICY.attempts:
+    best: tuple[float, pycolmap.Reconstruction] | None = None
+    for attempt in _attempts(matches):
         for reconstruction in _mapped(matches, attempt, seed):
             model = from_colmap(reconstruction)
             support, ordinary = epipolar_support(model, matches), has_ordinary_lens(model)
             score = support.score if ordinary else support.score / 2
-            complete = len(model.cameras) >= connected and support.sound and ordinary
-            if complete or best is None or score > best[0]:
-                best = score, Mapped(reconstruction, attempt, complete)
-            if complete:
-                return best[1]
+            if len(model.cameras) >= connected and support.sound and ordinary:
+                return Mapped(model, reconstruction)
+            if best is None or score > best[0]:
+                best = score, reconstruction
     if best is None:
         return None
-    found = best[1]
-    return replace(found, reconstruction=_extended(found.reconstruction, matches, seed))
+    grown = _extended(best[1], matches, seed)
+    return Mapped(from_colmap(grown), grown)
 
 
-def refined(mapped: Mapped) -> SparseModel:
-    """The model after the final bundle adjustment."""
-    return from_colmap(bundle_adjusted(mapped.reconstruction, fit_lens=mapped.attempt.fit_lens))
+def _attempts(matches: Matches) -> list[Attempt]:
+    """The policy's attempts; none fits the lens where the photos are too few for that."""
+    few = len(matches.sizes) <= CAMERA_POLICY.few_photos
+    return [replace(attempt, fit_lens=attempt.fit_lens and not few) for attempt in CAMERA_POLICY.attempts]
 
 
 def from_colmap(reconstruction: pycolmap.Reconstruction) -> SparseModel:

@@ -17,7 +17,7 @@ from querysplat_cli.encoders.classical.features import (
     write_grey,
 )
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY, MatchEffort
-from querysplat_cli.encoders.classical.verified_pairs import Pair, match_pairs, read_pairs
+from querysplat_cli.encoders.classical.verified_pairs import Pair, Verification, match_pairs, read_pairs
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.cameras import PhotoCamera, rescaled
@@ -96,7 +96,7 @@ def matched(
             features = tuple(store.num_keypoints_for_image(i + 1) for i in range(len(photos)))
             chosen = _choose_pairs(store, len(photos))
         progress("matching", 0.3)
-        match_pairs(matches.database, folder, chosen, seed, effort)
+        match_pairs(matches.database, folder, chosen, effort, Verification.of(sizes, effort, seed))
         with pycolmap.Database.open(matches.database) as store:
             pairs = read_pairs(store, len(photos))
         yield replace(matches, features=features, pairs=pairs)
@@ -120,10 +120,12 @@ def shared_cameras(
 ) -> list[tuple[Hashable, pycolmap.Camera]]:
     """COLMAP's camera of each photo, with a key that is equal for photos of one lens."""
     keyed: list[tuple[Hashable, pycolmap.Camera]] = []
+    few = len(sizes) <= CAMERA_POLICY.few_photos
+    assumed = CAMERA_POLICY.usual_focal if few else CAMERA_POLICY.assumed_focal
     for (height, width), focal in zip(sizes, focals, strict=True):
-        guess = focal or CAMERA_POLICY.assumed_focal * max(height, width)
+        guess = focal or assumed * max(height, width)
         camera = pycolmap.Camera.create_from_model_name(1, "SIMPLE_RADIAL", guess, width, height)
-        camera.has_prior_focal_length = focal is not None
+        camera.has_prior_focal_length = focal is not None or few
         keyed.append(((height, width, focal and round(focal / width, 2)), camera))
     return keyed
 

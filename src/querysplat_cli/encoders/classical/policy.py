@@ -58,7 +58,7 @@ class CameraPolicy:
     # Matches.
     ordinary: MatchEffort = MatchEffort(1600, False, None, 0.8, False, 15)
     """The usual search; ratio and inliers are COLMAP's. More than 1,600 pixels cost time and find no better matches."""
-    thorough: MatchEffort = MatchEffort(800, True, 0.003, 0.9, True, 25)
+    thorough: MatchEffort = MatchEffort(800, True, 0.003, 0.9, False, 25)
     """A second, slow search, for photos that the first one did not place. It finds many features in few pixels; among
     many more candidates more agree by chance, so it needs more inliers."""
     large_photo: int = 1200
@@ -112,12 +112,34 @@ class CameraPolicy:
     # Bundle adjustment.
     adjustment_loss_scale: float = 0.5
     """Reprojection error in pixels beyond which the Cauchy loss gives a feature less and less weight."""
-    second_term_error: float = 0.98
-    """A second distortion term stays when it lowers the mean reprojection error to this share."""
-    second_term_photos: int = 3
-    """A lens may have a second distortion term from this many photos on."""
-    largest_distortion: float = 1.0
-    """A second term is refused when a distortion coefficient is as large as this."""
+    prior_weight: float = 1.0
+    """What a lens parameter costs that lies one standard deviation from its prior's mean, in pixels squared. An
+    observation costs its squared error."""
+    independent_observations: int = 2000
+    """More observations than this weigh as much as so many: their errors are partly shared, and do not average out."""
+    adjusted_observations: int = 8000
+    """Cameras and lenses follow from about so many observations at most, those of the longest tracks of each photo."""
+    stated_focal_spread: float = 0.03
+    """Standard deviation of the logarithm of the focal length that EXIF states. Millimetres are rounded, and lenses
+    breathe when they focus."""
+    usual_focal: float = 0.75
+    """Median focal length of photos without EXIF, in longer sides."""
+    usual_focal_spread: float = 0.35
+    """Standard deviation of its logarithm."""
+    principal_spread: float = 0.01
+    """Standard deviation of the principal point around the middle of the photo, in longer sides."""
+    distortion_spread: tuple[float, float] = (0.1, 0.1)
+    """Standard deviations of the distortion terms k1 and k2 around zero."""
+    few_photos: int = 4
+    """With so few photos or fewer the mapper keeps the lens of the prior, and only the adjustment fits it."""
+    few_matches: int = 100
+    """Of so few photos, a second search is made when the model explains fewer matches for each photo but the first."""
+    tried_focals: tuple[float, ...] = (-1.0, 0.0, 1.0)
+    """Focal lengths from which two photos without EXIF are adjusted, in standard deviations of the prior."""
+    fewest_two_view_points: int = 15
+    """Two photos need so many points."""
+    calibrated_tolerance: float = 0.004
+    """Epipolar distance in longer sides up to which the prior's lens explains a match of so few photos."""
 
     # Pure rotation.
     rotation_tolerance: float = 0.002

@@ -17,7 +17,7 @@ import pycolmap
 from querysplat_cli.encoders.classical.features import extract_features, image_name
 from querysplat_cli.encoders.classical.matches import Matches, shared_cameras, write_images
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
-from querysplat_cli.encoders.classical.verified_pairs import match_pairs, read_pairs, verify_pairs
+from querysplat_cli.encoders.classical.verified_pairs import Verification, match_pairs, read_pairs, verify_pairs
 
 
 @dataclass(frozen=True)
@@ -42,10 +42,11 @@ def with_tilted_views(matches: Matches, weak: Sequence[int], *, seed: int) -> Ma
     folder = matches.folder / "tilted"
     folder.mkdir()
     views = _write_views(matches, weak, folder)
-    found = _matched_views(matches, views, folder, seed)
+    found = _matched_views(matches, views, folder)
     with pycolmap.Database.open(matches.database) as store:
         changed = _append(store, found)
-    verify_pairs(matches.database, matches.folder, changed, seed, CAMERA_POLICY.tilted)
+    verification = Verification.of(matches.sizes, CAMERA_POLICY.tilted, seed)
+    verify_pairs(matches.database, matches.folder, changed, verification)
     with pycolmap.Database.open(matches.database) as store:
         return replace(matches, pairs=read_pairs(store, len(matches.sizes)))
 
@@ -104,7 +105,7 @@ class _Found:
     partners: np.ndarray
 
 
-def _matched_views(matches: Matches, views: Sequence[TiltedView], folder: Path, seed: int) -> list[_Found]:
+def _matched_views(matches: Matches, views: Sequence[TiltedView], folder: Path) -> list[_Found]:
     """For each view and other photo, the features that match, in a database of their own."""
     photos, effort, database = len(matches.sizes), CAMERA_POLICY.tilted, folder / "matches.db"
     sizes = [*matches.sizes, *(view.size for view in views)]
@@ -116,7 +117,7 @@ def _matched_views(matches: Matches, views: Sequence[TiltedView], folder: Path, 
             store.write_keypoints(photo + 1, source.read_keypoints(photo + 1))
             store.write_descriptors(photo + 1, source.read_descriptors(photo + 1))
     pairs = [(other, view.number) for view in views for other in range(photos) if other != view.photo]
-    match_pairs(database, folder, pairs, seed, effort, verify=False)
+    match_pairs(database, folder, pairs, effort, None)
     found = []
     with pycolmap.Database.open(database) as store:
         for view in views:

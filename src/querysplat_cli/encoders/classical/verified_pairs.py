@@ -1,6 +1,6 @@
 """Pairs of photos in COLMAP's database: matched, verified by a two-view geometry, and read as arrays of pixels."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -8,7 +8,7 @@ import numpy as np
 import pycolmap
 
 from querysplat_cli.encoders.classical.features import image_name
-from querysplat_cli.encoders.classical.policy import MatchEffort
+from querysplat_cli.encoders.classical.policy import CAMERA_POLICY, MatchEffort
 
 UNRELATED = {
     pycolmap.TwoViewGeometryConfiguration.UNDEFINED,
@@ -30,16 +30,46 @@ class Pair:
         return len(self.first_pixels)
 
 
+@dataclass(frozen=True)
+class Verification:
+    """How two-view geometries are found.
+
+    A pair needs `fewest_inliers` within `tolerance` pixels. With `calibrated` True, the essential matrix under the
+    prior focal length explains the matches, or a homography does. Otherwise it may also be a fundamental matrix, which
+    explains more wrong matches.
+    """
+
+    seed: int
+    fewest_inliers: int
+    tolerance: float
+    calibrated: bool
+
+    @staticmethod
+    def of(sizes: Sequence[tuple[int, int]], effort: MatchEffort, seed: int) -> "Verification":
+        """That of so many photos: a few do not determine their lens, so its prior is taken."""
+        policy = CAMERA_POLICY
+        calibrated = len(sizes) <= policy.few_photos
+        tolerance = policy.calibrated_tolerance * max(map(max, sizes)) if calibrated else policy.epipolar_tolerance
+        return Verification(seed, effort.fewest_inliers, tolerance, calibrated)
+
+    def options(self) -> pycolmap.TwoViewGeometryOptions:
+        options = pycolmap.TwoViewGeometryOptions()
+        options.ransac.random_seed = self.seed
+        options.min_num_inliers = self.fewest_inliers
+        options.ransac.max_error = self.tolerance
+        if self.calibrated:
+            options.min_E_F_inlier_ratio = 0.0
+        return options
+
+
 def match_pairs(
     database: Path,
     folder: Path,
     pairs: Iterable[tuple[int, int]],
-    seed: int,
     effort: MatchEffort,
-    *,
-    verify: bool = True,
+    verification: Verification | None,
 ) -> None:
-    """Match the features of these pairs of photos. With `verify` False, matches are kept as they are found."""
+    """Match the features of these pairs of photos; without `verification`, matches are kept as they are found."""
     pairing = pycolmap.ImportedPairingOptions()
     pairing.match_list_path = _listing(folder, pairs)
     # COLMAP notices Ctrl-C between blocks only.
@@ -48,20 +78,16 @@ def match_pairs(
     matching.use_gpu = False
     matching.guided_matching = effort.guided
     matching.sift.max_ratio = effort.match_ratio
-    matching.skip_geometric_verification = not verify
+    matching.skip_geometric_verification = verification is None
+    options = verification.options() if verification else pycolmap.TwoViewGeometryOptions()
     pycolmap.match_image_pairs(
-        database,
-        matching_options=matching,
-        pairing_options=pairing,
-        verification_options=_verification(seed, effort),
+        database, matching_options=matching, pairing_options=pairing, verification_options=options
     )
 
 
-def verify_pairs(
-    database: Path, folder: Path, pairs: Iterable[tuple[int, int]], seed: int, effort: MatchEffort
-) -> None:
+def verify_pairs(database: Path, folder: Path, pairs: Iterable[tuple[int, int]], verification: Verification) -> None:
     """Find a two-view geometry for the matches of these pairs of photos, which must have none yet."""
-    pycolmap.verify_matches(database, _listing(folder, pairs), options=_verification(seed, effort))
+    pycolmap.verify_matches(database, _listing(folder, pairs), options=verification.options())
 
 
 def read_pairs(store: pycolmap.Database, photos: int) -> tuple[Pair, ...]:
@@ -83,10 +109,3 @@ def _listing(folder: Path, pairs: Iterable[tuple[int, int]]) -> Path:
     listing = folder / "pairs.txt"
     listing.write_text("".join(f"{image_name(first)} {image_name(second)}\n" for first, second in pairs))
     return listing
-
-
-def _verification(seed: int, effort: MatchEffort) -> pycolmap.TwoViewGeometryOptions:
-    verification = pycolmap.TwoViewGeometryOptions()
-    verification.ransac.random_seed = seed
-    verification.min_num_inliers = effort.fewest_inliers
-    return verification
