@@ -87,7 +87,7 @@ def test_a_disturbed_scene_comes_back() -> None:
     generator = np.random.default_rng(1)
     start = replace(
         bundle,
-        lenses=bundle.lenses + [[0.1, 3.0, -3.0, -0.05, 0.02]],
+        lenses=bundle.lenses + np.array([[0.1, 3.0, -3.0, -0.05, 0.02]]),
         points=bundle.points + 0.05 * generator.standard_normal(bundle.points.shape),
     )
     adjusted = adjust(start, seen, prior(FOCAL, 1.0, weight=1e-6), LOSS, most_steps=100, tolerance=1e-9)
@@ -98,11 +98,11 @@ def test_a_disturbed_scene_comes_back() -> None:
 def test_data_and_prior_share_a_difference_by_their_precisions() -> None:
     """Of log f alone, data have the precision Σ(f·ρ)² and the prior has 1/σ²: the mean weighs both."""
     bundle, seen = scene(30)
-    held = LensPrior(bundle.lenses + [[0.002, 0, 0, 0, 0]], np.array([[0.0006, 1, 1, 1, 1]]), 1.0)
+    held = LensPrior(bundle.lenses + np.array([[0.002, 0, 0, 0, 0]]), np.array([[0.0006, 1, 1, 1, 1]]), 1.0)
     precision, stiffness = (linearised(bundle, seen).lens[:, :, 0] ** 2).sum(), 1 / 0.0006**2
     shifts = np.linspace(0, 0.002, 4001)
     costs = [
-        objective(replace(bundle, lenses=bundle.lenses + [[shift, 0, 0, 0, 0]]), seen, held, Loss(1e6))
+        objective(replace(bundle, lenses=bundle.lenses + np.array([[shift, 0, 0, 0, 0]])), seen, held, Loss(1e6))
         for shift in shifts
     ]
     share = stiffness / (stiffness + precision)
@@ -112,7 +112,7 @@ def test_data_and_prior_share_a_difference_by_their_precisions() -> None:
 
 @pytest.mark.parametrize(("points", "outvoted"), [(20, False), (400, True)])
 def test_many_points_outvote_the_prior_and_twenty_do_not(points: int, *, outvoted: bool) -> None:
-    """EXIF states 480 pixels with a spread of 3 %, where 400 is right. Features of six photos scatter by half a pixel."""
+    """EXIF states 480 pixels with a spread of 3 %, where 400 is right. Features scatter by half a pixel."""
     bundle, seen = scene(points, cameras=6, noise=0.5)
     start = replace(bundle, lenses=np.array([[np.log(480.0), SIZE[1] / 2, SIZE[0] / 2, 0.0, 0.0]]))
     adjusted = adjust(start, seen, prior(480.0, 0.03), LOSS, most_steps=100)
