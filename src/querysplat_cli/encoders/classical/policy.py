@@ -102,6 +102,10 @@ class CameraPolicy:
         start_angle=1.0, start_inliers=20, point_angle=0.5, pose_inliers=12, forward_motion=1.0
     )
     """How photos with few matches are added to the best model, when no attempt was complete."""
+    extending_few: Attempt = Attempt(
+        start_angle=1.0, start_inliers=20, point_angle=0.5, pose_inliers=6, forward_motion=1.0, fit_lens=False
+    )
+    """The same for a few photos, which share few points. The matches of two photos must still agree with the model."""
     epipolar_tolerance: float = 4.0
     """Sampson distance in pixels up to which cameras explain a match (COLMAP's threshold for verified pairs)."""
     agreeing_share: float = 0.8
