@@ -129,6 +129,17 @@ def test_wrong_matches_hardly_count() -> None:
     assert np.exp(adjusted.lenses[0, 0]) == pytest.approx(FOCAL, rel=0.02)
 
 
+def test_points_that_two_equal_cameras_see_do_no_harm() -> None:
+    """Nothing determines their distance, so the equations are singular but for the damping."""
+    bundle, seen = scene(40)
+    same = replace(bundle, poses=np.stack([bundle.poses[0]] * 2))
+    pixels = project(same, seen)[0] + 0.1 * np.random.default_rng(4).standard_normal(seen.pixels.shape)
+    start = objective(same, replace(seen, pixels=pixels), prior(FOCAL, 0.3), LOSS)
+    adjusted = adjust(same, replace(seen, pixels=pixels), prior(FOCAL, 0.3), LOSS)
+    assert np.isfinite(adjusted.points).all()
+    assert objective(adjusted, replace(seen, pixels=pixels), prior(FOCAL, 0.3), LOSS) <= start
+
+
 def test_points_are_placed_for_given_cameras() -> None:
     bundle, seen = scene(50, cameras=3)
     moved = bundle.points + 0.03 * np.random.default_rng(2).standard_normal(bundle.points.shape)

@@ -73,8 +73,8 @@ def adjust(
         system = _System.of(bundle, seen, prior, loss)
         while damping < 1e12:
             moved = system.step(bundle, damping)
-            value = objective(moved, seen, prior, loss)
-            if value < current:
+            value = objective(moved, seen, prior, loss) if moved else np.inf
+            if moved and value < current:
                 break
             damping, growth = damping * growth, growth * 2
         else:
@@ -207,8 +207,17 @@ class _System:
         point_gradient = _summed((turned @ linear.residuals[:, :, None])[:, :, 0], seen.point, points)
         return _System(reduced, gradient, own, point_gradient, turned @ both, columns, seen.point)
 
-    def step(self, bundle: Bundle, damping: float) -> Bundle:
-        """The bundle moved by a damped step; damping is relative to the diagonal (Marquardt 1963)."""
+    def step(self, bundle: Bundle, damping: float) -> Bundle | None:
+        """The bundle moved by a damped step, or None where the equations are singular at this damping.
+
+        Damping is relative to the diagonal (Marquardt 1963).
+        """
+        try:
+            return self._step(bundle, damping)
+        except (np.linalg.LinAlgError, torch.linalg.LinAlgError):
+            return None
+
+    def _step(self, bundle: Bundle, damping: float) -> Bundle:
         reduced, right = self.reduced.copy(), -self.gradient
         diagonal = np.einsum("ii->i", reduced)
         diagonal += damping * np.maximum(diagonal, 1e-9)

@@ -61,7 +61,6 @@ def _starts(
     ]
     one, two = rays(pair.first_pixels, cameras[0]), rays(pair.second_pixels, cameras[1])
     tolerance = CAMERA_POLICY.calibrated_tolerance * max(sizes[0]) / float(focals.mean())
-    cv2.setRNGSeed(0)
     essential, inside = cv2.findEssentialMat(one, two, np.eye(3), cv2.RANSAC, 0.9999, tolerance)
     if essential is not None and essential.shape == (3, 3):
         _, turn, shift, _ = cv2.recoverPose(essential, one, two, np.eye(3), mask=inside.copy())
