@@ -10,7 +10,8 @@ from querysplat_cli.model.checkpoints import load
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.pipeline.full_size import take_to_full_size
 from querysplat_cli.pipeline.optimise import optimise_start
-from querysplat_cli.pipeline.scene_folder import StoredScene, ply_path, read_scene, write_scene
+from querysplat_cli.pipeline.read_scene import check_model, read_scene
+from querysplat_cli.pipeline.scene_folder import StoredScene, ply_path, write_scene
 from querysplat_cli.pipeline.settings import ResumeSettings
 from querysplat_cli.prune.gaussians import target_count
 from querysplat_cli.reporting import omissions
@@ -44,7 +45,7 @@ def optimise_scene(settings: ResumeSettings, stages: Stages | None = None) -> Re
         return _at_full_size(settings, settings.quality, stages)
     with stages("read"):
         scene, before = read_scene(path)
-        model = load_again(scene.model, before["settings"], settings.weights, find_device(settings.device))
+        model = load_again(scene, before["settings"], settings.weights, find_device(settings.device))
         spaces = [run["space"] for run in before["tto"] if run["steps"]]
         space = options.space or (spaces[-1] if spaces else "features")
         apart = "gaussians" in spaces
@@ -137,13 +138,14 @@ def _options(settings: ResumeSettings) -> OptimiseOptions:
     )
 
 
-def load_again(name: str, settings: dict[str, Any], weights: Path | None, device: torch.device) -> QuerySplat:
-    """The model of a stored scene, from the settings in its report."""
+def load_again(scene: StoredScene, settings: dict[str, Any], weights: Path | None, device: torch.device) -> QuerySplat:
+    """The model of a stored scene, from the settings in its report. Raises QuerySplatError where it fits no more."""
     stored = settings.get("weights")
     folder = weights or (Path(stored) if stored else None)
-    model = load(name, folder, precision=check_precision(settings.get("precision", "fp32")), device=device)
+    model = load(scene.model, folder, precision=check_precision(settings.get("precision", "fp32")), device=device)
     if model.config.queries == "learned" and settings["queries"]:
         model.keep_queries(settings["queries"])
+    check_model(scene, model.config)
     return model
 
 

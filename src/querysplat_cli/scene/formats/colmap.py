@@ -53,7 +53,7 @@ def read_colmap(folder: Path) -> dict[str, PhotoCamera]:
         for place, index in zip(DISTORTION_PARAMETERS[camera.model_name], camera.extra_params_idxs(), strict=True):
             distortion[place] = float(camera.params[index])
         k1, k2, p1, p2 = distortion
-        cameras[name] = PhotoCamera(
+        found = PhotoCamera(
             w2c=w2c,
             focal=(float(camera.focal_length_x), float(camera.focal_length_y)),
             principal=(float(camera.principal_point_x), float(camera.principal_point_y)),
@@ -61,6 +61,10 @@ def read_colmap(folder: Path) -> dict[str, PhotoCamera]:
             height=int(camera.height),
             width=int(camera.width),
         )
+        if found.fault() or not np.isfinite(w2c).all():
+            why = found.fault() or "its pose is not a number"
+            raise QuerySplatError(f"{folder}: the camera of {name} makes no sense: {why}", "Export it again.")
+        cameras[name] = found
     return cameras
 
 

@@ -1,6 +1,5 @@
 """Captured scenes in the forms of DL3DV, nerfstudio, COLMAP, our scene folder and plain photos, as folders or zips."""
 
-import json
 import shutil
 import zipfile
 from collections.abc import Iterator, Sequence
@@ -10,6 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.json_files import read_json
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.formats.colmap import MODEL_FOLDERS, read_colmap
 from querysplat_cli.scene.formats.transforms import is_rigid, read_transforms
@@ -186,7 +186,7 @@ def _cameras(home: Traversable) -> tuple[dict[str, PhotoCamera], list[str]]:
 
 
 def _listed(listing: Path) -> tuple[dict[str, PhotoCamera], list[str]]:
-    cameras, content = read_transforms(listing), json.loads(listing.read_bytes())
+    cameras, content = read_transforms(listing), read_json(listing)
     return cameras, [frame["file_path"] for frame in [*content["frames"], *content.get("heldout_frames", [])]]
 
 

@@ -14,7 +14,8 @@ import numpy as np
 import torch
 
 from querysplat_cli.runtime.errors import QuerySplatError
-from querysplat_cli.scene.cameras import Cameras, PhotoCamera
+from querysplat_cli.runtime.json_files import read_json, shown
+from querysplat_cli.scene.cameras import LONGEST_SIDE, Cameras, PhotoCamera
 from querysplat_cli.scene.files import atomic_path
 from querysplat_cli.scene.photos import short_names
 from querysplat_cli.scene.pictures import stored_name
@@ -131,7 +132,7 @@ def _frames(cameras: Cameras, views: Views) -> list[dict[str, Any]]:
 
 
 def _named_cameras(path: Path, content: Mapping[str, Any], frames: Sequence[Mapping[str, Any]]) -> NamedCameras:
-    names = tuple(_photo(path, frame).removeprefix("./").removeprefix("images/") for frame in frames)
+    names = tuple(_inside(_photo(path, frame)) for frame in frames)
     cameras = [_photo_camera(path, name, {**content, **frame}) for name, frame in zip(names, frames, strict=True)]
     for name, camera in zip(names, cameras, strict=True):
         if not is_rigid(camera.w2c):
@@ -141,9 +142,20 @@ def _named_cameras(path: Path, content: Mapping[str, Any], frames: Sequence[Mapp
     K[:, (0, 1), (0, 1)] = torch.tensor([camera.focal for camera in cameras], dtype=torch.float64)
     K[:, :2, 2] = torch.tensor([camera.principal for camera in cameras], dtype=torch.float64)
     K[:, 2, 2] = 1
-    height, width = content.get("canvas") or (max(size[0] for size in sizes), max(size[1] for size in sizes))
+    height, width = _canvas(path, content.get("canvas"), sizes)
     w2c = torch.from_numpy(np.stack([camera.w2c for camera in cameras]))
-    return NamedCameras(names, Cameras(w2c.float(), K.float(), int(height), int(width)), sizes)
+    return NamedCameras(names, Cameras(w2c.float(), K.float(), height, width), sizes)
+
+
+def _canvas(path: Path, stated: Any, sizes: Sequence[tuple[int, int]]) -> tuple[int, int]:
+    """(height, width) of the canvas: the stated one, or the smallest that holds pictures of these sizes."""
+    least = max(size[0] for size in sizes), max(size[1] for size in sizes)
+    if stated is None:
+        return least
+    whole = isinstance(stated, list) and len(stated) == 2 and all(type(side) is int for side in stated)
+    if not (whole and all(low <= side <= LONGEST_SIDE for low, side in zip(least, stated, strict=True))):
+        raise QuerySplatError(f"{path}: the canvas {shown(stated)} cannot hold its pictures", "Export the file again.")
+    return stated[0], stated[1]
 
 
 def is_rigid(w2c: np.ndarray) -> bool:
@@ -163,25 +175,35 @@ def _photo_camera(path: Path, name: str, frame: Mapping[str, Any]) -> PhotoCamer
             "Undistort the photos first, for instance with `colmap image_undistorter`.",
         )
     try:
-        width, height, focal = int(frame["w"]), int(frame["h"]), float(frame["fl_x"])
+        width, height, focal = _whole(frame, "w"), _whole(frame, "h"), float(frame["fl_x"])
         c2w = np.array(frame["transform_matrix"], dtype=np.float64)
         if c2w.shape not in ((4, 4), (3, 4)):
             raise ValueError("transform_matrix is not 4 × 4")
-        if not (width > 0 and height > 0 and focal > 0):
-            raise ValueError("w, h and fl_x must be positive")
         k1, k2, p1, p2 = (float(frame.get(key, 0)) for key in ("k1", "k2", "p1", "p2"))
-        return PhotoCamera(
-            w2c=opencv_from_opengl(np.vstack([c2w[:3], [0, 0, 0, 1]])),
+        with np.errstate(over="ignore", invalid="ignore"):
+            w2c = opencv_from_opengl(np.vstack([c2w[:3], [0, 0, 0, 1]]))
+        camera = PhotoCamera(
+            w2c=w2c,
             focal=(focal, float(frame.get("fl_y", focal))),
             principal=(float(frame.get("cx", width / 2)), float(frame.get("cy", height / 2))),
             distortion=(k1, k2, p1, p2),
             height=height,
             width=width,
         )
+        if camera.fault():
+            raise ValueError(camera.fault())
+        return camera
     except KeyError as error:
         raise QuerySplatError(f"{path}: {name} has no {error}", "Every frame needs w, h, fl_x and a matrix.") from None
-    except (TypeError, ValueError) as error:
-        raise QuerySplatError(f"{path}: the camera of {name} makes no sense: {error}") from None
+    except (TypeError, ValueError, OverflowError) as error:
+        raise QuerySplatError(f"{path}: the camera of {name} makes no sense: {error}", "Export it again.") from None
+
+
+def _whole(frame: Mapping[str, Any], key: str) -> int:
+    value = frame[key]
+    if isinstance(value, bool) or not isinstance(value, int | float) or value != int(value):
+        raise ValueError(f"{key} is {shown(value)}, no whole number")
+    return int(value)
 
 
 def _picture(photo: str, file: str) -> dict[str, str]:
@@ -189,19 +211,26 @@ def _picture(photo: str, file: str) -> dict[str, str]:
 
 
 def _photo(path: Path, frame: Any) -> str:
-    try:
-        return str(frame.get("photo", frame["file_path"]))
-    except (AttributeError, TypeError, KeyError):
-        raise QuerySplatError(f"{path}: a frame has no file_path", "Export the file again.") from None
+    if not isinstance(frame, dict) or "file_path" not in frame:
+        raise QuerySplatError(f"{path}: a frame has no file_path", "Export the file again.")
+    name = frame.get("photo", frame["file_path"])
+    if not isinstance(name, str) or PurePosixPath(name).name in ("", "..") or "\0" in name:
+        raise QuerySplatError(f"{path}: {shown(name)} is no name of a photo", "Export the file again.")
+    return name
+
+
+def _inside(name: str) -> str:
+    """The path of a picture below the folder of the pictures, whatever folders the file names."""
+    parts = [part for part in PurePosixPath(name).parts if part not in ("/", "..")]
+    return "/".join(parts[1:] if parts[0] == "images" and parts[1:] else parts)
 
 
 def _load(path: Path) -> dict[str, Any]:
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise QuerySplatError(f"{path}: cannot be read as JSON: {error}", "Export the file again.") from None
+    content = read_json(path)
     if not isinstance(content, dict) or not isinstance(content.get("frames"), list) or not content["frames"]:
         raise QuerySplatError(
             f"{path}: no cameras in it (a list called `frames`)", "Give a file in nerfstudio's transforms.json form."
         )
+    if not isinstance(content.get("heldout_frames", []), list):
+        raise QuerySplatError(f"{path}: heldout_frames is no list", "Export the file again.")
     return content
