@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 
 from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.json_files import shown
 from querysplat_cli.scene.cameras import PhotoCamera
-from querysplat_cli.scene.photos import short_names
+from querysplat_cli.scene.photos import names_a_photo, short_names
 
 MODEL_FOLDERS = ("", "0", "sparse", "sparse/0", "colmap/sparse/0")
 """Where a model may be in a folder that the user gives."""
@@ -33,10 +34,22 @@ def read_colmap(folder: Path) -> dict[str, PhotoCamera]:
 
     Raises QuerySplatError when the model is damaged, or a lens has more than k1, k2, p1, p2.
     """
+    try:
+        return _cameras(folder)
+    except QuerySplatError:
+        raise
+    except Exception as error:  # damage can raise anything in COLMAP's classes
+        raise QuerySplatError(f"{folder}: no COLMAP model that can be read: {error}", "Export it again.") from error
+
+
+def _cameras(folder: Path) -> dict[str, PhotoCamera]:
     model = _opened(folder)
     images = sorted((image for image in model.images.values() if image.has_pose), key=lambda image: image.name)
     if not images:
         raise QuerySplatError(f"{folder}: the COLMAP model places no photo", "Give another model.")
+    unnamed = [image.name for image in images if not names_a_photo(image.name)]
+    if unnamed:
+        raise QuerySplatError(f"{folder}: {shown(unnamed[0])} is no name of a photo", "Export it again.")
     names = short_names([Path(image.name) for image in images])
     cameras = {}
     for name, image in zip(names, images, strict=True):
@@ -101,8 +114,8 @@ def _opened(folder: Path) -> Any:
 
     try:
         return pycolmap.Reconstruction(folder)
-    except (RuntimeError, ValueError, IndexError) as error:
-        reason = str(error).strip().splitlines()[-1]
+    except Exception as error:  # damage can raise anything in COLMAP's parser
+        reason = (str(error).strip() or type(error).__name__).splitlines()[-1]
         raise QuerySplatError(f"{folder}: no COLMAP model that can be read: {reason}", "Export it again.") from error
 
 

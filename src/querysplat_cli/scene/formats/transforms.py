@@ -17,7 +17,7 @@ from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.json_files import read_json, shown
 from querysplat_cli.scene.cameras import LONGEST_SIDE, Cameras, PhotoCamera
 from querysplat_cli.scene.files import atomic_path
-from querysplat_cli.scene.photos import short_names
+from querysplat_cli.scene.photos import names_a_photo, short_names
 from querysplat_cli.scene.pictures import stored_name
 from querysplat_cli.scene.views import Views
 
@@ -214,7 +214,7 @@ def _photo(path: Path, frame: Any) -> str:
     if not isinstance(frame, dict) or "file_path" not in frame:
         raise QuerySplatError(f"{path}: a frame has no file_path", "Export the file again.")
     name = frame.get("photo", frame["file_path"])
-    if not isinstance(name, str) or PurePosixPath(name).name in ("", "..") or "\0" in name:
+    if not isinstance(name, str) or not names_a_photo(name):
         raise QuerySplatError(f"{path}: {shown(name)} is no name of a photo", "Export the file again.")
     return name
 
