@@ -3,13 +3,13 @@
 from dataclasses import asdict
 from typing import Any
 
-import typer
 from rich.table import Table
 
 from querysplat_cli.cli.terminal import rows_table, say
 from querysplat_cli.cli.verb import Printing
 from querysplat_cli.reporting.report import Report
-from querysplat_cli.runtime.errors import ExitCode
+from querysplat_cli.runtime import signals
+from querysplat_cli.runtime.errors import QuerySplatError
 
 
 def print_report(report: Report, printing: Printing) -> None:
@@ -20,9 +20,9 @@ def print_report(report: Report, printing: Printing) -> None:
 
 
 def exit_if_interrupted(report: Report) -> None:
-    """Exit with the code of Ctrl-C after an optimisation that it ended early, although the scene was written."""
+    """Exit with the code of the signal that ended an optimisation early, although the scene was written."""
     if report.interrupted:
-        raise typer.Exit(ExitCode.INTERRUPTED)
+        raise QuerySplatError("stopped early", "The scene has what the optimisation had reached.", signals.exit_code())
 
 
 def _table(report: dict[str, Any]) -> Table:

@@ -10,6 +10,8 @@ from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from typing import Any, Generic, TypeVar
 
+from querysplat_cli.runtime import signals
+
 Job = TypeVar("Job")
 THREAD_LIMITS = ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "MKL_NUM_THREADS")
 STOP_SECONDS = 5.0
@@ -35,7 +37,7 @@ class Workers(Generic[Job]):
         `done` is never called twice at a time. On an exception, all processes are stopped; Ctrl-C and a scheduler's
         SIGTERM are one. Call it from the main thread.
         """
-        before = signal.signal(signal.SIGTERM, _interrupt)
+        before = signal.signal(signal.SIGTERM, signals.interrupt)
         waiting: queue.SimpleQueue[Job] = queue.SimpleQueue()
         for job in jobs:
             waiting.put(job)
@@ -119,10 +121,6 @@ def _serve(pipe: Connection, handler: Callable[[Any], Callable[[Any], None]], se
             return
         handle(job)
         pipe.send(None)
-
-
-def _interrupt(*_: object) -> None:
-    raise KeyboardInterrupt
 
 
 def _last_words(code: int | None) -> str:

@@ -30,7 +30,7 @@ from querysplat_cli.queries.prepare import MemoryMap
 from querysplat_cli.reporting.convergence_plot import write_curve
 from querysplat_cli.reporting.preview import write_preview
 from querysplat_cli.scene.cameras import Cameras
-from querysplat_cli.scene.files import atomic_folder, atomic_path
+from querysplat_cli.scene.files import atomic_together
 from querysplat_cli.scene.formats.ply import write_ply
 from querysplat_cli.scene.formats.transforms import write_cameras
 from querysplat_cli.scene.gaussians import Gaussians
@@ -82,7 +82,8 @@ def write_scene(ply: Path, scene: StoredScene, gaussians: Gaussians, report: dic
     Everything is written to temporary names first, so an interruption leaves what was there before.
     """
     folder = scene_folder(ply)
-    with atomic_path(ply) as ply_draft, atomic_folder(folder) as draft:
+    with atomic_together(ply, folder) as (ply_draft, draft):
+        draft.mkdir()
         written = write_ply(ply_draft, gaussians)
         for views, _ in scene.groups.values():
             write_images(draft / "images", views)

@@ -4,7 +4,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Protocol, runtime_checkable
 
 import av
@@ -13,6 +12,7 @@ import numpy as np
 
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera
+from querysplat_cli.scene.drafts import scratch_folder
 from querysplat_cli.scene.formats.dataset import CapturedScene, fetch, find_scenes
 from querysplat_cli.scene.photos import load_photos, reduced
 from querysplat_cli.scene.views import Photo
@@ -178,8 +178,8 @@ class Captured:
         inputs, targets = drawn_views(chance, settings, len(place.frames))
         chosen = sorted({*inputs, *targets})
         frames = [place.frames[i] for i in chosen]
-        with TemporaryDirectory() as scratch:
-            loaded, unread = load_photos(fetch(frames, Path(scratch)), TRAINING_POLICY.longest_side)
+        with scratch_folder() as scratch:
+            loaded, unread = load_photos(fetch(frames, scratch), TRAINING_POLICY.longest_side)
         if unread:
             raise QuerySplatError(f"{place.name}: {unread[0].name}: {unread[0].why}", "Download the scene again.")
         named = [

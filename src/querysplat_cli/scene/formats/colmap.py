@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from querysplat_cli.runtime.colmap import load_pycolmap
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.json_files import shown
 from querysplat_cli.scene.cameras import PhotoCamera
@@ -83,8 +84,7 @@ def _cameras(folder: Path) -> dict[str, PhotoCamera]:
 
 def write_colmap(folder: Path, cameras: Mapping[str, PhotoCamera], *, text: bool = False) -> None:
     """Write a model without points into the empty `folder`; photos with equal intrinsics share one camera."""
-    import pycolmap
-
+    pycolmap = load_pycolmap()
     model = pycolmap.Reconstruction()
     numbers: dict[tuple[object, ...], int] = {}
     for image_id, (name, camera) in enumerate(cameras.items(), start=1):
@@ -110,10 +110,8 @@ def copy_colmap(source: Path, folder: Path, *, text: bool = False) -> None:
 
 
 def _opened(folder: Path) -> Any:
-    import pycolmap
-
     try:
-        return pycolmap.Reconstruction(folder)
+        return load_pycolmap().Reconstruction(folder)
     except Exception as error:  # damage can raise anything in COLMAP's parser
         reason = (str(error).strip() or type(error).__name__).splitlines()[-1]
         raise QuerySplatError(f"{folder}: no COLMAP model that can be read: {reason}", "Export it again.") from error
