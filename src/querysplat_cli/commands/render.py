@@ -10,17 +10,17 @@ import numpy as np
 import torch
 
 from querysplat_cli.commands.requests import RenderRequest
-from querysplat_cli.pipeline.scene_folder import scene_folder
+from querysplat_cli.pipeline.gaussian_files import file_of_scene, folder_of_scene, read_gaussians
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import Cameras
-from querysplat_cli.scene.files import atomic_folder, atomic_path, refuse_existing
-from querysplat_cli.scene.formats.ply import read_ply
-from querysplat_cli.scene.formats.transforms import read_cameras
+from querysplat_cli.scene.files import atomic_folder, atomic_path, refuse_existing, with_name
+from querysplat_cli.scene.formats.transforms import read_cameras, working_frame
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.paths import orbit, surround
 from querysplat_cli.scene.pictures import eight_bit, write_picture
 from querysplat_cli.splat.render import Rendering, render
+from querysplat_cli.splat.transform import transform_gaussians
 
 FOREIGN_SIZE = (720, 960)
 """Height and width of the frames of a scene without cameras, unless the user gives a size."""
@@ -45,8 +45,13 @@ def render_file(request: RenderRequest, stages: Stages) -> Rendered:
     """Render `request.scene` to a folder of PNG frames, or to a film if the target ends in .mp4."""
     refuse_existing([request.target], force=request.force)
     with stages("read"):
-        gaussians = read_ply(request.scene)
-        names, cameras, sizes = _cameras(request, gaussians)
+        gaussians = read_gaussians(file_of_scene(with_name(request.scene)))
+        beside = folder_of_scene(with_name(request.scene)) / "cameras.json"
+        names, cameras, sizes = _cameras(request, beside, gaussians)
+        frame = working_frame(beside) if beside.is_file() else None
+        if frame:  # the splatter's limits are in the units in which the scene was made
+            gaussians, cameras = transform_gaussians(gaussians, frame.inverse()), cameras.transformed(frame.inverse())
+        unit = frame.scale if frame else 1.0
     film = request.target.suffix.lower() == ".mp4"
     if film and (request.depth or request.alpha):
         raise QuerySplatError("--depth and --alpha are pictures, not films", "Write to a folder instead of an .mp4.")
@@ -58,13 +63,17 @@ def render_file(request: RenderRequest, stages: Stages) -> Rendered:
         else:
             with atomic_folder(request.target) as draft:
                 for name, picture in zip(names, pictures, strict=True):
-                    _write_frame(draft / name, picture, request)
+                    _write_frame(draft / name, picture, request, unit)
     return Rendered(str(request.target), len(cameras), len(gaussians), stages.seconds)
 
 
-def _cameras(request: RenderRequest, gaussians: Gaussians) -> tuple[list[str], Cameras, list[tuple[int, int]]]:
-    """Names, cameras and picture sizes of the frames."""
-    beside = scene_folder(request.scene) / "cameras.json"
+def _cameras(
+    request: RenderRequest, beside: Path, gaussians: Gaussians
+) -> tuple[list[str], Cameras, list[tuple[int, int]]]:
+    """Names, cameras and picture sizes of the pictures, in the frame of the scene's files.
+
+    `beside` is the scene's cameras.json, which may be missing.
+    """
     if request.cameras == "orbit" or (request.cameras == "auto" and not beside.is_file()):
         opaque = gaussians.means[gaussians.opacities >= min(0.5, float(gaussians.opacities.max()))]
         if beside.is_file():
@@ -101,10 +110,11 @@ def _render_each(
         progress("", (i + 1) / len(sizes))
 
 
-def _write_frame(path: Path, picture: Rendering, request: RenderRequest) -> None:
+def _write_frame(path: Path, picture: Rendering, request: RenderRequest, unit: float) -> None:
+    """Write one frame's pictures. `unit` is one unit of the rendering in those of the scene's files."""
     write_picture(path.with_name(f"{path.name}.png"), eight_bit(picture.colour[0].clamp(0, 1)))
     if request.depth:
-        steps = (picture.depth[0] * DEPTH_UNITS).round().clamp(0, 65535)
+        steps = (picture.depth[0] * unit * DEPTH_UNITS).round().clamp(0, 65535)
         write_picture(path.with_name(f"{path.name}_depth.png"), steps.numpy().astype(np.uint16))
     if request.alpha:
         write_picture(

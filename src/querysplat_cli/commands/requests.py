@@ -9,6 +9,7 @@ from annotated_types import Ge, Gt
 from querysplat_cli.runtime.choices import Axis
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.options import Force, MovedWeights, Option, Seed, StoredScenePath
+from querysplat_cli.scene.files import with_name
 
 
 def read_size(text: str) -> tuple[int, int]:
@@ -41,11 +42,19 @@ def read_box(text: str) -> tuple[float, ...]:
     return box
 
 
+def beside(scene: Path, what: str) -> Path:
+    """The folder SCENE-what for results, beside a scene's folder or file."""
+    place = with_name(scene)
+    return place.with_name(f"{place.name if place.is_dir() else place.stem}-{what}")
+
+
 @dataclass(frozen=True)
 class RenderRequest:
     """Pictures or a film of a .ply."""
 
-    scene: Annotated[Path, Option("A 3D Gaussian splatting .ply of SH degree 0 to 3.", argument=True)]
+    scene: Annotated[
+        Path, Option("A scene folder, or a .ply, .spz or .sog of SH degree 0 to 3.", metavar="SCENE", argument=True)
+    ]
     output: Annotated[
         Path | None,
         Option(
@@ -80,7 +89,7 @@ class RenderRequest:
     @property
     def target(self) -> Path:
         """The folder or the film to write."""
-        return self.output or self.scene.with_name(f"{self.scene.stem}-renders")
+        return self.output or beside(self.scene, "renders")
 
 
 @dataclass(frozen=True)
@@ -141,7 +150,7 @@ class InspectRequest:
     @property
     def target(self) -> Path:
         """The folder to write."""
-        return self.output or self.scene.with_name(f"{self.scene.stem}-inspected")
+        return self.output or beside(self.scene, "inspected")
 
 
 @dataclass(frozen=True)

@@ -10,25 +10,28 @@ from PIL import Image, UnidentifiedImageError
 from torch import Tensor
 
 from querysplat_cli.model.config import ModelConfig
-from querysplat_cli.pipeline.scene_folder import StoredScene, scene_folder
+from querysplat_cli.pipeline.gaussian_files import file_of_scene, folder_of_scene, read_gaussians
+from querysplat_cli.pipeline.scene_folder import StoredScene
 from querysplat_cli.pipeline.stored_tensors import DamagedTensors, checked
 from querysplat_cli.reporting.stored_report import read_report
 from querysplat_cli.runtime.checkpoint_files import read_tensors
 from querysplat_cli.runtime.errors import QuerySplatError
-from querysplat_cli.scene.formats.transforms import NamedCameras, read_cameras
+from querysplat_cli.scene.formats.transforms import NamedCameras, read_working_cameras
+from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.photo_files import read_photo_files
 from querysplat_cli.scene.pictures import stored_name
 from querysplat_cli.scene.views import Views
+from querysplat_cli.splat.transform import transform_gaussians
 
 MAKE_AGAIN = "Run `querysplat reconstruct` again."
 
 
 def read_scene(path: Path) -> tuple[StoredScene, dict[str, Any]]:
-    """The scene and the report in a folder that `write_scene` made; `path` is the folder or its .ply.
+    """The scene and the report in a folder that `write_scene` made; `path` is the folder, or the Gaussians beside it.
 
     Raises QuerySplatError when a part is missing, damaged, or does not fit the others.
     """
-    folder = scene_folder(path) if path.suffix.lower() == ".ply" else path
+    folder = folder_of_scene(path)
     memories = folder / "memories.safetensors"
     if not memories.is_file():
         raise QuerySplatError(
@@ -36,7 +39,7 @@ def read_scene(path: Path) -> tuple[StoredScene, dict[str, Any]]:
             "Give the folder (or the .ply beside it) that `querysplat reconstruct` wrote.",
         )
     report = read_report(folder / "report.json")
-    inputs, heldout = read_cameras(folder / "cameras.json")
+    inputs, heldout, frame = read_working_cameras(folder / "cameras.json")
     names = [*inputs.names, *(heldout.names if heldout else ())]
     photos = read_photo_files(folder / "photos.json")
     tensors, metadata = read_tensors(memories)
@@ -53,10 +56,14 @@ def read_scene(path: Path) -> tuple[StoredScene, dict[str, Any]]:
             held = _read_images(folder / "images", heldout, stored.masks[len(inputs.names) :]), heldout.cameras
     except (OSError, DamagedTensors, cv2.error, Image.DecompressionBombError) as error:
         raise QuerySplatError(f"{folder} is damaged: {error}", MAKE_AGAIN) from error
-    scene = StoredScene(
-        views, inputs.cameras, held, stored.memories, stored.anchors, metadata["model"], stored.map, stored.kept, photos
-    )
-    return scene, report
+    parts = stored.memories, stored.anchors, metadata["model"], stored.map, stored.kept
+    return StoredScene(views, inputs.cameras, held, *parts, photos, frame), report
+
+
+def read_scene_gaussians(path: Path, scene: StoredScene) -> Gaussians:
+    """The Gaussians beside a scene folder, in the frame in which the scene was made."""
+    gaussians = read_gaussians(file_of_scene(path))
+    return transform_gaussians(gaussians, scene.frame.inverse()) if scene.frame else gaussians
 
 
 def check_model(scene: StoredScene, config: ModelConfig) -> None:

@@ -9,9 +9,10 @@ import torch
 from querysplat_cli.model.checkpoints import load
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.pipeline.full_size import take_to_full_size
+from querysplat_cli.pipeline.gaussian_files import file_of_scene, folder_of_scene
 from querysplat_cli.pipeline.optimise import optimise_start
-from querysplat_cli.pipeline.read_scene import check_model, read_scene
-from querysplat_cli.pipeline.scene_folder import StoredScene, ply_path, write_scene
+from querysplat_cli.pipeline.read_scene import check_model, read_scene, read_scene_gaussians
+from querysplat_cli.pipeline.scene_folder import StoredScene, write_scene
 from querysplat_cli.pipeline.settings import ResumeSettings
 from querysplat_cli.prune.gaussians import target_count
 from querysplat_cli.reporting import omissions
@@ -22,7 +23,7 @@ from querysplat_cli.runtime.device import find_device, peak_gib
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.precision import check_precision
 from querysplat_cli.runtime.progress import Stages
-from querysplat_cli.scene.formats.ply import read_ply
+from querysplat_cli.scene.files import with_name
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.tto.adapt import Adapted
 from querysplat_cli.tto.cameras import with_refined_focal
@@ -33,12 +34,13 @@ from querysplat_cli.tto.policy import TTO_POLICY
 
 
 def optimise_scene(settings: ResumeSettings, stages: Stages | None = None) -> Report:
-    """Optimise the scene in `settings.scene` (its folder or its .ply) further, and write it back.
+    """Optimise the scene in `settings.scene` (its folder, or the Gaussians beside it) further, and write it back.
 
     Raises QuerySplatError when the scene is damaged, when feature space is asked for although the Gaussians were
     optimised themselves, when `densify` asks for splitting in feature space or for fewer Gaussians than there are, and
     when `quality` comes with options that it decides, or needs photos that are gone.
     """
+    settings = replace(settings, scene=with_name(settings.scene))
     stages, path, options = stages or Stages(), settings.scene, _options(settings)
     if settings.quality:
         _check_plain(settings)
@@ -50,7 +52,7 @@ def optimise_scene(settings: ResumeSettings, stages: Stages | None = None) -> Re
         space = options.space or (spaces[-1] if spaces else "features")
         apart = "gaussians" in spaces
         _check(path, options, space, before["gaussians"], apart=apart)
-        gaussians = read_ply(ply_path(path)) if apart else None
+        gaussians = read_scene_gaussians(path, scene) if apart else None
     with stages("tto") as progress:
         plan = _plan(scene, before["gaussians"], options, space, resumed=space in spaces)
         start = Start(scene.memories, scene.anchors, gaussians, None if apart else scene.kept)
@@ -65,7 +67,7 @@ def _at_full_size(settings: ResumeSettings, level: FullSizeLevel, stages: Stages
     path, device = settings.scene, find_device(settings.device)
     with stages("read"):
         scene, before = read_scene(path)
-        gaussians = read_ply(ply_path(path))
+        gaussians = read_scene_gaussians(path, scene)
     found = take_to_full_size(scene, gaussians, level, seed=settings.seed, device=device, stages=stages)
     return _write_back(
         path,
@@ -102,6 +104,8 @@ def _write_back(
     with stages("write"):
         report = replace(
             Report.from_dict(before),
+            ply=str(file_of_scene(path)),
+            scene=str(folder_of_scene(path)),
             gaussians=len(gaussians),
             seconds=seconds_entry(stages.seconds),
             quality=scores | (quality or {}),
@@ -110,7 +114,7 @@ def _write_back(
             machine=machine(),
             **changes,
         )
-        write_scene(ply_path(path), scene, gaussians, report.as_dict())
+        write_scene(file_of_scene(path), scene, gaussians, report.as_dict())
     return report
 
 

@@ -2,7 +2,7 @@
 
 scene.ply
 scene/
-  cameras.json             nerfstudio form; held-out views under "heldout_frames"
+  cameras.json             nerfstudio form; held-out views under "heldout_frames"; in the frame of given cameras
   images/                  the undistorted photos that the cameras belong to
   photos.json              where the photos themselves lie, and their lenses, if the encoder knows these
   memories.safetensors     memories, anchors, masks and depth, and the model that they belong to
@@ -25,20 +25,26 @@ from torch import Tensor
 
 from querysplat_cli.model.anchors import Anchors
 from querysplat_cli.model.memories import Memories
+from querysplat_cli.pipeline.gaussian_files import folder_of_scene, write_gaussians
 from querysplat_cli.pipeline.stored_tensors import StoredTensors, flattened
 from querysplat_cli.queries.prepare import MemoryMap
 from querysplat_cli.reporting.convergence_plot import write_curve
 from querysplat_cli.reporting.preview import write_preview
+from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.files import atomic_together
-from querysplat_cli.scene.formats.ply import write_ply
 from querysplat_cli.scene.formats.transforms import write_cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.photo_files import PhotoFile, write_photo_files
 from querysplat_cli.scene.pictures import LOSSLESS_SUFFIXES, eight_bit, stored_name, write_picture
+from querysplat_cli.scene.sim3 import Sim3
 from querysplat_cli.scene.views import Views
+from querysplat_cli.splat.transform import transform_gaussians
 
 JPEG_SETTINGS = (cv2.IMWRITE_JPEG_QUALITY, 100, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
+
+SCENE_FILES = ("report.json", "cameras.json", "memories.safetensors")
+"""A folder with one of these is taken for a scene's."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +53,9 @@ class StoredScene:
 
     `model` is the preset or checkpoint that decodes the memories. `kept` marks the decoded Gaussians that belong to
     the scene (None: all). `photos` are the files of input and held-out photos by name; it may lack some.
+
+    Everything here is in the frame in which the scene was made. `frame` maps it to that of the files, where the user
+    gave cameras.
     """
 
     views: Views
@@ -58,6 +67,7 @@ class StoredScene:
     map: MemoryMap | None = None
     kept: Bool[Tensor, "n"] | None = None
     photos: dict[str, PhotoFile] = dataclasses.field(default_factory=dict)
+    frame: Sim3 | None = None
 
     @property
     def groups(self) -> dict[str, tuple[Views, Cameras]]:
@@ -66,28 +76,26 @@ class StoredScene:
         return {**inputs, "held out": self.heldout} if self.heldout else inputs
 
 
-def scene_folder(ply: Path) -> Path:
-    """The folder beside a scene's .ply."""
-    return ply.with_suffix("")
+def refuse_foreign(folder: Path) -> None:
+    """Raise QuerySplatError when `folder` holds files, and is no scene folder: --force replaces scenes alone."""
+    if folder.is_dir() and any(folder.iterdir()) and not any((folder / name).is_file() for name in SCENE_FILES):
+        raise QuerySplatError(
+            f"{folder} is where the scene's folder goes, and holds other files", "Choose another output, or move it."
+        )
 
 
-def ply_path(path: Path) -> Path:
-    """The .ply of a scene; `path` is its folder or the .ply itself."""
-    return path if path.suffix.lower() == ".ply" else path.with_name(f"{path.name}.ply")
-
-
-def write_scene(ply: Path, scene: StoredScene, gaussians: Gaussians, report: dict[str, Any]) -> int:
-    """Write, or replace, `ply` and the folder beside it; returns the number of Gaussians in the file.
+def write_scene(target: Path, scene: StoredScene, gaussians: Gaussians, report: dict[str, Any]) -> int:
+    """Write, or replace, `target` (a .ply or .spz) and the folder beside it; returns the number of Gaussians in it.
 
     Everything is written to temporary names first, so an interruption leaves what was there before.
     """
-    folder = scene_folder(ply)
-    with atomic_together(ply, folder) as (ply_draft, draft):
+    with atomic_together(target, folder_of_scene(target)) as (target_draft, draft):
         draft.mkdir()
-        written = write_ply(ply_draft, gaussians)
+        placed = transform_gaussians(gaussians, scene.frame) if scene.frame else gaussians
+        written = write_gaussians(target_draft, placed)
         for views, _ in scene.groups.values():
             write_images(draft / "images", views)
-        write_cameras(draft / "cameras.json", scene.cameras, scene.views, heldout=scene.heldout)
+        write_cameras(draft / "cameras.json", scene.cameras, scene.views, heldout=scene.heldout, frame=scene.frame)
         if scene.photos:
             write_photo_files(draft / "photos.json", list(scene.photos.values()))
         masks = torch.cat([views.masks for views, _ in scene.groups.values()])

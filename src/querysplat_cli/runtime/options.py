@@ -46,7 +46,9 @@ class Only:
         object.__setattr__(self, "fixed", fixed)
 
 
-StoredScenePath = Annotated[Path, Option("The folder that `reconstruct` wrote, or the .ply beside it.", argument=True)]
+StoredScenePath = Annotated[
+    Path, Option("The folder that `reconstruct` wrote, or the .ply or .spz beside it.", argument=True)
+]
 Seed = Annotated[
     int, Option("The seed of every random choice. The same seed on the same machine gives the same file.", metavar="N")
 ]

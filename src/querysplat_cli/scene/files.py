@@ -50,7 +50,8 @@ def refuse_replacing(inputs: Sequence[Path], outputs: Sequence[Path]) -> None:
         here = path.resolve()
         for output in outputs:
             if output.resolve() in (here, *here.parents):
-                raise QuerySplatError(f"{output} would replace {path}, which is read", "Choose another output.")
+                why = f"the folder {output} of the scene would replace {path}, which is read"
+                raise QuerySplatError(why, f"Choose another output, for instance -o {output.name}-scene.ply.")
 
 
 def check_writable(folder: Path) -> None:
@@ -128,13 +129,19 @@ def atomic_together(*paths: Path) -> Iterator[tuple[Path, ...]]:
             undo.pop_all()
 
 
+def with_name(path: Path) -> Path:
+    """`path`, or where it ends in `.` or `..` the same place by a path that ends in a name."""
+    return path if path.name not in ("", "..") else path.resolve()
+
+
 def without_steps(path: Path) -> Path:
     """The same place by an absolute path without `.`, `..` or a symbolic link to a folder on the way.
 
     Raises QuerySplatError for a path that ends in no name.
     """
     try:
-        place = path.parent.resolve() / path.name if path.name not in ("", "..") else path.resolve()
+        place = with_name(path)
+        place = place.parent.resolve() / place.name
     except (OSError, RuntimeError, ValueError) as error:
         raise QuerySplatError(f"{shown(str(path))}: no such place: {error}", "Choose another output.") from None
     if not place.name:

@@ -70,6 +70,11 @@ def read_sog(path: Path) -> Gaussians:
     return _finite(path, gaussians)
 
 
+def check_spz() -> None:
+    """Raise MissingPart without what writes .spz."""
+    _gsply()
+
+
 def _gsply() -> Any:
     try:
         return import_module("gsply")

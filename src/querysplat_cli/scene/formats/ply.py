@@ -67,6 +67,10 @@ def read_ply(path: Path) -> Gaussians:
     present = vertices.dtype.names or ()
     rest = sum(name.startswith("f_rest_") for name in present)
     missing = [name for name in columns(0) if name not in present]
+    if "packed_position" in present:
+        raise QuerySplatError(
+            f"{path}: a compressed .ply of PlayCanvas, which is not read", "Convert it with splat-transform."
+        )
     if missing:
         raise QuerySplatError(
             f"{path}: a .ply, but not one of Gaussians: it has no {', '.join(missing[:4])}",

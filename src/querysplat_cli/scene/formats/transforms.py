@@ -15,10 +15,11 @@ import torch
 
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.json_files import read_json, shown
-from querysplat_cli.scene.cameras import LONGEST_SIDE, Cameras, PhotoCamera
+from querysplat_cli.scene.cameras import FARTHEST_CENTRE, LONGEST_SIDE, Cameras, PhotoCamera
 from querysplat_cli.scene.files import atomic_path
 from querysplat_cli.scene.photos import names_a_photo, short_names
 from querysplat_cli.scene.pictures import stored_name
+from querysplat_cli.scene.sim3 import Sim3
 from querysplat_cli.scene.views import Views
 
 OPENGL_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -50,17 +51,26 @@ def read_transforms(path: Path) -> dict[str, PhotoCamera]:
     return {name: _photo_camera(path, name, {**content, **frame}) for name, frame in zip(names, frames, strict=True)}
 
 
-def write_cameras(path: Path, cameras: Cameras, views: Views, *, heldout: tuple[Views, Cameras] | None = None) -> None:
+def write_cameras(
+    path: Path,
+    cameras: Cameras,
+    views: Views,
+    *,
+    heldout: tuple[Views, Cameras] | None = None,
+    frame: Sim3 | None = None,
+) -> None:
     """Write pinhole cameras of undistorted pictures; `read_cameras` gives the same back within 1e-6.
 
     The pictures are the undistorted ones in `images/`. Where a picture's file has another name than its photo, `photo`
     is the photo's name. Held-out frames are under `heldout_frames`. `canvas` is the (height, width) that all share.
+    `frame` maps the frame of the cameras to that of the file, which also keeps it, as `working_frame`.
     """
     content = {
         "camera_model": "PINHOLE",
         "canvas": [cameras.height, cameras.width],
-        "frames": _frames(cameras, views),
-        **({"heldout_frames": _frames(heldout[1], heldout[0])} if heldout else {}),
+        **({"working_frame": _as_entry(frame)} if frame else {}),
+        "frames": _frames(cameras, views, frame),
+        **({"heldout_frames": _frames(heldout[1], heldout[0], frame)} if heldout else {}),
     }
     with atomic_path(path) as draft:
         draft.write_text(json.dumps(content, indent=1) + "\n")
@@ -91,9 +101,46 @@ def read_cameras(path: Path) -> tuple[NamedCameras, NamedCameras | None]:
     `read_transforms` does, and for a matrix that is no rigid motion.
     """
     content = _load(path)
-    inputs = _named_cameras(path, content, content["frames"])
+    return _both(path, content, Sim3.identity())
+
+
+def read_working_cameras(path: Path) -> tuple[NamedCameras, NamedCameras | None, Sim3 | None]:
+    """The cameras of a cameras.json in the frame in which its scene was made, and the way from there to the file's.
+
+    That is None where the two frames are one. Raises as `read_cameras`.
+    """
+    content = _load(path)
+    frame = _working_frame(path, content.get("working_frame"))
+    return *_both(path, content, frame or Sim3.identity()), frame
+
+
+def working_frame(path: Path) -> Sim3 | None:
+    """The third part of what `read_working_cameras` gives."""
+    return _working_frame(path, _load(path).get("working_frame"))
+
+
+def _both(path: Path, content: dict[str, Any], frame: Sim3) -> tuple[NamedCameras, NamedCameras | None]:
+    inputs = _named_cameras(path, content, content["frames"], frame)
     heldout = content.get("heldout_frames")
-    return inputs, _named_cameras(path, content, heldout) if heldout else None
+    return inputs, _named_cameras(path, content, heldout, frame) if heldout else None
+
+
+def _as_entry(frame: Sim3) -> dict[str, Any]:
+    return {"scale": frame.scale, "rotation": frame.rotation.tolist(), "translation": frame.translation.tolist()}
+
+
+def _working_frame(path: Path, entry: Any) -> Sim3 | None:
+    if entry is None:
+        return None
+    try:
+        scale = float(entry["scale"])
+        rigid = np.eye(4)
+        rigid[:3, :3], rigid[:3, 3] = np.array(entry["rotation"], float), np.array(entry["translation"], float)
+        if not (1 / FARTHEST_CENTRE <= scale <= FARTHEST_CENTRE and is_rigid(rigid)):
+            raise ValueError("no similarity")
+    except (LookupError, TypeError, ValueError, OverflowError) as error:
+        raise QuerySplatError(f"{path}: its working_frame makes no sense: {error}", "Export the file again.") from None
+    return Sim3(scale, torch.from_numpy(rigid[:3, :3]), torch.from_numpy(rigid[:3, 3]))
 
 
 def opencv_from_opengl(c2w: np.ndarray) -> np.ndarray:
@@ -113,7 +160,9 @@ def _rigid_inverse(matrix: np.ndarray) -> np.ndarray:
     return inverse
 
 
-def _frames(cameras: Cameras, views: Views) -> list[dict[str, Any]]:
+def _frames(cameras: Cameras, views: Views, frame: Sim3 | None) -> list[dict[str, Any]]:
+    cameras = cameras.to(torch.float64)
+    cameras = cameras.transformed(frame) if frame else cameras
     return [
         {
             **_picture(name, stored_name(name)),
@@ -126,14 +175,17 @@ def _frames(cameras: Cameras, views: Views) -> list[dict[str, Any]]:
             "transform_matrix": opengl_from_opencv(w2c).tolist(),
         }
         for name, (height, width), K, w2c in zip(
-            views.names, views.sizes, cameras.K.double().numpy(), cameras.w2c.double().numpy(), strict=True
+            views.names, views.sizes, cameras.K.numpy(), cameras.w2c.numpy(), strict=True
         )
     ]
 
 
-def _named_cameras(path: Path, content: Mapping[str, Any], frames: Sequence[Mapping[str, Any]]) -> NamedCameras:
-    names = tuple(_inside(_photo(path, frame)) for frame in frames)
-    cameras = [_photo_camera(path, name, {**content, **frame}) for name, frame in zip(names, frames, strict=True)]
+def _named_cameras(
+    path: Path, content: Mapping[str, Any], frames: Sequence[Mapping[str, Any]], frame: Sim3
+) -> NamedCameras:
+    """The cameras in the frame that `frame` maps to the file's."""
+    names = tuple(_inside(_photo(path, entry)) for entry in frames)
+    cameras = [_photo_camera(path, name, {**content, **entry}) for name, entry in zip(names, frames, strict=True)]
     for name, camera in zip(names, cameras, strict=True):
         if not is_rigid(camera.w2c):
             raise QuerySplatError(f"{path}: the matrix of {name} is no rigid motion", "Remove that frame.")
@@ -144,7 +196,8 @@ def _named_cameras(path: Path, content: Mapping[str, Any], frames: Sequence[Mapp
     K[:, 2, 2] = 1
     height, width = _canvas(path, content.get("canvas"), sizes)
     w2c = torch.from_numpy(np.stack([camera.w2c for camera in cameras]))
-    return NamedCameras(names, Cameras(w2c.float(), K.float(), height, width), sizes)
+    found = Cameras(w2c, K, height, width).transformed(frame.inverse())
+    return NamedCameras(names, found.to(torch.float32), sizes)
 
 
 def _canvas(path: Path, stated: Any, sizes: Sequence[tuple[int, int]]) -> tuple[int, int]:
