@@ -12,6 +12,7 @@ import torch
 from querysplat_cli.commands.requests import RenderRequest
 from querysplat_cli.pipeline.gaussian_files import file_of_scene, folder_of_scene, read_gaussians
 from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.limits import require_memory
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.files import atomic_folder, atomic_path, refuse_existing, with_name
@@ -26,6 +27,9 @@ FOREIGN_SIZE = (720, 960)
 """Height and width of the frames of a scene without cameras, unless the user gives a size."""
 DEPTH_UNITS = 1000
 """Steps of a 16-bit depth PNG in one scene unit. 0 is a pixel without Gaussians, 65,535 the greatest depth."""
+
+PIXEL_BYTES = 100
+"""About the memory of one pixel while a picture is rendered and written."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +59,8 @@ def render_file(request: RenderRequest, stages: Stages) -> Rendered:
     film = request.target.suffix.lower() == ".mp4"
     if film and (request.depth or request.alpha):
         raise QuerySplatError("--depth and --alpha are pictures, not films", "Write to a folder instead of an .mp4.")
+    height, width = request.size or (max(side) for side in zip(*sizes, strict=True))
+    require_memory(PIXEL_BYTES * height * width, f"pictures of {width:,} × {height:,} pixels")
     with stages("render") as progress:
         pictures = _render_each(gaussians, cameras, sizes, request, progress)
         if film:
