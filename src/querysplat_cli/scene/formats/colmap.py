@@ -10,6 +10,7 @@ from querysplat_cli.runtime.colmap import load_pycolmap
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.json_files import shown
 from querysplat_cli.scene.cameras import PhotoCamera
+from querysplat_cli.scene.formats.colmap_files import check_binary
 from querysplat_cli.scene.photos import names_a_photo, short_names
 
 MODEL_FOLDERS = ("", "0", "sparse", "sparse/0", "colmap/sparse/0")
@@ -110,6 +111,7 @@ def copy_colmap(source: Path, folder: Path, *, text: bool = False) -> None:
 
 
 def _opened(folder: Path) -> Any:
+    check_binary(folder)
     try:
         return load_pycolmap().Reconstruction(folder)
     except Exception as error:  # damage can raise anything in COLMAP's parser
