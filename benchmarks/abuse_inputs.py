@@ -76,7 +76,7 @@ class Sound:
         self.captured = folder / "captured"
         (self.captured / "images").mkdir(parents=True)
         pixels = np.random.default_rng(0).integers(0, 255, (64, 80, 3), dtype=np.uint8)
-        for i in range(6):
+        for i in range(40):
             cv2.imwrite(str(self.captured / "images" / f"{i}.png"), np.roll(pixels, i))
 
     def bytes(self, name: str) -> bytes:
@@ -248,8 +248,8 @@ def headers(sound: bytes) -> Iterator[tuple[str, bytes]]:
 
 
 def exif(count: int) -> Iterator[tuple[str, bytes]]:
-    """JPEGs of 80 × 64 pixels with absurd EXIF."""
-    pixels = Image.fromarray(np.random.default_rng(0).integers(0, 255, (64, 80, 3), dtype=np.uint8))
+    """JPEGs of 128 × 96 pixels with absurd EXIF."""
+    pixels = Image.fromarray(np.random.default_rng(0).integers(0, 255, (96, 128, 3), dtype=np.uint8))
     for i in range(count):
         rng = random.Random(f"exif {i}")
         tags = Image.Exif()

@@ -77,12 +77,22 @@ class RenderRequest:
     cameras: Annotated[
         str,
         Option(
-            "The input cameras (inputs), a path around the scene (orbit), or a file in transforms.json form. auto is "
-            "inputs where they are known, and orbit elsewhere.",
+            "The input cameras (inputs; in a film, a smooth path through them), a path around the scene (orbit), or a "
+            "file in transforms.json form. auto is inputs where they are known, and orbit elsewhere.",
             metavar="auto|inputs|orbit|FILE",
         ),
     ] = "auto"
     frames: Annotated[int, Ge(1), Le(1_000_000), Option("The number of frames of an orbit.", metavar="N")] = 90
+    seconds: Annotated[
+        float | None,
+        Ge(0.1),
+        Le(600.0),
+        Option(
+            "The length of a film.",
+            metavar="S",
+            default="1.5 for each step between input cameras, 3 to 12; an orbit's --frames",
+        ),
+    ] = None
     fps: Annotated[int, Ge(1), Le(1000), Option("The frames per second of a film.", metavar="N")] = 30
     size: Annotated[
         tuple[int, int] | None,
@@ -100,6 +110,10 @@ class RenderRequest:
     def target(self) -> Path:
         """The folder or the film to write."""
         return self.output or beside(self.scene, "renders")
+
+    @property
+    def is_film(self) -> bool:
+        return self.target.suffix.lower() == ".mp4"
 
 
 @dataclass(frozen=True)
