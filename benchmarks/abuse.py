@@ -219,6 +219,16 @@ def _faults(
     return faults
 
 
+def warm_up(sound: Any, folder: Path) -> None:
+    """Load what the first case would have to wait for."""
+    from querysplat_cli.cli import run
+
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir()
+    sound.scene(folder)
+    run(["tto", str(folder / "s"), "--steps", "1", "-q"])
+
+
 def serve(folder: Path, families: list[str], start: int) -> None:
     """Run the cases from number `start` on; print each outcome as a line of JSON on the original standard output."""
     from abuse_cases import all_cases
@@ -228,6 +238,8 @@ def serve(folder: Path, families: list[str], start: int) -> None:
     results = os.fdopen(os.dup(1), "w")
     sound = object.__new__(Sound)
     sound.folder, sound.photos, sound.captured = folder, folder / "photos", folder / "captured"
+    with captured(folder / "log"):
+        warm_up(sound, folder / "warm")
     chosen = [case for case in all_cases(sound) if not families or case.family in families]
     for case in chosen[start:]:
         print(json.dumps({"starts": case.what, "family": case.family}), file=results, flush=True)

@@ -14,7 +14,7 @@ from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.files import atomic_folder, refuse_existing
 from querysplat_cli.scene.formats.colmap import copy_colmap, write_colmap
 from querysplat_cli.scene.formats.known import find_known_cameras, read_known_cameras
-from querysplat_cli.scene.formats.transforms import write_transforms
+from querysplat_cli.scene.formats.transforms import is_rigid, write_transforms
 from querysplat_cli.scene.match_cameras import match_cameras
 from querysplat_cli.scene.photos import WHOLE, find_photos, load_photo, short_names
 from querysplat_cli.scene.pictures import stored_name
@@ -69,20 +69,25 @@ def _convert_gaussians(request: Conversion) -> dict[str, Any]:
 
 def _convert_cameras(request: Conversion) -> dict[str, Any]:
     source = find_known_cameras(request.source)
-    cameras = read_known_cameras(source)
+    given = read_known_cameras(source)
+    cameras = {name: camera for name, camera in given.items() if is_rigid(camera.w2c)}
+    left_out = [vars(LeftOut(name, "its camera is no rigid motion")) for name in given if name not in cameras]
+    if not cameras:
+        raise QuerySplatError(f"{source}: no camera of it is a rigid motion", "Export it again.")
     if request.target.suffix.lower() == ".json" and not request.photos:
         write_transforms(request.target, cameras)
     elif request.target.suffix:
         raise QuerySplatError(f"{request.target}: not a kind of file for cameras", "Use a .json, or a folder.")
     elif request.photos:
-        return _make_scene_folder(request.target, cameras, request.photos)
+        made = _make_scene_folder(request.target, cameras, request.photos)
+        return {**made, "left_out": [*made["left_out"], *left_out]}
     else:
         with atomic_folder(request.target) as draft:
             if source.is_dir():
                 copy_colmap(source, draft, text=request.text)
             else:
                 write_colmap(draft, cameras, text=request.text)
-    return {"target": str(request.target), "cameras": len(cameras)}
+    return {"target": str(request.target), "cameras": len(cameras), "left_out": left_out}
 
 
 def _make_scene_folder(target: Path, cameras: Mapping[str, PhotoCamera], place: Path) -> dict[str, Any]:

@@ -20,7 +20,7 @@ FOCAL_RANGE = 0.01, 10_000.0
 """Sensible focal lengths in longer sides of the picture: fields of view from 179° down to 20 seconds of arc."""
 FARTHEST_PRINCIPAL = 10.0
 """How far from the picture's corner a principal point may lie, in longer sides of the picture."""
-STRONGEST_DISTORTION = 1e3
+STRONGEST_DISTORTION = 20.0
 FARTHEST_CENTRE = 1e12
 """In units of the file. Beyond it, float32 holds no useful difference between two cameras."""
 

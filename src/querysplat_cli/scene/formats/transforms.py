@@ -228,17 +228,20 @@ def _photo_camera(path: Path, name: str, frame: Mapping[str, Any]) -> PhotoCamer
             "Undistort the photos first, for instance with `colmap image_undistorter`.",
         )
     try:
-        width, height, focal = _whole(frame, "w"), _whole(frame, "h"), float(frame["fl_x"])
-        c2w = np.array(frame["transform_matrix"], dtype=np.float64)
+        width, height, focal = _whole(frame, "w"), _whole(frame, "h"), _number(frame, "fl_x")
+        rows = frame["transform_matrix"]
+        if not all(type(number) in (int, float) for row in rows for number in row):
+            raise ValueError("transform_matrix has other things than numbers")
+        c2w = np.array(rows, dtype=np.float64)
         if c2w.shape not in ((4, 4), (3, 4)):
             raise ValueError("transform_matrix is not 4 × 4")
-        k1, k2, p1, p2 = (float(frame.get(key, 0)) for key in ("k1", "k2", "p1", "p2"))
+        k1, k2, p1, p2 = (_number(frame, key, 0.0) for key in ("k1", "k2", "p1", "p2"))
         with np.errstate(over="ignore", invalid="ignore"):
             w2c = opencv_from_opengl(np.vstack([c2w[:3], [0, 0, 0, 1]]))
         camera = PhotoCamera(
             w2c=w2c,
-            focal=(focal, float(frame.get("fl_y", focal))),
-            principal=(float(frame.get("cx", width / 2)), float(frame.get("cy", height / 2))),
+            focal=(focal, _number(frame, "fl_y", focal)),
+            principal=(_number(frame, "cx", width / 2), _number(frame, "cy", height / 2)),
             distortion=(k1, k2, p1, p2),
             height=height,
             width=width,
@@ -252,9 +255,16 @@ def _photo_camera(path: Path, name: str, frame: Mapping[str, Any]) -> PhotoCamer
         raise QuerySplatError(f"{path}: the camera of {name} makes no sense: {error}", "Export it again.") from None
 
 
+def _number(frame: Mapping[str, Any], key: str, default: float | None = None) -> float:
+    value = frame[key] if default is None else frame.get(key, default)
+    if type(value) not in (int, float):
+        raise ValueError(f"{key} is {shown(value)}, no number")
+    return float(value)
+
+
 def _whole(frame: Mapping[str, Any], key: str) -> int:
-    value = frame[key]
-    if isinstance(value, bool) or not isinstance(value, int | float) or value != int(value):
+    value = _number(frame, key)
+    if value != int(value):
         raise ValueError(f"{key} is {shown(value)}, no whole number")
     return int(value)
 
