@@ -4,12 +4,15 @@ import json
 import shutil
 from pathlib import Path
 
+import cv2
 import pytest
 from test_road import take_photos
 
 from querysplat_cli.cli import run
 from querysplat_cli.pipeline.gaussian_files import read_gaussians
-from querysplat_cli.runtime.errors import ExitCode
+from querysplat_cli.runtime.errors import ExitCode, QuerySplatError
+from querysplat_cli.scene.cameras import PhotoCamera
+from querysplat_cli.scene.views import Photo
 
 pytest.importorskip("gsply")
 
@@ -49,3 +52,34 @@ def test_a_scene_given_by_a_dot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert run(["tto", "copy/../copy", "--steps", "0", "-q"]) == ExitCode.DONE
     assert json.loads((copied / "report.json").read_text())["ply"] == "copy/../copy.ply"
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*names, "copy", "copy.ply"])
+
+
+def test_colmap_gets_the_photos_of_a_scene(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Not its preview, and not the small pictures in its folder where the photos are still there."""
+    photos = take_photos(tmp_path / "photos", 3, 2)
+    made = ["reconstruct", *map(str, photos), "-o", str(tmp_path / "s.ply"), "--max-size", "96", "--tto", "0", "-q"]
+    assert run(made) == ExitCode.DONE
+    seen = []
+
+    def colmap(found: list[Photo], seed: int) -> dict[str, PhotoCamera]:
+        seen.append([(photo.name, photo.width) for photo in found])
+        raise QuerySplatError("enough")
+
+    monkeypatch.setattr("querysplat_cli.commands.poses.estimate_with_colmap", colmap)
+    width = cv2.imread(str(photos[0])).shape[1]
+    names = [photo.name for photo in photos]
+    for given in ("s", "s/cameras.json"):
+        assert run(["poses", str(tmp_path / given), "--colmap"]) == ExitCode.BAD_INPUT
+        assert seen.pop() == [(name, width) for name in names]
+    (tmp_path / "s" / "photos.json").unlink()
+    assert run(["poses", str(tmp_path / "s"), "--colmap"]) == ExitCode.BAD_INPUT
+    assert seen.pop() == [(name, 96) for name in names]
+    shutil.rmtree(tmp_path / "s" / "images")
+    (tmp_path / "s" / "preview.png").unlink()
+    capsys.readouterr()
+    assert run(["poses", str(tmp_path / "s" / "cameras.json"), "--colmap"]) == ExitCode.BAD_INPUT
+    message = capsys.readouterr().err
+    assert "--colmap needs the photos of" in message
+    assert "Put the photos into" in message

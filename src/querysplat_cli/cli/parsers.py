@@ -55,6 +55,8 @@ def _value_or_word(kind: type, bounds: Iterable[object], words: dict[str, Any]) 
         except ValueError:
             wanted = " or ".join((_in_words(kind), *words))
             raise typer.BadParameter(f"{shown(text)} is not {wanted}.") from None
+        if isinstance(value, Path) and "\0" in text:
+            raise typer.BadParameter(f"{shown(text)} is not a path.")
         if isinstance(value, int | float) and not abs(value) <= (LARGEST if isinstance(value, int) else LARGEST_REAL):
             raise typer.BadParameter(f"{shown(text)} is too large, or no finite number.")
         for bound in bounds:

@@ -68,7 +68,11 @@ class Workers(Generic[Job]):
                 job = waiting.get_nowait()
             except queue.Empty:
                 break
-            worker = worker or self._start()
+            try:
+                worker = worker or self._start()
+            except Exception as error:  # no process, or nothing that it could be sent; `run` waits for a word
+                finished.put((job, f"no process could be started for it: {error}"))
+                continue
             if worker is None:
                 break
             process, pipe = worker

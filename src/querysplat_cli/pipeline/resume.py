@@ -108,7 +108,7 @@ def _write_back(
             scene=str(folder_of_scene(path)),
             gaussians=len(gaussians),
             seconds=seconds_entry(stages.seconds),
-            quality=scores | (quality or {}),
+            quality=scores | {"before": _psnr(before["quality"])} | (quality or {}),
             tto=[*before["tto"], *tto],
             peak_memory_gib=round(peak_gib(), 2),
             machine=machine(),
@@ -116,6 +116,13 @@ def _write_back(
         )
         write_scene(file_of_scene(path), scene, gaussians, report.as_dict())
     return report
+
+
+def _psnr(quality: dict[str, Any]) -> dict[str, float | None]:
+    """PSNR in dB on inputs and held-out views, of a stored report; None where it has none."""
+    groups = {name: quality.get(name) for name in ("input", "heldout")}
+    values = {name: group.get("psnr") if isinstance(group, dict) else None for name, group in groups.items()}
+    return {name: float(value) if isinstance(value, int | float) else None for name, value in values.items()}
 
 
 def _check_plain(settings: ResumeSettings) -> None:

@@ -161,6 +161,9 @@ class Captured:
         if missing := [film for film in films if not film.is_file()]:
             raise QuerySplatError(f"{missing[0]}: no such file", "Give a video, a scene, or a folder of scenes.")
         folders = [place for place in places if place not in films]
+        if gone := [folder for folder in folders if not folder.exists()]:
+            hint = """Name your own with --set 'data.sources.0.places=["/path/to/scenes"]'."""
+            raise QuerySplatError(f"{gone[0]}: no such folder of scenes to train on", hint)
         scenes = find_scenes(folders, settings.pictures) if folders else []
         self._scenes: list[CapturedScene | Path] = [*scenes, *films]
 
