@@ -73,7 +73,9 @@ def encode_and_build(
         geometry = encoder.estimate_geometry(posed, seed=settings.seed, progress=progress)
     if last:
         encoder.free()
-    scene = _built(posed, geometry, model, settings, stages, share)
+    prepared = _prepared(posed, geometry, model, settings, stages)
+    geometry = replace(geometry, features=())  # they are large, and optimisation needs the memory
+    scene = _optimised(posed, geometry, prepared, model, settings, stages, share)
     return replace(scene, duplicates=duplicates)
 
 
@@ -85,34 +87,42 @@ def build_scene(
     stages: Stages | None = None,
 ) -> BuiltScene:
     """Queries, memories and test-time optimisation: a scene from given cameras and geometry."""
-    return _built(posed, geometry, model, settings, stages or Stages())
+    stages = stages or Stages()
+    prepared = _prepared(posed, geometry, model, settings, stages)
+    return _optimised(posed, replace(geometry, features=()), prepared, model, settings, stages)
 
 
-def _built(
-    posed: PosedViews,
-    geometry: Geometry,
-    model: QuerySplat,
-    settings: ReconstructSettings,
-    stages: Stages,
-    share: BudgetShare | None = None,
-) -> BuiltScene:
-    """The scene. Where photos disagree in colour, its queries are made of their colours without the differences."""
+@dataclass(frozen=True)
+class _Prepared:
+    """Queries, and how far the photos agree in colour (None: not measured)."""
+
+    queries: PreparedQueries
+    colours: PhotoColours | None
+
+    @property
+    def exposures(self) -> Exposures | None:
+        """The colour transforms of the photos, where they disagree."""
+        return self.colours.exposures if self.colours and not self.colours.agree else None
+
+
+def _prepared(
+    posed: PosedViews, geometry: Geometry, model: QuerySplat, settings: ReconstructSettings, stages: Stages
+) -> _Prepared:
+    """Where photos disagree in colour, queries are made of their colours without the differences."""
     with stages("queries"):
         colours = _compared(posed, geometry, model, settings)
-        exposures = colours.exposures if colours and not colours.agree else None
-        alike = replace(posed, views=exposures.removed_from(posed.views)) if exposures else posed
-        prepared = prepare(
+        if colours and not colours.agree:
+            posed = replace(posed, views=colours.exposures.removed_from(posed.views))
+        queries = prepare(
             model,
-            alike,
+            posed,
             geometry,
             queries=settings.queries,
             soft_query_limit=None if settings.keep_everything or settings.tto == 0 else TTO_POLICY.queries,
             target=settings.tto_target,
             keep_all=settings.keep_everything,
         )
-    geometry = replace(geometry, features=())  # they are large, and optimisation needs the memory
-    adapted, time_for_more = _optimised(posed, prepared, model, settings, stages, share, exposures)
-    return BuiltScene(posed, geometry, prepared, adapted, time_for_more=time_for_more, colours=colours)
+    return _Prepared(queries, colours)
 
 
 def _compared(
@@ -126,27 +136,25 @@ def _compared(
 
 def _optimised(
     posed: PosedViews,
-    prepared: PreparedQueries,
+    geometry: Geometry,
+    prepared: _Prepared,
     model: QuerySplat,
     settings: ReconstructSettings,
     stages: Stages,
-    share: BudgetShare | None,
-    exposures: Exposures | None,
-) -> tuple[Adapted, bool]:
-    """The optimised scene, and whether the budget has room for another.
-
-    The optimisation takes as much of the time `share` as leaves enough for the other scenes of the same budget.
-    """
+    share: BudgetShare | None = None,
+) -> BuiltScene:
+    """The optimisation takes as much of the time `share` as leaves enough for the other scenes of the same budget."""
+    queries, photos = prepared.queries, (posed.views, posed.cameras)
     with stages("tto") as progress:
         options = _options(settings, posed)
-        count = _gaussian_count(prepared, model)
+        count = _gaussian_count(queries, model)
         seconds, time_for_more = share.optimising_seconds(count) if share else (None, True)
-        plan = _plan(prepared, count, posed.cameras, options, seconds)
+        plan = _plan(queries, count, posed.cameras, options, seconds)
         optimised = any(run.settings.steps for run in plan)
-        variables = prepared.variables.map(torch.Tensor.float) if optimised else prepared.variables
-        start = Start(variables, prepared.anchors)
-        photos = posed.views, posed.cameras
-        return optimise_start(model, start, photos, plan, options, progress, exposures), time_for_more
+        variables = queries.variables.map(torch.Tensor.float) if optimised else queries.variables
+        start = Start(variables, queries.anchors)
+        adapted = optimise_start(model, start, photos, plan, options, progress, prepared.exposures)
+    return BuiltScene(posed, geometry, queries, adapted, time_for_more=time_for_more, colours=prepared.colours)
 
 
 def _options(settings: ReconstructSettings, posed: PosedViews) -> OptimiseOptions:
