@@ -117,7 +117,7 @@ def test_gradients_are_over_changing_backgrounds_and_losses_over_grey() -> None:
 def test_the_plan_goes_from_coarse_to_fine() -> None:
     plan = plan_full_size("high", LARGE, 50_000)
     assert [each.max_size for each in plan.stages] == [800, 1600]
-    assert 50_000 < plan.stages[0].gaussians < plan.stages[1].gaussians == FULL_SIZE_POLICY.high_gaussians
+    assert 50_000 < plan.stages[0].gaussians < plan.stages[1].gaussians == FULL_SIZE_POLICY.levels["high"].gaussians
     assert all(each.settings.seconds is None for each in plan.stages)
     assert plan.round is None
     assert 300 < plan.seconds < 600
@@ -138,7 +138,7 @@ def test_photos_without_more_pixels_are_shown_less_often() -> None:
         return sum(each.settings.steps for each in plan_full_size("high", photos, 30_000).stages) / count
 
     assert passes(448) == passes(300) == FULL_SIZE_POLICY.passes
-    assert passes(448) < passes(560) <= FULL_SIZE_POLICY.most_passes
+    assert passes(448) < passes(640) <= FULL_SIZE_POLICY.most_passes
 
 
 @pytest.mark.parametrize("level", ["high", "max"])
@@ -156,8 +156,25 @@ def test_max_uses_the_whole_photos_and_goes_on_in_rounds() -> None:
     assert largest.seconds > 2 * high.seconds
 
 
+def test_standard_shows_each_photo_often_enough_in_its_seconds() -> None:
+    """More photos become smaller, until they are as small as the working pictures."""
+    plans = [plan_full_size("standard", replace(LARGE, count=count), 40_000) for count in (6, 12, 24, 200)]
+    sizes = [plan.stages[-1].max_size for plan in plans]
+    assert sizes == sorted(sizes, reverse=True)
+    assert sizes[0] <= FULL_SIZE_POLICY.levels["standard"].size
+    assert sizes[-1] == LARGE.working
+    assert all(plan.seconds <= FULL_SIZE_POLICY.levels["standard"].most_seconds for plan in plans)
+    for count, plan in zip((6, 12), plans, strict=False):
+        assert sum(each.settings.steps for each in plan.stages) >= FULL_SIZE_POLICY.fewest_passes * count
+
+
+def test_photos_hardly_larger_than_the_working_pictures_are_used_at_that_size() -> None:
+    (only,) = plan_full_size("high", replace(LARGE, height=360, width=480), 40_000).stages
+    assert only.max_size == LARGE.working
+
+
 def test_a_short_time_makes_the_photos_smaller_but_never_smaller_than_the_scene() -> None:
-    sizes = [plan_full_size("high", LARGE, 50_000, seconds=s).stages[-1].max_size for s in (1.0, 100.0, 200.0, 2000.0)]
+    sizes = [plan_full_size("high", LARGE, 50_000, seconds=s).stages[-1].max_size for s in (1.0, 90.0, 120.0, 2000.0)]
     assert sizes[0] == LARGE.working
     assert sizes == sorted(sizes)
     assert sizes[1] < sizes[2] < sizes[3] == 1600

@@ -1,13 +1,16 @@
 """One scene from photos with cameras: near-duplicates left out, depth, queries, optimisation."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import torch
 
 from querysplat_cli.encoders.base import Encoder, Geometry, PosedViews
 from querysplat_cli.encoders.holdout import PosedSplit, select_views
 from querysplat_cli.model.querysplat import QuerySplat
-from querysplat_cli.pipeline.budget import BudgetShare
+from querysplat_cli.pipeline.budget import BudgetShare, OptimisingTime
+from querysplat_cli.pipeline.full_size import FullSize, LargePhotos, take_to_full_size
 from querysplat_cli.pipeline.optimise import optimise_start
 from querysplat_cli.pipeline.policy import PIPELINE_POLICY
 from querysplat_cli.pipeline.settings import ReconstructSettings
@@ -17,6 +20,8 @@ from querysplat_cli.queries.prepare import PreparedQueries, prepare
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.exposures import Exposures
+from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.photo_files import PhotoFile, photo_files
 from querysplat_cli.scene.views import LeftOut, Views
 from querysplat_cli.tto.adapt import Adapted
 from querysplat_cli.tto.cameras import refinable, with_refined_focal
@@ -33,6 +38,9 @@ class BuiltScene:
 
     posed: the input views that the scene was made from, with their cameras before optimisation, which may have
         corrected them.
+    adapted: after the runs on the working pictures.
+    files: the photos of the input views, where they can be found again.
+    full_size: after those on the photos; None where there were none.
     duplicates: views that were left out of the scene.
     time_for_more: whether the budget has room for another scene.
     colours: how far the photos agree in colour; None where that was not measured.
@@ -42,9 +50,30 @@ class BuiltScene:
     geometry: Geometry
     prepared: PreparedQueries
     adapted: Adapted
+    files: tuple[PhotoFile, ...] = ()
+    full_size: FullSize | None = None
     duplicates: tuple[LeftOut, ...] = ()
     time_for_more: bool = True
     colours: PhotoColours | None = None
+
+    @property
+    def gaussians(self) -> Gaussians:
+        """The scene as it is written."""
+        return self.full_size.gaussians if self.full_size else self.adapted.gaussians
+
+    @property
+    def interrupted(self) -> bool:
+        return self.adapted.interrupted or bool(self.full_size and self.full_size.interrupted)
+
+    @property
+    def inputs(self) -> LargePhotos:
+        """The photos that the scene was made from, with their cameras after optimisation."""
+        return LargePhotos(self.posed.views, self.adapted.cameras, self.files, self.adapted.exposures)
+
+    @property
+    def exposures(self) -> Exposures | None:
+        """The colour transforms of the input photos, where they disagree."""
+        return self.full_size.exposures if self.full_size else self.adapted.exposures
 
     def heldout(self, cameras: PosedSplit) -> tuple[Views, Cameras] | None:
         """The held-out views of the pass that the scene was made from, with cameras corrected as the inputs' were."""
@@ -63,10 +92,12 @@ def encode_and_build(
     *,
     last: bool = False,
     share: BudgetShare | None = None,
+    paths: Mapping[str, Path] | None = None,
 ) -> BuiltScene:
     """`build_scene` without near-duplicate views, with the geometry that the encoder estimates.
 
-    The encoder cannot be used any more after the `last` scene: its weights make room for the decoders.
+    `paths` are the files of the photos by name, for an optimisation on larger pictures than the working ones. The
+    encoder cannot be used any more after the `last` scene: its weights make room for the decoders.
     """
     posed, duplicates = (posed, ()) if settings.keep_everything else _distinct(posed)
     with stages("depth") as progress:
@@ -75,7 +106,8 @@ def encode_and_build(
         encoder.free()
     prepared = _prepared(posed, geometry, model, settings, stages)
     geometry = replace(geometry, features=())  # they are large, and optimisation needs the memory
-    scene = _optimised(posed, geometry, prepared, model, settings, stages, share)
+    files = photo_files(posed.views.names, posed.photo_cameras, paths) if paths else ()
+    scene = _optimised(posed, geometry, prepared, model, settings, stages, share, files)
     return replace(scene, duplicates=duplicates)
 
 
@@ -142,19 +174,53 @@ def _optimised(
     settings: ReconstructSettings,
     stages: Stages,
     share: BudgetShare | None = None,
+    files: tuple[PhotoFile, ...] = (),
 ) -> BuiltScene:
     """The optimisation takes as much of the time `share` as leaves enough for the other scenes of the same budget."""
     queries, photos = prepared.queries, (posed.views, posed.cameras)
     with stages("tto") as progress:
         options = _options(settings, posed)
         count = _gaussian_count(queries, model)
-        seconds, time_for_more = share.optimising_seconds(count) if share else (None, True)
-        plan = _plan(queries, count, posed.cameras, options, seconds)
+        time = share.optimising(count) if share else None
+        plan = _plan(queries, count, posed.cameras, options, time.seconds if time else None)
         optimised = any(run.settings.steps for run in plan)
         variables = queries.variables.map(torch.Tensor.float) if optimised else queries.variables
         start = Start(variables, queries.anchors)
         adapted = optimise_start(model, start, photos, plan, options, progress, prepared.exposures)
-    return BuiltScene(posed, geometry, queries, adapted, time_for_more=time_for_more, colours=prepared.colours)
+    scene = BuiltScene(posed, geometry, queries, adapted, files, colours=prepared.colours)
+    scene = replace(scene, time_for_more=time is None or time.for_more)
+    return _taken_further(scene, next(model.parameters()).device, settings, stages, time)
+
+
+def _taken_further(
+    scene: BuiltScene,
+    device: torch.device,
+    settings: ReconstructSettings,
+    stages: Stages,
+    time: OptimisingTime | None,
+) -> BuiltScene:
+    """The scene after its optimisation in Gaussian space, where the settings and the time ask for that.
+
+    Scenes of official models have none unless it is asked for, as in the release.
+    """
+    level, seconds = settings.full_size, time.full_size_seconds() if time else None
+    if scene.interrupted or level is None or (time and seconds is None):
+        return scene
+    if scene.prepared.anchors is None and not settings.one_scene:
+        return scene
+    if time and level == "standard":
+        level = "high"  # the time decides, not the level
+    with stages("full size") as progress:
+        found = take_to_full_size(
+            scene.inputs,
+            scene.adapted.gaussians,
+            level,
+            seed=settings.seed,
+            device=device,
+            progress=progress,
+            seconds=seconds,
+        )
+    return replace(scene, full_size=found)
 
 
 def _options(settings: ReconstructSettings, posed: PosedViews) -> OptimiseOptions:

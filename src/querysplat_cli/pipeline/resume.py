@@ -8,7 +8,7 @@ import torch
 
 from querysplat_cli.model.checkpoints import load
 from querysplat_cli.model.querysplat import QuerySplat
-from querysplat_cli.pipeline.full_size import take_to_full_size
+from querysplat_cli.pipeline.full_size import full_size_quality, stored_photos, take_to_full_size
 from querysplat_cli.pipeline.optimise import optimise_start
 from querysplat_cli.pipeline.scene_folder import StoredScene, ply_path, read_scene, write_scene
 from querysplat_cli.pipeline.settings import ResumeSettings
@@ -66,14 +66,21 @@ def _at_full_size(settings: ResumeSettings, level: FullSizeLevel, stages: Stages
     with stages("read"):
         scene, before = _read(settings)
         gaussians = read_ply(ply_path(path))
-    found = take_to_full_size(scene, gaussians, level, seed=settings.seed, device=device, stages=stages)
+    photos = stored_photos(scene)
+    with stages("full size") as progress:
+        assert photos["input"]
+        found = take_to_full_size(
+            photos["input"], gaussians, level, seed=settings.seed, device=device, progress=progress
+        )
+    with stages("full size score"):
+        quality = full_size_quality(found, photos)
     return _write_back(
         path,
         replace(scene, exposures=found.exposures),
         found.gaussians,
         before,
         stages,
-        quality={"full_size": found.quality},
+        quality={"full_size": quality},
         tto=found.runs,
         full_size=found.summary,
     )
