@@ -1,7 +1,7 @@
 """One scene from photos with cameras: near-duplicates left out, depth, queries, optimisation."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import torch
@@ -62,6 +62,11 @@ class BuiltScene:
         return self.full_size.gaussians if self.full_size else self.adapted.gaussians
 
     @property
+    def exposures(self) -> Exposures | None:
+        """The colour transforms of the input photos; None where they show the scene's own colours."""
+        return self.full_size.exposures if self.full_size else self.adapted.exposures
+
+    @property
     def interrupted(self) -> bool:
         return self.adapted.interrupted or bool(self.full_size and self.full_size.interrupted)
 
@@ -69,11 +74,6 @@ class BuiltScene:
     def inputs(self) -> LargePhotos:
         """The photos that the scene was made from, with their cameras after optimisation."""
         return LargePhotos(self.posed.views, self.adapted.cameras, self.files, self.adapted.exposures)
-
-    @property
-    def exposures(self) -> Exposures | None:
-        """The colour transforms of the input photos, where they disagree."""
-        return self.full_size.exposures if self.full_size else self.adapted.exposures
 
     def heldout(self, cameras: PosedSplit) -> tuple[Views, Cameras] | None:
         """The held-out views of the pass that the scene was made from, with cameras corrected as the inputs' were."""
@@ -83,31 +83,37 @@ class BuiltScene:
         return views, with_refined_focal(theirs, self.posed.cameras, self.adapted.cameras)
 
 
+@dataclass(frozen=True)
+class Allowance:
+    """What the making of one scene may use.
+
+    share: its time; None sets no limit.
+    paths: the files of the photos by name, for an optimisation on larger pictures than the working ones.
+    last: the encoder cannot be used any more afterwards: its weights make room for the decoders.
+    """
+
+    share: BudgetShare | None = None
+    paths: Mapping[str, Path] = field(default_factory=dict)
+    last: bool = False
+
+
 def encode_and_build(
     posed: PosedViews,
     encoder: Encoder,
     model: QuerySplat,
     settings: ReconstructSettings,
     stages: Stages,
-    *,
-    last: bool = False,
-    share: BudgetShare | None = None,
-    paths: Mapping[str, Path] | None = None,
+    allowance: Allowance = Allowance(),
 ) -> BuiltScene:
-    """`build_scene` without near-duplicate views, with the geometry that the encoder estimates.
-
-    `paths` are the files of the photos by name, for an optimisation on larger pictures than the working ones. The
-    encoder cannot be used any more after the `last` scene: its weights make room for the decoders.
-    """
+    """`build_scene` without near-duplicate views, with the geometry that the encoder estimates."""
     posed, duplicates = (posed, ()) if settings.keep_everything else _distinct(posed)
     with stages("depth") as progress:
         geometry = encoder.estimate_geometry(posed, seed=settings.seed, progress=progress)
-    if last:
+    if allowance.last:
         encoder.free()
-    prepared = _prepared(posed, geometry, model, settings, stages)
+    prepared, colours = _prepared(posed, geometry, model, settings, stages)
     geometry = replace(geometry, features=())  # they are large, and optimisation needs the memory
-    files = photo_files(posed.views.names, posed.photo_cameras, paths) if paths else ()
-    scene = _optimised(posed, geometry, prepared, model, settings, stages, share, files)
+    scene = _finished(posed, geometry, prepared, colours, model, settings, stages, allowance)
     return replace(scene, duplicates=duplicates)
 
 
@@ -120,41 +126,47 @@ def build_scene(
 ) -> BuiltScene:
     """Queries, memories and test-time optimisation: a scene from given cameras and geometry."""
     stages = stages or Stages()
-    prepared = _prepared(posed, geometry, model, settings, stages)
-    return _optimised(posed, replace(geometry, features=()), prepared, model, settings, stages)
-
-
-@dataclass(frozen=True)
-class _Prepared:
-    """Queries, and how far the photos agree in colour (None: not measured)."""
-
-    queries: PreparedQueries
-    colours: PhotoColours | None
-
-    @property
-    def exposures(self) -> Exposures | None:
-        """The colour transforms of the photos, where they disagree."""
-        return self.colours.exposures if self.colours and not self.colours.agree else None
+    prepared, colours = _prepared(posed, geometry, model, settings, stages)
+    geometry = replace(geometry, features=())
+    return _finished(posed, geometry, prepared, colours, model, settings, stages, Allowance())
 
 
 def _prepared(
     posed: PosedViews, geometry: Geometry, model: QuerySplat, settings: ReconstructSettings, stages: Stages
-) -> _Prepared:
+) -> tuple[PreparedQueries, PhotoColours | None]:
     """Where photos disagree in colour, queries are made of their colours without the differences."""
     with stages("queries"):
         colours = _compared(posed, geometry, model, settings)
-        if colours and not colours.agree:
-            posed = replace(posed, views=colours.exposures.removed_from(posed.views))
-        queries = prepare(
+        exposures = _transforms(colours)
+        alike = replace(posed, views=exposures.removed_from(posed.views)) if exposures else posed
+        prepared = prepare(
             model,
-            posed,
+            alike,
             geometry,
             queries=settings.queries,
             soft_query_limit=None if settings.keep_everything or settings.tto == 0 else TTO_POLICY.queries,
             target=settings.tto_target,
             keep_all=settings.keep_everything,
         )
-    return _Prepared(queries, colours)
+    return prepared, colours
+
+
+def _finished(
+    posed: PosedViews,
+    geometry: Geometry,
+    prepared: PreparedQueries,
+    colours: PhotoColours | None,
+    model: QuerySplat,
+    settings: ReconstructSettings,
+    stages: Stages,
+    allowance: Allowance,
+) -> BuiltScene:
+    """The scene after its optimisation."""
+    adapted, time = _optimised(posed, prepared, model, settings, stages, allowance.share, _transforms(colours))
+    files = photo_files(posed.views.names, posed.photo_cameras, allowance.paths) if allowance.paths else ()
+    more = time is None or time.for_more
+    scene = BuiltScene(posed, geometry, prepared, adapted, files, colours=colours, time_for_more=more)
+    return _taken_further(scene, next(model.parameters()).device, settings, stages, time)
 
 
 def _compared(
@@ -166,30 +178,34 @@ def _compared(
     return compare_photos(posed.views, posed.cameras, geometry) if len(posed.views) > 1 else None
 
 
+def _transforms(colours: PhotoColours | None) -> Exposures | None:
+    """The colour transforms of photos that disagree."""
+    return colours.exposures if colours and not colours.agree else None
+
+
 def _optimised(
     posed: PosedViews,
-    geometry: Geometry,
-    prepared: _Prepared,
+    prepared: PreparedQueries,
     model: QuerySplat,
     settings: ReconstructSettings,
     stages: Stages,
-    share: BudgetShare | None = None,
-    files: tuple[PhotoFile, ...] = (),
-) -> BuiltScene:
-    """The optimisation takes as much of the time `share` as leaves enough for the other scenes of the same budget."""
-    queries, photos = prepared.queries, (posed.views, posed.cameras)
+    share: BudgetShare | None,
+    exposures: Exposures | None,
+) -> tuple[Adapted, OptimisingTime | None]:
+    """The optimised scene, and the time that the budget has for it.
+
+    The optimisation takes as much of the time `share` as leaves enough for the other scenes of the same budget.
+    """
     with stages("tto") as progress:
         options = _options(settings, posed)
-        count = _gaussian_count(queries, model)
+        count = _gaussian_count(prepared, model)
         time = share.optimising(count) if share else None
-        plan = _plan(queries, count, posed.cameras, options, time.seconds if time else None)
+        plan = _plan(prepared, count, posed.cameras, options, time.seconds if time else None)
         optimised = any(run.settings.steps for run in plan)
-        variables = queries.variables.map(torch.Tensor.float) if optimised else queries.variables
-        start = Start(variables, queries.anchors)
-        adapted = optimise_start(model, start, photos, plan, options, progress, prepared.exposures)
-    scene = BuiltScene(posed, geometry, queries, adapted, files, colours=prepared.colours)
-    scene = replace(scene, time_for_more=time is None or time.for_more)
-    return _taken_further(scene, next(model.parameters()).device, settings, stages, time)
+        variables = prepared.variables.map(torch.Tensor.float) if optimised else prepared.variables
+        start = Start(variables, prepared.anchors)
+        photos = posed.views, posed.cameras
+        return optimise_start(model, start, photos, plan, options, progress, exposures), time
 
 
 def _taken_further(

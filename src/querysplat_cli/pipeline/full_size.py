@@ -1,7 +1,7 @@
 """A scene that was made of small pictures is optimised further in Gaussian space, on its photos at a larger size."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import torch
@@ -29,8 +29,8 @@ from querysplat_cli.tto.plan import TtoRun
 class LargePhotos:
     """Views of a scene at the sizes that their photos have.
 
-    `files` are the photos of `views`; without them, the pictures are as large as `views`.
-    `exposures` are the colour transforms of the photos (None: they show the scene's own colours).
+    `files` are the photos of `views`; without them, the pictures are as large as `views`. `exposures` are the colour
+    transforms of the photos, where the scene has any.
     """
 
     views: Views
@@ -105,28 +105,30 @@ def take_to_full_size(
 
     start = to_device(gaussians, device)
     result = optimise_full_size(start, views_at, plan, seed=seed, exposures=photos.exposures, progress=show)
-    better = to_device(result.gaussians, torch.device("cpu"))
-    size = result.runs[-1][0].max_size
-    summary = _summary(level, plan, result, len(better))
-    return FullSize(better, size, _entries(result), summary, result.interrupted, result.exposures)
+    return FullSize(
+        to_device(result.gaussians, torch.device("cpu")),
+        result.runs[-1][0].max_size,
+        _entries(result),
+        _summary(level, plan, result),
+        result.interrupted,
+        result.exposures,
+    )
 
 
-def full_size_quality(found: FullSize, groups: Mapping[str, LargePhotos | None]) -> dict[str, Any]:
-    """The entry `quality.full_size` of the report: PSNR and SSIM of each group over grey, at the size of `found`."""
+def full_size_quality(found: FullSize, inputs: LargePhotos, heldout: LargePhotos | None) -> dict[str, Any]:
+    """The entry `quality.full_size` of the report: PSNR and SSIM over grey, at the size of `found`."""
     quality: dict[str, Any] = {"max_size": found.size, "background": MID_GREY}
-    for name, photos in groups.items():
+    for name, photos in {"input": inputs, "heldout": heldout}.items():
         quality[name] = photos and quality_entry(score(found.gaussians, *photos.at(found.size), MID_GREY))
     return quality
 
 
-def stored_photos(scene: StoredScene) -> dict[str, LargePhotos | None]:
+def stored_photos(scene: StoredScene) -> tuple[LargePhotos, LargePhotos | None]:
     """Input and held-out photos of a stored scene. Raises QuerySplatError when photos are gone."""
-    groups = {"input": (scene.views, scene.cameras), "heldout": scene.heldout}
-    found = {name: group and LargePhotos(*group, files_of(scene, group[0])) for name, group in groups.items()}
-    for photos in found.values():
-        check_photo_files(photos.files if photos else ())
-    assert found["input"]
-    return {**found, "input": replace(found["input"], exposures=scene.exposures)}
+    inputs = LargePhotos(scene.views, scene.cameras, files_of(scene, scene.views), scene.exposures)
+    heldout = scene.heldout and LargePhotos(*scene.heldout, files_of(scene, scene.heldout[0]))
+    check_photo_files([*inputs.files, *(heldout.files if heldout else ())])
+    return inputs, heldout
 
 
 def files_of(scene: StoredScene, views: Views) -> list[PhotoFile]:
@@ -146,11 +148,11 @@ def _entries(result: FullSizeResult) -> list[dict[str, Any]]:
     return [{**entry, "max_size": size} for entry, size in zip(tto_entries(runs), sizes, strict=True)]
 
 
-def _summary(level: FullSizeLevel, plan: FullSizePlan, result: FullSizeResult, count: int) -> dict[str, Any]:
+def _summary(level: FullSizeLevel, plan: FullSizePlan, result: FullSizeResult) -> dict[str, Any]:
     return {
         "level": level,
         "ended": result.ended,
-        "gaussians": count,
+        "gaussians": len(result.gaussians),
         "planned_seconds": round(plan.seconds, 1),
         "stages": [asdict(stage) for stage in plan.stages],
         "most_rounds": plan.most_rounds,

@@ -12,8 +12,8 @@ from querysplat_cli.encoders.holdout import HoldoutCameras, PosedSplit, estimate
 from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.model.checkpoints import load
 from querysplat_cli.model.querysplat import QuerySplat
-from querysplat_cli.pipeline.budget import Budget, BudgetShare, working_size
-from querysplat_cli.pipeline.build import BuiltScene, encode_and_build
+from querysplat_cli.pipeline.budget import Budget, working_size
+from querysplat_cli.pipeline.build import Allowance, BuiltScene, encode_and_build
 from querysplat_cli.pipeline.full_size import LargePhotos, full_size_quality
 from querysplat_cli.pipeline.memory import MemoryNeeds, within_memory
 from querysplat_cli.pipeline.scene_folder import StoredScene, scene_folder, write_scene
@@ -115,8 +115,8 @@ def _reconstruct(settings: ReconstructSettings, device: torch.device, stages: St
         )
     scenes = 2 if passes.other and passes.other.heldout and not settings.one_scene else 1
     share = inputs.budget.share(scenes) if inputs.budget else None
-    last = passes.other is None or settings.one_scene
-    scene = _build(inputs, passes.chosen, settings, stages, last=last, share=share)
+    allowance = Allowance(share, inputs.paths, last=passes.other is None or settings.one_scene)
+    scene = encode_and_build(passes.chosen.inputs, inputs.encoder, inputs.model, settings, stages, allowance)
     scores = _score(inputs, passes, scene, settings, stages)
     with stages("write"):
         report = _report(inputs, passes, scene, scores, settings, stages)
@@ -165,27 +165,6 @@ def _find_cameras(inputs: _Inputs, settings: ReconstructSettings, stages: Stages
     )
 
 
-def _build(
-    inputs: _Inputs,
-    cameras: PosedSplit,
-    settings: ReconstructSettings,
-    stages: Stages,
-    *,
-    last: bool = False,
-    share: BudgetShare | None = None,
-) -> BuiltScene:
-    return encode_and_build(
-        cameras.inputs,
-        inputs.encoder,
-        inputs.model,
-        settings,
-        stages,
-        last=last,
-        share=share,
-        paths=inputs.paths,
-    )
-
-
 def _score(
     inputs: _Inputs, passes: HoldoutCameras, scene: BuiltScene, settings: ReconstructSettings, stages: Stages
 ) -> _Scores:
@@ -197,8 +176,8 @@ def _score(
     other = passes.other
     if other and other.heldout and not settings.one_scene and scene.time_for_more and not scene.interrupted:
         with stages(f"{other.protocol} score"):
-            share = inputs.budget.share() if inputs.budget else None
-            second = _build(inputs, other, settings, Stages(), share=share)
+            rest = Allowance(inputs.budget.share() if inputs.budget else None, inputs.paths)
+            second = encode_and_build(other.inputs, inputs.encoder, inputs.model, settings, Stages(), rest)
             if not second.interrupted:
                 heldout[other.protocol] = _score_heldout(second, other)
     return _Scores(quality, heldout, large)
@@ -216,8 +195,7 @@ def _score_large(inputs: _Inputs, cameras: PosedSplit, scene: BuiltScene, stages
     with stages("full size score"):
         heldout = scene.heldout(cameras)
         files = photo_files(heldout[0].names, cameras.heldout_photo_cameras, inputs.paths) if heldout else ()
-        groups = {"input": scene.inputs, "heldout": heldout and LargePhotos(*heldout, files)}
-        return full_size_quality(scene.full_size, groups)
+        return full_size_quality(scene.full_size, scene.inputs, heldout and LargePhotos(*heldout, files))
 
 
 def _report(
@@ -249,8 +227,8 @@ def _report(
         peak_memory_gib=round(peak_gib(), 2),
         machine=machine(),
         memory_estimate_gib=expected and round(expected / 2**30, 2),
-        exposure=exposure_entry(scene.colours),
         full_size=further.summary if further else None,
+        exposure=exposure_entry(scene.colours),
     )
 
 

@@ -66,14 +66,11 @@ def _at_full_size(settings: ResumeSettings, level: FullSizeLevel, stages: Stages
     with stages("read"):
         scene, before = _read(settings)
         gaussians = read_ply(ply_path(path))
-    photos = stored_photos(scene)
+    inputs, heldout = stored_photos(scene)
     with stages("full size") as progress:
-        assert photos["input"]
-        found = take_to_full_size(
-            photos["input"], gaussians, level, seed=settings.seed, device=device, progress=progress
-        )
+        found = take_to_full_size(inputs, gaussians, level, seed=settings.seed, device=device, progress=progress)
     with stages("full size score"):
-        quality = full_size_quality(found, photos)
+        quality = full_size_quality(found, inputs, heldout)
     return _write_back(
         path,
         replace(scene, exposures=found.exposures),
