@@ -1,7 +1,9 @@
 """PSNR, SSIM, and the photometric loss of training and test-time optimisation."""
 
+from collections.abc import Callable
 from typing import Any
 
+import cv2
 import numba as nb
 import numpy as np
 import torch
@@ -49,6 +51,21 @@ def ssim_map(
         across = F.conv2d(part, row, padding=(0, RADIUS), groups=channels)
         return F.conv2d(across, column, padding=(RADIUS, 0), groups=channels)
 
+    return _similarity(image, target, blur, correction)
+
+
+def ssim_metric(image: Float[Tensor, "3 h w"], target: Float[Tensor, "3 h w"]) -> float:
+    """The reported SSIM: scikit-image's with an 11-pixel Gaussian window, mean over the interior.
+
+    A picture smaller than the window has no interior; the mean is then over all pixels.
+    """
+    a, b = (picture.detach().cpu().double() for picture in (image, target))
+    similarity = torch.stack([_similarity(*planes, _blurred, SAMPLE_CORRECTION) for planes in zip(a, b, strict=True)])
+    inside = similarity[:, RADIUS:-RADIUS, RADIUS:-RADIUS]
+    return float(inside.mean() if inside.numel() else similarity.mean())
+
+
+def _similarity(image: Tensor, target: Tensor, blur: Callable[[Tensor], Tensor], correction: float) -> Tensor:
     mean_a, mean_b = blur(image), blur(target)
     variance_a = (blur(image * image) - mean_a * mean_a).clamp_min(0) * correction
     variance_b = (blur(target * target) - mean_b * mean_b).clamp_min(0) * correction
@@ -58,14 +75,9 @@ def ssim_map(
     return (light * structure).clamp(-1, 1)
 
 
-def ssim_metric(image: Float[Tensor, "3 h w"], target: Float[Tensor, "3 h w"]) -> float:
-    """The reported SSIM: scikit-image's with an 11-pixel Gaussian window, mean over the interior.
-
-    A picture smaller than the window has no interior; the mean is then over all pixels.
-    """
-    similarity = ssim_map(image[None].double(), target[None].double(), correction=SAMPLE_CORRECTION)[0]
-    inside = similarity[:, RADIUS:-RADIUS, RADIUS:-RADIUS]
-    return float(inside.mean() if inside.numel() else similarity.mean())
+def _blurred(plane: Float[Tensor, "h w"]) -> Float[Tensor, "h w"]:
+    """The blur of `ssim_map` for one plane, without a gradient and many times as fast."""
+    return torch.from_numpy(cv2.sepFilter2D(plane.numpy(), -1, taps(), taps(), borderType=cv2.BORDER_CONSTANT))
 
 
 def photometric_loss(
