@@ -82,17 +82,17 @@ def rows(model: QuerySplat, photo_set: PhotoSet, options: Namespace) -> list[Row
     for variance in options.variances:
         smoothing.SMOOTHING_POLICY = smoothing.SmoothingPolicy(variance=max(variance, LEAST_VARIANCE))
         began = time.process_time()
-        adapted = build_scene(chosen.inputs, geometry, model, settings(backdrop=True)).adapted
+        scene = build_scene(chosen.inputs, geometry, model, settings(backdrop=True))
         seconds = time.process_time() - began
-        scores = {name: some and score(adapted.gaussians, *some, MID_GREY) for name, some in sizes.items()}
+        scores = {name: some and score(scene.gaussians, *some, MID_GREY) for name, some in sizes.items()}
         found.append(
             Row(
                 photo_set.name,
                 photo_set.use,
                 variance,
                 {name: each and (each.psnr, each.ssim) for name, each in scores.items()},
-                over_three(adapted.gaussians, held),
-                over_three(adapted.gaussians[: len(adapted.gaussians) - adapted.backdrop], held),
+                over_three(scene.gaussians, held),
+                over_three(scene.gaussians[: len(scene.gaussians) - scene.backdrop], held),
                 seconds,
             )
         )

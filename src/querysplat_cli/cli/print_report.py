@@ -42,6 +42,9 @@ def _table(report: dict[str, Any]) -> Table:
     if report["unseen"]:
         rows.append(("unseen", f"{report['unseen']['share']:.0%} of a film around the scene shows what no photo saw"))
     rows += [("tto", _tto_text(run)) for run in report["tto"]]
+    if report["exposure"] and report["exposure"]["corrected"]:
+        differ = report["exposure"]["disagreement"]
+        rows.append(("exposure", f"differs by {differ:.1%} between neighbouring photos; each has a colour transform"))
     if report["full_size"]:
         rows.append((f"quality {report['full_size']['level']}", f"ended because {report['full_size']['ended']}"))
     rows += [("left out", _omission_text(part)) for part in report["left_out"]]
@@ -63,6 +66,8 @@ def _omission_text(part: dict[str, Any]) -> str:
 
 def _quality_text(quality: dict[str, Any]) -> str:
     text = f"PSNR {quality['psnr']:.2f} dB, {quality['psnr_grey']:.2f} dB on grey, SSIM {quality['ssim']:.3f}"
+    if "psnr_cc" in quality:  # reports of older versions lack it
+        text += f", {quality['psnr_cc']:.2f} dB colour-corrected"
     if "cameras" not in quality:
         return text
     other = "joint" if quality["cameras"] == "isolated" else "isolated"

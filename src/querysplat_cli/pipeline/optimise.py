@@ -8,13 +8,14 @@ import torch
 
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.prune.bands import without_idle_bands
-from querysplat_cli.queries.backdrop import with_backdrop
 from querysplat_cli.runtime.device import to_device
 from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.exposures import Exposures
 from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.smoothing import bounded
 from querysplat_cli.tto.adapt import Adapted, adapt
+from querysplat_cli.tto.exposure_refit import RefittedExposures
 from querysplat_cli.tto.features import Start
 from querysplat_cli.tto.options import OptimiseOptions, TtoStep
 from querysplat_cli.tto.plan import TtoRun
@@ -29,12 +30,13 @@ def optimise_start(
     plan: Sequence[TtoRun],
     options: OptimiseOptions,
     progress: Progress,
+    exposures: Exposures | None = None,
 ) -> Adapted:
     """Carry out `plan` on the device of the model, and leave out SH bands that change nothing; the result on the CPU.
 
     Its Gaussians are nowhere thinner than the pixels of the finest photo that sees them. Scenes of official models have
     no such bound, keep all bands, and all Gaussians unless a number is asked for, and are optimised over black, as in
-    the release.
+    the release. `exposures` are the colour transforms of the photos to start with.
     """
     if options.keep_all or start.anchors is None:
         options = replace(options, keep_all=True, prune="off" if options.prune == "auto" else options.prune)
@@ -43,7 +45,9 @@ def optimise_start(
     if start.anchors is None:
         target = RenderingLoss(views, cameras)
     else:
-        target = RenderingLoss.for_solid_scenes(views, cameras, torch.Generator().manual_seed(options.seed))
+        backgrounds = torch.Generator().manual_seed(options.seed)
+        refitted = RefittedExposures(exposures) if exposures else None
+        target = RenderingLoss.for_solid_scenes(views, cameras, backgrounds, refitted)
         target = replace(target, finest=_enlarged(cameras, options.finest_size))
         if options.smooth or any(run.settings.steps for run in plan):
             start = replace(start, finest=target.finest)
@@ -55,11 +59,7 @@ def optimise_start(
         last, tested = replace(target, cameras=adapted.cameras), tested_views(len(target.views))
         fewer, idle = without_idle_bands(adapted.gaussians, lambda some: last.psnr(some, tested))
         adapted = replace(adapted, gaussians=fewer, idle_bands=idle)
-    adapted = to_device(adapted, torch.device("cpu"))
-    if options.backdrop and start.anchors is not None:
-        whole, count = with_backdrop(adapted.gaussians, photos[0], adapted.cameras)
-        return replace(adapted, gaussians=whole, backdrop=count)
-    return adapted
+    return to_device(adapted, torch.device("cpu"))
 
 
 def _enlarged(cameras: Cameras, longer_side: int | None) -> Cameras:

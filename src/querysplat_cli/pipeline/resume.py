@@ -8,11 +8,12 @@ import torch
 
 from querysplat_cli.model.checkpoints import load
 from querysplat_cli.model.querysplat import QuerySplat
-from querysplat_cli.pipeline.full_size import take_to_full_size
+from querysplat_cli.pipeline.full_size import full_size_quality, stored_photos, take_to_full_size
 from querysplat_cli.pipeline.optimise import optimise_start
 from querysplat_cli.pipeline.scene_folder import StoredScene, ply_path, read_scene, write_scene
 from querysplat_cli.pipeline.settings import ResumeSettings
 from querysplat_cli.prune.gaussians import target_count
+from querysplat_cli.queries.backdrop import with_backdrop
 from querysplat_cli.reporting import omissions
 from querysplat_cli.reporting.report import Report, machine, quality_entry, seconds_entry, tto_entries
 from querysplat_cli.reporting.unseen import unseen
@@ -44,7 +45,7 @@ def optimise_scene(settings: ResumeSettings, stages: Stages | None = None) -> Re
         _check_plain(settings)
         return _at_full_size(settings, settings.quality, stages)
     with stages("read"):
-        scene, before = read_scene(path)
+        scene, before = _read(settings)
         model = load_again(scene.model, before["settings"], settings.weights, find_device(settings.device))
         spaces = [run["space"] for run in before["tto"] if run["steps"]]
         space = options.space or (spaces[-1] if spaces else "features")
@@ -57,36 +58,48 @@ def optimise_scene(settings: ResumeSettings, stages: Stages | None = None) -> Re
             options,
             finest_size=_finest_size(before),
             smooth=bool(spaces) and "backdrop" in before,  # scenes of earlier versions were not smoothed
-            backdrop=scene.backdrop > 0,
         )
         plan = _plan(scene, count, options, space, resumed=space in spaces)
         start = Start(scene.memories, scene.anchors, gaussians, None if apart else scene.kept)
-        adapted = optimise_start(model, start, (scene.views, scene.cameras), plan, options, progress)
+        photos = scene.views, scene.cameras
+        adapted = optimise_start(model, start, photos, plan, options, progress, scene.exposures)
         stored = _with(scene, adapted)
+        whole, behind = _backed(stored, adapted.gaussians)
     runs, left_out = tto_entries(adapted.runs), omissions.taken_further(before["left_out"], adapted)
-    return _write_back(
-        path, stored, adapted.gaussians, before, stages, tto=runs, left_out=left_out, backdrop=adapted.backdrop
-    )
+    return _write_back(path, stored, whole, before, stages, tto=runs, left_out=left_out, backdrop=behind)
 
 
 def _at_full_size(settings: ResumeSettings, level: FullSizeLevel, stages: Stages) -> Report:
     """Optimise the Gaussians of the stored scene on its large photos, and write it back."""
     path, device = settings.scene, find_device(settings.device)
     with stages("read"):
-        scene, before = read_scene(path)
-        gaussians = read_ply(ply_path(path))
-    found = take_to_full_size(scene, gaussians, level, seed=settings.seed, device=device, stages=stages)
+        scene, before = _read(settings)
+        gaussians = read_ply(ply_path(path))[: before["gaussians"] - scene.backdrop]
+    inputs, heldout = stored_photos(scene)
+    with stages("full size") as progress:
+        found = take_to_full_size(inputs, gaussians, level, seed=settings.seed, device=device, progress=progress)
+        whole, behind = _backed(replace(scene, exposures=found.exposures), found.gaussians)
+        found = replace(found, gaussians=whole)
+    with stages("full size score"):
+        quality = full_size_quality(found, inputs, heldout)
     return _write_back(
         path,
-        scene,
+        replace(scene, exposures=found.exposures),
         found.gaussians,
         before,
         stages,
-        quality={"full_size": found.quality},
-        backdrop=found.backdrop,
+        quality={"full_size": quality},
         tto=found.runs,
         full_size=found.summary,
+        backdrop=behind,
     )
+
+
+def _backed(scene: StoredScene, gaussians: Gaussians) -> tuple[Gaussians, int]:
+    """The Gaussians with a new backdrop, where the scene had one, and how many of them are the backdrop."""
+    if not scene.backdrop:
+        return gaussians, 0
+    return with_backdrop(gaussians, scene.views, scene.cameras, scene.exposures)
 
 
 def _write_back(
@@ -124,6 +137,14 @@ def _write_back(
         )
         write_scene(ply_path(path), scene, gaussians, report.as_dict())
     return report
+
+
+def _read(settings: ResumeSettings) -> tuple[StoredScene, dict[str, Any]]:
+    """The stored scene, without colour transforms where --exposure is off, and its report."""
+    scene, before = read_scene(settings.scene)
+    if settings.exposure == "off" and scene.exposures:
+        return replace(scene, exposures=None), {**before, "exposure": {**before["exposure"], "corrected": False}}
+    return scene, before
 
 
 def _check_plain(settings: ResumeSettings) -> None:
@@ -212,5 +233,5 @@ def _with(scene: StoredScene, adapted: Adapted) -> StoredScene:
         heldout=heldout,
         memories=adapted.memories,
         kept=adapted.kept,
-        backdrop=adapted.backdrop,
+        exposures=adapted.exposures,
     )

@@ -5,6 +5,7 @@ scene/
   cameras.json             nerfstudio form; held-out views under "heldout_frames"
   images/                  the undistorted photos that the cameras belong to
   photos.json              where the photos themselves lie, and their lenses, if the encoder knows these
+  exposures.json           the colour transforms of the input photos, if these differ in exposure
   memories.safetensors     memories, anchors, masks and depth, and the model that they belong to
   report.json
   preview.png
@@ -32,6 +33,7 @@ from querysplat_cli.reporting.convergence_plot import write_curve
 from querysplat_cli.reporting.preview import write_preview
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.exposures import Exposures, read_exposures, write_exposures
 from querysplat_cli.scene.files import atomic_folder, atomic_path
 from querysplat_cli.scene.formats.ply import write_ply
 from querysplat_cli.scene.formats.transforms import read_cameras, write_cameras
@@ -48,7 +50,8 @@ class StoredScene:
     """A scene that can be optimised further.
 
     `model` is the preset or checkpoint that decodes the memories. `kept` marks the decoded Gaussians that belong to
-    the scene (None: all). `photos` are the files of input and held-out photos by name; it may lack some. The last
+    the scene (None: all). `photos` are the files of input and held-out photos by name; it may lack some.
+    `exposures` are the colour transforms of the input views (None: they show the scene's own colours). The last
     Gaussians of the .ply, as many as `backdrop` says, are the backdrop.
     """
 
@@ -61,6 +64,7 @@ class StoredScene:
     map: MemoryMap | None = None
     kept: Bool[Tensor, "n"] | None = None
     photos: dict[str, PhotoFile] = dataclasses.field(default_factory=dict)
+    exposures: Exposures | None = None
     backdrop: int = 0
 
     @property
@@ -93,6 +97,8 @@ def write_scene(ply: Path, scene: StoredScene, gaussians: Gaussians, report: dic
         write_cameras(draft / "cameras.json", scene.cameras, scene.views, heldout=scene.heldout)
         if scene.photos:
             write_photo_files(draft / "photos.json", list(scene.photos.values()))
+        if scene.exposures:
+            write_exposures(draft / "exposures.json", scene.views.names, scene.exposures)
         masks = torch.cat([views.masks for views, _ in scene.groups.values()])
         tensors = {"masks": masks, **_flatten("memories", scene.memories)}
         if scene.anchors is not None:
@@ -146,8 +152,9 @@ def read_scene(path: Path) -> tuple[StoredScene, dict[str, Any]]:
         anchors = _unflatten(Anchors, "anchors", tensors) if "anchors.means" in tensors else None
         where = _unflatten(MemoryMap, "map", tensors) if "map.grid" in tensors else None
         memory = _unflatten(Memories, "memories", tensors)
+        exposures = read_exposures(folder / "exposures.json", inputs.names)
         kept, behind = tensors.get("kept"), int(report.get("backdrop", 0))
-        scene = StoredScene(views, inputs.cameras, held, memory, anchors, model, where, kept, photos, behind)
+        scene = StoredScene(views, inputs.cameras, held, memory, anchors, model, where, kept, photos, exposures, behind)
     except (OSError, SafetensorError, KeyError, ValueError) as error:
         raise QuerySplatError(f"{folder} is damaged: {error}", "Run `querysplat reconstruct` again.") from error
     return scene, report

@@ -64,7 +64,8 @@ def optimise(
 
     A step after which the loss rises beyond its noise, or anything stops being finite, is undone and the rate halved.
     Pruning decides which Gaussians the rest of the run goes on with. `refine_cameras` corrects the cameras, too.
-    Ctrl-C ends the run, which keeps what was reached. Splitting takes the place of a step. It cannot go with pruning,
+    Exposures of the target follow, and go back to where they were unless the scene becomes better. Ctrl-C ends the run,
+    which keeps what was reached. Splitting takes the place of a step. It cannot go with pruning,
     which marks rows of the Gaussians that there were at the start.
     """
     assert not (callbacks.prune and start.densify)
@@ -107,6 +108,7 @@ class _Run(Generic[V]):
         self._settings, self._callbacks, self._densify = settings, callbacks, start.densify
         self._target, self._refined, self._coverage = target, refined, coverage
         self._generator = generator
+        self._exposures_before = target.exposures and target.exposures.current
         self._least_losses = losses
         self._pruned: Pruned | None = None
         self._splits_left = settings.densify_after if start.densify else ()
@@ -131,6 +133,8 @@ class _Run(Generic[V]):
         if finite(tensors(gaussians)):
             loss = self._target.value(gaussians, list(range(len(self._target.views))))
         if not loss < found.loss_before:
+            if self._target.exposures and self._exposures_before:
+                self._target.exposures.current = self._exposures_before
             return found
         return replace(
             found,

@@ -25,7 +25,6 @@ class OptimiseOptions:
     finest_size: longer side of the pictures, in pixels, that bound how thin a Gaussian may become; None takes the views
         themselves. A scene that was optimised on larger photos keeps their detail so.
     smooth: whether decoded Gaussians are smoothed without any step, too, because earlier steps smoothed them.
-    backdrop: whether the scene gets a backdrop (`queries/backdrop.py`).
     """
 
     steps: int | None = None
@@ -38,7 +37,6 @@ class OptimiseOptions:
     seed: int = 42
     finest_size: int | None = None
     smooth: bool = False
-    backdrop: bool = False
 
 
 @dataclass(frozen=True)

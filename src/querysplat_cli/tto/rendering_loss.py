@@ -13,6 +13,7 @@ from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.conventions import MID_GREY
 from querysplat_cli.splat.render import Rendering, RenderSettings, render
 from querysplat_cli.splat.similarity import photometric_loss
+from querysplat_cli.tto.exposure_refit import RefittedExposures
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,8 @@ class RenderingLoss:
     background: behind the scene (None: black).
     backgrounds: draws the colour of every gradient, so that the scene cannot use the background as its own
         colour. Values, which are compared with each other, have the one `background`.
+    exposures: transforms from the scene's colours to those of each photo (None: they are the same). They are refitted
+        to every render that a gradient is taken of.
     finest: cameras whose pixels bound how thin optimisation may make a Gaussian (`splat/smoothing.py`; None: nothing
         bounds that).
     """
@@ -60,21 +63,28 @@ class RenderingLoss:
     background: Tensor | None = None
     settings: RenderSettings = field(default_factory=RenderSettings)
     backgrounds: torch.Generator | None = None
+    exposures: RefittedExposures | None = None
     finest: Cameras | None = None
 
     @classmethod
-    def for_solid_scenes(cls, views: Views, cameras: Cameras, generator: torch.Generator) -> "RenderingLoss":
+    def for_solid_scenes(
+        cls, views: Views, cameras: Cameras, generator: torch.Generator, exposures: RefittedExposures | None = None
+    ) -> "RenderingLoss":
         """Values over grey, and gradients over random backgrounds; Gaussians no thinner than pixels.
 
         Over a fixed background, dark or bright places of the photos would become transparent instead of opaque.
         """
         grey = torch.full((3,), MID_GREY, device=cameras.w2c.device)
-        return cls(views, cameras, grey, backgrounds=generator, finest=cameras)
+        return cls(views, cameras, grey, backgrounds=generator, exposures=exposures, finest=cameras)
+
+    def render(self, gaussians: Gaussians, view: int) -> Rendering:
+        """One view over black, in the colours of its photo."""
+        return self._exposed(self._render(gaussians, self.cameras, view), view)
 
     def values(self, gaussians: Gaussians, chosen: list[int]) -> list[float]:
         """The loss of each of the views `chosen`."""
         with torch.no_grad():
-            return [self._value(self._render(gaussians, self.cameras, view), view) for view in chosen]
+            return [self._value(self.render(gaussians, view), view) for view in chosen]
 
     def value(self, gaussians: Gaussians, chosen: list[int]) -> float:
         """The loss over the views `chosen`."""
@@ -83,7 +93,7 @@ class RenderingLoss:
     def psnr(self, gaussians: Gaussians, chosen: list[int]) -> float:
         """The mean over the views `chosen`, in dB."""
         with torch.no_grad():
-            return _decibels([self._error(self._render(gaussians, self.cameras, view), view) for view in chosen])
+            return _decibels([self._error(self.render(gaussians, view), view) for view in chosen])
 
     def value_and_gradient(self, gaussians: Gaussians, chosen: list[int]) -> LossAndGradient:
         """The loss over the views `chosen`, and its gradient with respect to every Gaussian parameter."""
@@ -95,6 +105,9 @@ class RenderingLoss:
         losses, errors = [], []
         for view in chosen:
             rendering = self._render(leaves, cameras, view)
+            if self.exposures:
+                self.exposures.refit(view, rendering, self.views.picture(view), self.views.masks[view])
+                rendering = self._exposed(rendering, view)
             loss = self._loss(rendering.over(behind), view)
             (loss / len(chosen)).backward()
             losses.append(self._value(rendering, view) if self.backgrounds else float(loss.detach()))
@@ -104,6 +117,9 @@ class RenderingLoss:
 
     def _render(self, gaussians: Gaussians, cameras: Cameras, view: int) -> Rendering:
         return render(gaussians, cameras[[view]], settings=self.settings)
+
+    def _exposed(self, rendering: Rendering, view: int) -> Rendering:
+        return self.exposures.exposed(rendering, view) if self.exposures else rendering
 
     def _loss(self, picture: Tensor, view: int) -> Tensor:
         return photometric_loss(picture, self.views.picture(view)[None], self.views.masks[[view]])
