@@ -39,18 +39,7 @@ def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def reconstruct(photos: Path, name: str) -> Path:
     ply = photos.parent / name
-    command = [
-        "reconstruct",
-        str(photos),
-        "-o",
-        str(ply),
-        "--holdout-every",
-        "4",
-        "--holdout-cameras",
-        "joint",
-        "--quality",
-        "draft",
-    ]
+    command = ["reconstruct", str(photos), "-o", str(ply), "--holdout-every", "4", "--holdout-cameras", "joint"]
     assert run([*command, "--max-size", str(WORKING), "--tto", "30", "--quiet"]) == 0
     return ply
 

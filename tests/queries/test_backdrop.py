@@ -5,10 +5,10 @@ from dataclasses import replace
 import pytest
 import torch
 
-from querysplat_cli.queries.backdrop import backdrop, with_backdrop
+from querysplat_cli.queries.backdrop import backdrop
 from querysplat_cli.queries.policy import QUERY_POLICY
 from querysplat_cli.scene.cameras import Cameras
-from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.gaussians import Gaussians, joined
 from querysplat_cli.scene.rotations import quaternion_to_matrix
 from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.render import render
@@ -45,17 +45,16 @@ def photos(*colours: torch.Tensor, turned: bool = False) -> tuple[Views, Cameras
 
 def test_holes_show_the_photos_colour_and_not_the_background() -> None:
     views, cameras = photos(RED, RED)
-    whole, count = with_backdrop(some_gaussians(), views, cameras)
-    assert len(whole) == 200 + count
+    behind = backdrop(some_gaussians(), views, cameras)
     for level in (0.0, 1.0):
-        picture = render(whole[200:], cameras, background=torch.full((3,), level)).colour
+        picture = render(behind, cameras, background=torch.full((3,), level)).colour
         torch.testing.assert_close(picture, RED[None, :, None, None].expand_as(picture), atol=0.02, rtol=0)
 
 
 def test_the_scene_hides_the_backdrop() -> None:
     views, cameras = photos(RED, RED)
     before = some_gaussians()
-    whole, _ = with_backdrop(before, views, cameras)
+    whole = joined(before, backdrop(before, views, cameras))
     drawn, alone = render(whole, cameras), render(before, cameras)
     expected = alone.colour + (1 - alone.alpha[:, None]) * RED[None, :, None, None]
     torch.testing.assert_close(drawn.colour, expected, atol=0.02, rtol=0)

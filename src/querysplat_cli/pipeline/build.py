@@ -7,21 +7,20 @@ from pathlib import Path
 import torch
 
 from querysplat_cli.encoders.base import Encoder, Geometry, PosedViews
-from querysplat_cli.encoders.holdout import PosedSplit
+from querysplat_cli.encoders.holdout import PosedSplit, select_views
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.pipeline.budget import BudgetShare, OptimisingTime
-from querysplat_cli.pipeline.distinct_views import distinct_views
 from querysplat_cli.pipeline.full_size import FullSize, LargePhotos, take_to_full_size
 from querysplat_cli.pipeline.optimise import optimise_start
 from querysplat_cli.pipeline.policy import PIPELINE_POLICY
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.prune.gaussians import target_count
-from querysplat_cli.queries.backdrop import with_backdrop
+from querysplat_cli.prune.views import near_duplicates
 from querysplat_cli.queries.prepare import PreparedQueries, prepare
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.exposures import Exposures
-from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.gaussians import Gaussians, joined
 from querysplat_cli.scene.photo_files import PhotoFile, photo_files
 from querysplat_cli.scene.views import LeftOut, Views
 from querysplat_cli.tto.adapt import Adapted
@@ -42,10 +41,10 @@ class BuiltScene:
     adapted: after the runs on the working pictures.
     files: the photos of the input views, where they can be found again.
     full_size: after those on the photos; None where there were none.
+    backdrop: Gaussians behind everything (`queries/backdrop.py`); None where there are none.
     duplicates: views that were left out of the scene.
     time_for_more: whether the budget has room for another scene.
     colours: how far the photos agree in colour; None where that was not measured.
-    backdrop: how many of the Gaussians, the last ones, are the backdrop, which was not optimised.
     """
 
     posed: PosedViews
@@ -54,20 +53,21 @@ class BuiltScene:
     adapted: Adapted
     files: tuple[PhotoFile, ...] = ()
     full_size: FullSize | None = None
+    backdrop: Gaussians | None = None
     duplicates: tuple[LeftOut, ...] = ()
     time_for_more: bool = True
     colours: PhotoColours | None = None
-    backdrop: int = 0
 
     @property
     def gaussians(self) -> Gaussians:
-        """The scene as it is written."""
-        return self.full_size.gaussians if self.full_size else self.adapted.gaussians
+        """The scene as it is written; the backdrop comes last."""
+        found = self.full_size or self.adapted
+        return joined(found.gaussians, self.backdrop) if self.backdrop else found.gaussians
 
     @property
     def exposures(self) -> Exposures | None:
         """The colour transforms of the input photos; None where they show the scene's own colours."""
-        return self.full_size.exposures if self.full_size else self.adapted.exposures
+        return (self.full_size or self.adapted).exposures
 
     @property
     def interrupted(self) -> bool:
@@ -109,7 +109,7 @@ def encode_and_build(
     allowance: Allowance = Allowance(),
 ) -> BuiltScene:
     """`build_scene` without near-duplicate views, with the geometry that the encoder estimates."""
-    posed, duplicates = (posed, ()) if settings.keep_everything else distinct_views(posed)
+    posed, duplicates = (posed, ()) if settings.keep_everything else _distinct(posed)
     with stages("depth") as progress:
         geometry = encoder.estimate_geometry(posed, seed=settings.seed, progress=progress)
     if allowance.last:
@@ -170,15 +170,9 @@ def _finished(
     more = time is None or time.for_more
     scene = BuiltScene(posed, geometry, prepared, adapted, files, colours=colours, time_for_more=more)
     scene = _taken_further(scene, next(model.parameters()).device, settings, stages, time)
-    return scene if prepared.anchors is None or not settings.backdrop else _backed(scene)
-
-
-def _backed(scene: BuiltScene) -> BuiltScene:
-    """The scene with its backdrop, in the scene's own colours."""
-    whole, count = with_backdrop(scene.gaussians, scene.posed.views, scene.adapted.cameras, scene.exposures)
-    if scene.full_size:
-        return replace(scene, full_size=replace(scene.full_size, gaussians=whole), backdrop=count)
-    return replace(scene, adapted=replace(scene.adapted, gaussians=whole), backdrop=count)
+    if not settings.backdrop or prepared.anchors is None:
+        return scene
+    return replace(scene, backdrop=scene.inputs.backdrop(scene.gaussians))
 
 
 def _compared(
@@ -293,3 +287,13 @@ def _refines(wanted: bool | None, posed: PosedViews) -> bool:
         return wanted
     error = posed.epipolar_error_px
     return error is not None and error > PIPELINE_POLICY.refine_above_px and refinable(posed.cameras)
+
+
+def _distinct(posed: PosedViews) -> tuple[PosedViews, tuple[LeftOut, ...]]:
+    """The views without near-duplicates, and the near-duplicates."""
+    names = posed.views.names
+    same = near_duplicates(posed.cameras, posed.points, posed.visibility)
+    if not same:
+        return posed, ()  # the same object: encoders and memos recognise the views of their own pass by it
+    left_out = tuple(LeftOut(names[view], f"shows what {names[other]} shows") for view, other in same.items())
+    return select_views(posed, [view for view in range(len(names)) if view not in same]), left_out

@@ -7,6 +7,7 @@ from typing import Any
 import torch
 
 from querysplat_cli.pipeline.scene_folder import StoredScene
+from querysplat_cli.queries.backdrop import backdrop
 from querysplat_cli.reporting.report import quality_entry, tto_entries
 from querysplat_cli.reporting.view_scores import score
 from querysplat_cli.runtime.choices import FullSizeLevel
@@ -56,6 +57,11 @@ class LargePhotos:
             return self.views, self.cameras
         return large_views(self.files, self.views, self.cameras, size)
 
+    def backdrop(self, gaussians: Gaussians) -> Gaussians:
+        """What stands behind `gaussians` (`queries/backdrop.py`), in the scene's own colours."""
+        views = self.exposures.removed_from(self.views) if self.exposures else self.views
+        return backdrop(gaussians, views, self.cameras)
+
 
 @dataclass(frozen=True)
 class FullSize:
@@ -87,8 +93,8 @@ def take_to_full_size(
 ) -> FullSize:
     """Optimise `gaussians` on `photos`.
 
-    The backdrop of a scene that has one is left out meanwhile, and made anew. With `seconds` the clock ends the steps,
-    and decides how large the photos are. Raises QuerySplatError when photos are gone.
+    With `seconds` the clock ends the steps, and decides how large the photos are. Raises QuerySplatError when photos
+    are gone.
     """
     plan = plan_full_size(level, photos.summary(), len(gaussians), seconds=seconds)
     total = sum(stage.settings.steps for stage in plan.stages)
@@ -115,11 +121,13 @@ def take_to_full_size(
     )
 
 
-def full_size_quality(found: FullSize, inputs: LargePhotos, heldout: LargePhotos | None) -> dict[str, Any]:
-    """The entry `quality.full_size` of the report: PSNR and SSIM over grey, at the size of `found`."""
-    quality: dict[str, Any] = {"max_size": found.size, "background": MID_GREY}
+def full_size_quality(
+    gaussians: Gaussians, size: int, inputs: LargePhotos, heldout: LargePhotos | None
+) -> dict[str, Any]:
+    """The entry `quality.full_size` of the report: PSNR and SSIM over grey, at a longer side of `size` pixels."""
+    quality: dict[str, Any] = {"max_size": size, "background": MID_GREY}
     for name, photos in {"input": inputs, "heldout": heldout}.items():
-        quality[name] = photos and quality_entry(score(found.gaussians, *photos.at(found.size), MID_GREY))
+        quality[name] = photos and quality_entry(score(gaussians, *photos.at(size), MID_GREY))
     return quality
 
 

@@ -68,10 +68,9 @@ class _Inputs:
 
 @dataclass(frozen=True)
 class _Scores:
-    """Of the inputs, and of the held-out views by the source of their cameras (None: not scored).
+    """Of the inputs, of the held-out views by the source of their cameras (None: not scored), and what no photo saw.
 
     large: at the size of the large photos, if there were any.
-    unseen: what no photo saw, of a film around the scene.
     """
 
     inputs: Quality
@@ -199,7 +198,8 @@ def _score_large(inputs: _Inputs, cameras: PosedSplit, scene: BuiltScene, stages
     with stages("full size score"):
         heldout = scene.heldout(cameras)
         files = photo_files(heldout[0].names, cameras.heldout_photo_cameras, inputs.paths) if heldout else ()
-        return full_size_quality(scene.full_size, scene.inputs, heldout and LargePhotos(*heldout, files))
+        others = heldout and LargePhotos(*heldout, files)
+        return full_size_quality(scene.gaussians, scene.full_size.size, scene.inputs, others)
 
 
 def _report(
@@ -234,7 +234,7 @@ def _report(
         full_size=further.summary if further else None,
         exposure=exposure_entry(scene.colours),
         unseen=scores.unseen.entry() if scores.unseen else None,
-        backdrop=scene.backdrop,
+        backdrop=len(scene.backdrop) if scene.backdrop else 0,
     )
 
 
@@ -269,6 +269,6 @@ def _stored(inputs: _Inputs, passes: HoldoutCameras, scene: BuiltScene, settings
         scene.prepared.map,
         scene.adapted.kept,
         {file.name: file for file in files},
+        len(scene.backdrop) if scene.backdrop else 0,
         scene.exposures,
-        scene.backdrop,
     )

@@ -8,12 +8,11 @@ import torch
 
 from querysplat_cli.model.checkpoints import load
 from querysplat_cli.model.querysplat import QuerySplat
-from querysplat_cli.pipeline.full_size import full_size_quality, stored_photos, take_to_full_size
+from querysplat_cli.pipeline.full_size import LargePhotos, full_size_quality, stored_photos, take_to_full_size
 from querysplat_cli.pipeline.optimise import optimise_start
 from querysplat_cli.pipeline.scene_folder import StoredScene, ply_path, read_scene, write_scene
 from querysplat_cli.pipeline.settings import ResumeSettings
 from querysplat_cli.prune.gaussians import target_count
-from querysplat_cli.queries.backdrop import with_backdrop
 from querysplat_cli.reporting import omissions
 from querysplat_cli.reporting.report import Report, machine, quality_entry, seconds_entry, tto_entries
 from querysplat_cli.reporting.unseen import unseen
@@ -24,7 +23,7 @@ from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.precision import check_precision
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.formats.ply import read_ply
-from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.gaussians import Gaussians, joined
 from querysplat_cli.tto.adapt import Adapted
 from querysplat_cli.tto.cameras import with_refined_focal
 from querysplat_cli.tto.features import Start
@@ -63,10 +62,9 @@ def optimise_scene(settings: ResumeSettings, stages: Stages | None = None) -> Re
         start = Start(scene.memories, scene.anchors, gaussians, None if apart else scene.kept)
         photos = scene.views, scene.cameras
         adapted = optimise_start(model, start, photos, plan, options, progress, scene.exposures)
-        stored = _with(scene, adapted)
-        whole, behind = _backed(stored, adapted.gaussians)
+        stored, gaussians = _behind(_with(scene, adapted), adapted.gaussians)
     runs, left_out = tto_entries(adapted.runs), omissions.taken_further(before["left_out"], adapted)
-    return _write_back(path, stored, whole, before, stages, tto=runs, left_out=left_out, backdrop=behind)
+    return _write_back(path, stored, gaussians, before, stages, tto=runs, left_out=left_out)
 
 
 def _at_full_size(settings: ResumeSettings, level: FullSizeLevel, stages: Stages) -> Report:
@@ -74,32 +72,32 @@ def _at_full_size(settings: ResumeSettings, level: FullSizeLevel, stages: Stages
     path, device = settings.scene, find_device(settings.device)
     with stages("read"):
         scene, before = _read(settings)
-        gaussians = read_ply(ply_path(path))[: before["gaussians"] - scene.backdrop]
+        whole = read_ply(ply_path(path))
+        gaussians = whole[: len(whole) - scene.backdrop]
     inputs, heldout = stored_photos(scene)
     with stages("full size") as progress:
         found = take_to_full_size(inputs, gaussians, level, seed=settings.seed, device=device, progress=progress)
-        whole, behind = _backed(replace(scene, exposures=found.exposures), found.gaussians)
-        found = replace(found, gaussians=whole)
+    stored, gaussians = _behind(replace(scene, exposures=found.exposures), found.gaussians)
     with stages("full size score"):
-        quality = full_size_quality(found, inputs, heldout)
+        quality = full_size_quality(gaussians, found.size, inputs, heldout)
     return _write_back(
         path,
-        replace(scene, exposures=found.exposures),
-        found.gaussians,
+        stored,
+        gaussians,
         before,
         stages,
         quality={"full_size": quality},
         tto=found.runs,
         full_size=found.summary,
-        backdrop=behind,
     )
 
 
-def _backed(scene: StoredScene, gaussians: Gaussians) -> tuple[Gaussians, int]:
-    """The Gaussians with a new backdrop, where the scene had one, and how many of them are the backdrop."""
+def _behind(scene: StoredScene, gaussians: Gaussians) -> tuple[StoredScene, Gaussians]:
+    """The scene and its Gaussians, with a new backdrop if it had one."""
     if not scene.backdrop:
-        return gaussians, 0
-    return with_backdrop(gaussians, scene.views, scene.cameras, scene.exposures)
+        return scene, gaussians
+    behind = LargePhotos(scene.views, scene.cameras, exposures=scene.exposures).backdrop(gaussians)
+    return replace(scene, backdrop=len(behind)), joined(gaussians, behind)
 
 
 def _write_back(
@@ -133,6 +131,7 @@ def _write_back(
             peak_memory_gib=round(peak_gib(), 2),
             machine=machine(),
             unseen=film.entry() if film else None,
+            backdrop=scene.backdrop,
             **changes,
         )
         write_scene(ply_path(path), scene, gaussians, report.as_dict())

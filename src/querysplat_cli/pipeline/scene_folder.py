@@ -50,9 +50,9 @@ class StoredScene:
     """A scene that can be optimised further.
 
     `model` is the preset or checkpoint that decodes the memories. `kept` marks the decoded Gaussians that belong to
-    the scene (None: all). `photos` are the files of input and held-out photos by name; it may lack some.
-    `exposures` are the colour transforms of the input views (None: they show the scene's own colours). The last
-    Gaussians of the .ply, as many as `backdrop` says, are the backdrop.
+    the scene (None: all). `photos` are the files of input and held-out photos by name; it may lack some. The last
+    Gaussians of the .ply, as many as `backdrop` says, are the backdrop. `exposures` are the colour transforms of the
+    input views (None: they show the scene's own colours).
     """
 
     views: Views
@@ -64,8 +64,8 @@ class StoredScene:
     map: MemoryMap | None = None
     kept: Bool[Tensor, "n"] | None = None
     photos: dict[str, PhotoFile] = dataclasses.field(default_factory=dict)
-    exposures: Exposures | None = None
     backdrop: int = 0
+    exposures: Exposures | None = None
 
     @property
     def groups(self) -> dict[str, tuple[Views, Cameras]]:
@@ -154,7 +154,7 @@ def read_scene(path: Path) -> tuple[StoredScene, dict[str, Any]]:
         memory = _unflatten(Memories, "memories", tensors)
         exposures = read_exposures(folder / "exposures.json", inputs.names)
         kept, behind = tensors.get("kept"), int(report.get("backdrop", 0))
-        scene = StoredScene(views, inputs.cameras, held, memory, anchors, model, where, kept, photos, exposures, behind)
+        scene = StoredScene(views, inputs.cameras, held, memory, anchors, model, where, kept, photos, behind, exposures)
     except (OSError, SafetensorError, KeyError, ValueError) as error:
         raise QuerySplatError(f"{folder} is damaged: {error}", "Run `querysplat reconstruct` again.") from error
     return scene, report

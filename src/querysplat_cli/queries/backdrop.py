@@ -7,7 +7,6 @@ photos from one side is open at the other.
 """
 
 import math
-from dataclasses import fields
 
 import torch
 from jaxtyping import Float
@@ -16,25 +15,12 @@ from torch.nn import functional as F
 
 from querysplat_cli.queries.policy import QUERY_POLICY
 from querysplat_cli.scene.cameras import Cameras
-from querysplat_cli.scene.exposures import Exposures
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
 from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.render import render
 
 BEHIND = 1e9
 """Distance from a picture, in shares of its size, of a direction behind its camera."""
-
-
-def with_backdrop(
-    gaussians: Gaussians, views: Views, cameras: Cameras, exposures: Exposures | None = None
-) -> tuple[Gaussians, int]:
-    """The scene with its backdrop, whose Gaussians come last, and their number.
-
-    `exposures` are the colour transforms of the views, where these do not show the scene's own colours.
-    """
-    behind = backdrop(gaussians, exposures.removed_from(views) if exposures else views, cameras)
-    pairs = {field.name: (getattr(gaussians, field.name), getattr(behind, field.name)) for field in fields(behind)}
-    return Gaussians(**{name: torch.cat(pair) for name, pair in pairs.items()}), len(behind)
 
 
 @torch.no_grad()

@@ -28,9 +28,9 @@ class Report:
 
     `left_out` lists what was left out of the scene or of the work; each entry is an `Omission`. `warnings` are
     sentences on why the scene may be wrong. `full_size` describes the optimisation on large photos, if there was
-    one. `exposure` says how far the photos agree in colour, where that was measured. `backdrop` counts the Gaussians
-    of the backdrop, the last ones of the file. `unseen` is how much of a film around the scene no photo saw (None
-    where there is no film).
+    one. `exposure` says how far the photos agree in colour, where that was measured. `backdrop` counts the Gaussians of
+    the backdrop, the last ones of the file. `unseen` is how much of a film around the scene no photo saw (None where
+    there is no film).
     """
 
     ply: str

@@ -87,8 +87,8 @@ def optimise_full_size(
         elif plan.round:
             ended = _rounds(run, plan.round, plan.most_rounds)
     assert target
-    lean = tuple((stage, _lean(result)) for stage, result in runs)
     sharp = bounded(runs[-1][1].gaussians, target.cameras)
+    lean = tuple((stage, _lean(result)) for stage, result in runs)
     return FullSizeResult(sharp, lean, ended, refitted.current if refitted else None)
 
 
