@@ -5,7 +5,7 @@
 DATA is the folder of the photo sets, by default $QUERYSPLAT_DATA. Scenes are made of pictures of --max-size pixels.
 Their renders are compared with the held-out photos at half that size, at that size, and at twice of it, over mid-grey.
 Photos with fewer pixels than that are left out at twice the size. Each of --variances is that of the 3D smoothing
-filter, in px²; 0 is no filter. The same scene without its last Gaussians is that without a backdrop. Cameras are joint,
+filter, in px²; 0 is no filter. The same scenes are scored without their backdrop, too. Cameras are joint,
 every 4th photo is held out. CPU seconds are those of queries and optimisation.
 """
 
@@ -82,17 +82,17 @@ def rows(model: QuerySplat, photo_set: PhotoSet, options: Namespace) -> list[Row
     for variance in options.variances:
         smoothing.SMOOTHING_POLICY = smoothing.SmoothingPolicy(variance=max(variance, LEAST_VARIANCE))
         began = time.process_time()
-        adapted = build_scene(chosen.inputs, geometry, model, settings(backdrop=True)).adapted
+        scene = build_scene(chosen.inputs, geometry, model, settings(backdrop=True))
         seconds = time.process_time() - began
-        scores = {name: some and score(adapted.gaussians, *some, MID_GREY) for name, some in sizes.items()}
+        scores = {name: some and score(scene.gaussians, *some, MID_GREY) for name, some in sizes.items()}
         found.append(
             Row(
                 photo_set.name,
                 photo_set.use,
                 variance,
                 {name: each and (each.psnr, each.ssim) for name, each in scores.items()},
-                over_three(adapted.gaussians, held),
-                over_three(adapted.gaussians[: len(adapted.gaussians) - adapted.backdrop], held),
+                over_three(scene.gaussians, held),
+                over_three(replace(scene, backdrop=None).gaussians, held),
                 seconds,
             )
         )

@@ -18,6 +18,7 @@ from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.tto.cameras import RefinedCameras
 from querysplat_cli.tto.coverage_loss import CoverageLoss
+from querysplat_cli.tto.dropout import without_some
 from querysplat_cli.tto.options import NO_CALLBACKS, Callbacks, TtoSettings, TtoStep
 from querysplat_cli.tto.policy import TTO_POLICY
 from querysplat_cli.tto.rendering_loss import LossAndGradient, RenderingLoss, tensors
@@ -78,7 +79,7 @@ def optimise(
         return before
     refined = RefinedCameras(target.cameras, first) if refine_cameras else None
     coverage = CoverageLoss.of(first, target.cameras) if settings.keep_cover else None
-    run = _Run(start, settings, callbacks, target, losses, refined, coverage)
+    run = _Run(start, settings, callbacks, target, losses, refined, coverage, generator)
     interrupted = False
     try:
         run.take_steps(_draws(len(views), settings.views_per_step, generator))
@@ -99,12 +100,14 @@ class _Run(Generic[V]):
         losses: list[float],
         refined: RefinedCameras | None,
         coverage: CoverageLoss | None,
+        generator: torch.Generator,
     ) -> None:
         self.history: list[TtoStep] = []
         self.undone = 0
         self._adam = UndoableAdam(start, settings.lr)
         self._settings, self._callbacks, self._densify = settings, callbacks, start.densify
         self._target, self._refined, self._coverage = target, refined, coverage
+        self._generator = generator
         self._exposures_before = target.exposures and target.exposures.current
         self._least_losses = losses
         self._pruned: Pruned | None = None
@@ -145,7 +148,9 @@ class _Run(Generic[V]):
 
     def _take(self, step: int, chosen: list[int], done: float) -> None:
         gaussians = self._pruned_in_time(self._decoded(), step, done)
-        loss = self._send_back(gaussians, chosen, step)
+        share = self._settings.dropout * done
+        shown = without_some(gaussians, share, self._generator) if share else gaussians
+        loss = self._send_back(shown, chosen, step)
         if loss is None or not self._adam.gradient_is_finite() or self._has_risen(loss, chosen):
             self._undo()
             return
@@ -153,10 +158,10 @@ class _Run(Generic[V]):
         if self._splits_left and done >= self._splits_left[0]:
             self._split(gaussians)
             return
-        share = _rate_share(step, done, self._settings)
-        self._adam.step(share)
+        rate = _rate_share(step, done, self._settings)
+        self._adam.step(rate)
         if self._refined:
-            self._refined.step(share)
+            self._refined.step(rate)
 
     def _decoded(self) -> Gaussians:
         """The Gaussians that stay, for a target whose cameras are the refined ones."""

@@ -49,6 +49,7 @@ class TtoSettings:
         step, as the authors' release does.
     seconds: the run ends when they are over, and the rate falls with the time; None sets no limit.
     keep_cover: whether what the scene covers between the views must stay covered.
+    dropout: share of the Gaussians that is left out of a step at the end of the run; it rises from 0 along the way.
     densify_after: shares of the steps after which Gaussians are split, where they are.
     """
 
@@ -58,6 +59,7 @@ class TtoSettings:
     warm_up: int = 0
     seconds: float | None = None
     keep_cover: bool = False
+    dropout: float = 0.0
     densify_after: tuple[float, ...] = TTO_POLICY.densify_after
 
 

@@ -40,6 +40,7 @@ def plan_tto(
         warm_up=TTO_POLICY.resumed_warm_up if resumed else 0,
         seconds=seconds,
         keep_cover=1 < views <= TTO_POLICY.few_views,
+        dropout=TTO_POLICY.dropout if 1 < views <= TTO_POLICY.few_views else 0.0,
     )
     return _runs(space, settings)
 
