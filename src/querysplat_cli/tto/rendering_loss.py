@@ -12,7 +12,7 @@ from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.conventions import MID_GREY
 from querysplat_cli.splat.render import Rendering, RenderSettings, render
-from querysplat_cli.splat.similarity import photometric_loss
+from querysplat_cli.splat.similarity import photometric_loss, photometric_value
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class RenderingLoss:
     def values(self, gaussians: Gaussians, chosen: list[int]) -> list[float]:
         """The loss of each of the views `chosen`."""
         with torch.no_grad():
-            return [self._value(self._render(gaussians, self.cameras, view), view) for view in chosen]
+            return [self._scores(gaussians, view)[0] for view in chosen]
 
     def value(self, gaussians: Gaussians, chosen: list[int]) -> float:
         """The loss over the views `chosen`."""
@@ -80,7 +80,7 @@ class RenderingLoss:
     def psnr(self, gaussians: Gaussians, chosen: list[int]) -> float:
         """The mean over the views `chosen`, in dB."""
         with torch.no_grad():
-            return _decibels([self._error(self._render(gaussians, self.cameras, view), view) for view in chosen])
+            return _decibels([self._scores(gaussians, view)[1] for view in chosen])
 
     def value_and_gradient(self, gaussians: Gaussians, chosen: list[int]) -> LossAndGradient:
         """The loss over the views `chosen`, and its gradient with respect to every Gaussian parameter."""
@@ -92,29 +92,28 @@ class RenderingLoss:
         losses, errors = [], []
         for view in chosen:
             rendering = self._render(leaves, cameras, view)
-            loss = self._loss(rendering.over(behind), view)
-            (loss / len(chosen)).backward()
-            losses.append(self._value(rendering, view) if self.backgrounds else float(loss.detach()))
-            errors.append(self._error(rendering, view))
+            photo = self._photo(view)
+            (photometric_loss(rendering.over(behind), *photo) / len(chosen)).backward()
+            value, error = self._compared(rendering, photo)
+            losses.append(value)
+            errors.append(error)
         camera_gradient = (gradient_of(w2c), gradient_of(K)) if asked else None
         return LossAndGradient(losses, _decibels(errors), leaves.map(gradient_of), camera_gradient)
 
     def _render(self, gaussians: Gaussians, cameras: Cameras, view: int) -> Rendering:
         return render(gaussians, cameras[[view]], settings=self.settings)
 
-    def _loss(self, picture: Tensor, view: int) -> Tensor:
-        return photometric_loss(picture, self.views.picture(view)[None], self.views.masks[[view]])
+    def _photo(self, view: int) -> tuple[Tensor, Tensor]:
+        """The photo of a view and its mask, as a batch of one."""
+        return self.views.picture(view)[None], self.views.masks[[view]]
+
+    def _scores(self, gaussians: Gaussians, view: int) -> tuple[float, float]:
+        return self._compared(self._render(gaussians, self.cameras, view), self._photo(view))
 
     @torch.no_grad()
-    def _value(self, rendering: Rendering, view: int) -> float:
-        """The loss over `background`."""
-        return float(self._loss(rendering.over(self.background), view))
-
-    @torch.no_grad()
-    def _error(self, rendering: Rendering, view: int) -> float:
-        """The mean squared error over `background`."""
-        picture = rendering.over(self.background).clamp(0, 1)
-        return float((picture - self.views.picture(view)).square().mean(1)[self.views.masks[[view]]].mean())
+    def _compared(self, rendering: Rendering, photo: tuple[Tensor, Tensor]) -> tuple[float, float]:
+        """The loss and the mean squared error over `background`."""
+        return photometric_value(rendering.over(self.background), *photo)
 
 
 def tensors(holder: Any) -> list[Tensor]:
