@@ -7,11 +7,8 @@ The inner loops over `c` have constant length and no branches, and become a few 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
 import numba as nb
 import numpy as np
-from llvmlite import ir
-from numba.core import cgutils, types
-from numba.extending import intrinsic
-from numba.np.arrayobj import make_array
 
+from querysplat_cli.splat.compiled_memory import prefetch, scratch
 from querysplat_cli.splat.compiled_projection import (
     BLUE,
     DEPTH,
@@ -60,37 +57,6 @@ E0, E1, E2, E3, E4, E5 = (
 )
 
 
-@intrinsic(prefer_literal=True)
-def _scratch(typing, size):
-    """`size` float32 on the stack, which LLVM can keep in registers; it cannot do that to a numpy array."""
-
-    def generate(context, builder, signature, arguments):
-        place = cgutils.alloca_once(builder, ir.FloatType(), size=ir.Constant(ir.IntType(64), size.literal_value))
-        place.align = 64
-        return place
-
-    return types.CPointer(types.float32)(size), generate
-
-
-@intrinsic
-def _prefetch(typing, array, row):
-    """Ask for a row of a 2D float32 array ahead of its use."""
-
-    def generate(context, builder, signature, arguments):
-        place = make_array(signature.args[0])(context, builder, arguments[0])
-        columns = builder.extract_value(place.shape, 1)
-        first = builder.gep(place.data, [builder.mul(arguments[1], columns)])
-        number, byte = ir.IntType(32), ir.IntType(8).as_pointer()
-        kind = ir.FunctionType(ir.VoidType(), [byte, number, number, number])
-        fetch = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0")
-        last = builder.gep(first, [builder.sub(columns, ir.Constant(columns.type, 1))])
-        for address in (first, last):
-            builder.call(fetch, [builder.bitcast(address, byte), number(0), number(3), number(1)])
-        return context.get_dummy_value()
-
-    return types.void(array, types.intp), generate
-
-
 @nb.njit(error_model="numpy", fastmath={"contract"}, inline="always")
 def _alpha(across, up, lost, alpha_max, alpha_min):
     """α of one pixel, min(cap, exp(−8(across² + up² + lost))) or 0; the same bits forward and backward."""
@@ -108,14 +74,14 @@ def _alpha(across, up, lost, alpha_max, alpha_min):
 def _blend_tile(rows, members, left, top, width, height, limits, planes):
     alpha_max, alpha_min, least = limits[0], limits[1], limits[2]
     # How much light still comes through each pixel; negative once the pixel has stopped.
-    through = nb.carray(_scratch(PIXELS), (GROUPS, LANES))
-    red = nb.carray(_scratch(PIXELS), (GROUPS, LANES))
-    green = nb.carray(_scratch(PIXELS), (GROUPS, LANES))
-    blue = nb.carray(_scratch(PIXELS), (GROUPS, LANES))
-    depth = nb.carray(_scratch(PIXELS), (GROUPS, LANES))
-    ys = nb.carray(_scratch(PIXELS), (GROUPS, LANES))  # of each pixel, from the tile's first row
-    begins = nb.carray(_scratch(BATCH), BATCH)
-    ends = nb.carray(_scratch(BATCH), BATCH)
+    through = nb.carray(scratch(PIXELS), (GROUPS, LANES))
+    red = nb.carray(scratch(PIXELS), (GROUPS, LANES))
+    green = nb.carray(scratch(PIXELS), (GROUPS, LANES))
+    blue = nb.carray(scratch(PIXELS), (GROUPS, LANES))
+    depth = nb.carray(scratch(PIXELS), (GROUPS, LANES))
+    ys = nb.carray(scratch(PIXELS), (GROUPS, LANES))  # of each pixel, from the tile's first row
+    begins = nb.carray(scratch(BATCH), BATCH)
+    ends = nb.carray(scratch(BATCH), BATCH)
     for g in range(GROUPS):
         for c in range(LANES):
             ys[g, c] = np.float32(PAIRED * g + c // WIDE)
@@ -128,7 +94,7 @@ def _blend_tile(rows, members, left, top, width, height, limits, planes):
     for batch in range(0, len(members), BATCH):
         _groups_met(rows, members, batch, left, top, begins, ends)
         for k in range(batch, min(batch + BATCH, len(members))):
-            _prefetch(rows, members[min(k + BATCH, len(members) - 1)])
+            prefetch(rows, members[min(k + BATCH, len(members) - 1)])
             row = rows[members[k]]
             a, b, q = QUARTER * row[A], QUARTER * row[B], QUARTER * row[C]
             lost = EIGHTH * row[LOST]
@@ -165,13 +131,13 @@ def _blend_tile(rows, members, left, top, width, height, limits, planes):
 @nb.njit(cache=True, error_model="numpy", fastmath={"contract"}, forceinline=True)
 def _blend_tile_backward(rows, members, left, top, width, height, limits, planes, given, out):
     alpha_max, alpha_min, least = limits[0], limits[1], limits[2]
-    through = nb.carray(_scratch(PIXELS), (GROUPS, LANES))
-    behind = nb.carray(_scratch(PIXELS), (GROUPS, LANES))
-    slopes = nb.carray(_scratch(PLANE_PIXELS), (BLENDED_PLANES, GROUPS, LANES))
-    lanes = nb.carray(_scratch(LANE_SUMS), (SUMS, LANES))
-    ys = nb.carray(_scratch(PIXELS), (GROUPS, LANES))  # of each pixel, from the tile's first row
-    begins = nb.carray(_scratch(BATCH), BATCH)
-    ends = nb.carray(_scratch(BATCH), BATCH)
+    through = nb.carray(scratch(PIXELS), (GROUPS, LANES))
+    behind = nb.carray(scratch(PIXELS), (GROUPS, LANES))
+    slopes = nb.carray(scratch(PLANE_PIXELS), (BLENDED_PLANES, GROUPS, LANES))
+    lanes = nb.carray(scratch(LANE_SUMS), (SUMS, LANES))
+    ys = nb.carray(scratch(PIXELS), (GROUPS, LANES))  # of each pixel, from the tile's first row
+    begins = nb.carray(scratch(BATCH), BATCH)
+    ends = nb.carray(scratch(BATCH), BATCH)
     for g in range(GROUPS):
         for c in range(LANES):
             ys[g, c] = np.float32(PAIRED * g + c // WIDE)
@@ -189,8 +155,8 @@ def _blend_tile_backward(rows, members, left, top, width, height, limits, planes
     for batch in range(0, len(members), BATCH):
         _groups_met(rows, members, batch, left, top, begins, ends)
         for k in range(batch, min(batch + BATCH, len(members))):
-            _prefetch(rows, members[min(k + BATCH, len(members) - 1)])
-            _prefetch(out, members[min(k + BATCH, len(members) - 1)])
+            prefetch(rows, members[min(k + BATCH, len(members) - 1)])
+            prefetch(out, members[min(k + BATCH, len(members) - 1)])
             row = rows[members[k]]
             a, b, q = QUARTER * row[A], QUARTER * row[B], QUARTER * row[C]
             lost = EIGHTH * row[LOST]
@@ -284,7 +250,7 @@ def _groups_met(rows, members, batch, left, top, begins, ends):
 
 @nb.njit(cache=True, error_model="numpy", forceinline=True)
 def _any_open(through):
-    most = nb.carray(_scratch(LANES), LANES)
+    most = nb.carray(scratch(LANES), LANES)
     for c in range(LANES):
         most[c] = -ONE
     for g in range(GROUPS):

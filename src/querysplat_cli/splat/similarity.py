@@ -128,7 +128,7 @@ class _Photometric(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, given: Tensor) -> tuple[Tensor | None, ...]:
-        return given * ctx.gradient, None, None
+        return ctx.gradient if given == 1 else given * ctx.gradient, None, None
 
 
 def _sums(image: Tensor, target: Tensor, mask: Tensor, gradient: np.ndarray) -> tuple[float, float]:
