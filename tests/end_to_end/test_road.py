@@ -428,8 +428,16 @@ def test_a_full_disk_leaves_nothing(room: Path, tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("stage", ["photos", "cameras", "depth", "score", "write"])
-def test_ctrl_c_leaves_what_was_there(stage: str, room: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("stage", "number"),
+    [
+        *((stage, signal.SIGINT) for stage in ("photos", "cameras", "depth", "score", "write")),
+        ("cameras", signal.SIGTERM),
+        ("depth", signal.SIGHUP),
+        ("write", signal.SIGTERM),
+    ],
+)
+def test_a_signal_leaves_what_was_there(stage: str, number: int, room: Path, tmp_path: Path) -> None:
     (tmp_path / "a.ply").write_text("mine")
     arguments = ["reconstruct", str(room), "-o", str(tmp_path / "a.ply"), "--force", *SMALL[:-1]]
     with subprocess.Popen(
@@ -440,10 +448,10 @@ def test_ctrl_c_leaves_what_was_there(stage: str, room: Path, tmp_path: Path) ->
         for line in process.stderr:
             messages += line
             if line.strip() == stage:
-                process.send_signal(signal.SIGINT)
+                process.send_signal(number)
                 break
         messages += process.stderr.read()
-    assert process.returncode == ExitCode.INTERRUPTED, messages
+    assert process.returncode == 128 + number, messages
     assert "Traceback" not in messages
     assert [path.name for path in tmp_path.iterdir()] == ["a.ply"]
     assert (tmp_path / "a.ply").read_text() == "mine"

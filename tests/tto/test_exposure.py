@@ -9,6 +9,7 @@ import torch
 from tto_scenes import wall
 
 from querysplat_cli.encoders.base import Geometry
+from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.exposures import Exposures, read_exposures, write_exposures
 from querysplat_cli.scene.gaussians import Gaussians
@@ -267,7 +268,7 @@ def test_files(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("entries", "message"),
     [
-        ([], "no transform for a"),
+        ([], "a name and a matrix for each photo"),
         ([{"name": "a", "matrix": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}], "3 × 4"),
         ([{"name": "a", "matrix": [[1, 0, 0, float("nan")], [0, 1, 0, 0], [0, 0, 1, 0]]}], "finite"),
         ([{"name": "a", "matrix": [[0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]}], "inverted"),
@@ -276,5 +277,5 @@ def test_files(tmp_path: Path) -> None:
 def test_damaged_files(entries: list[dict[str, object]], message: str, tmp_path: Path) -> None:
     file = tmp_path / "exposures.json"
     file.write_text(json.dumps({"photos": entries}))
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(QuerySplatError, match=message):
         read_exposures(file, ("a",))

@@ -12,6 +12,7 @@ from querysplat_cli.evaluation.generate import SCALES
 from querysplat_cli.evaluation.metrics import CORRECTED, METRICS
 from querysplat_cli.evaluation.results import RowFolder, mean, read_json, row_folders, write_json
 from querysplat_cli.evaluation.splits import GROUPS
+from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.files import atomic_path
 
 SUMMARY_COLUMNS = (
@@ -49,6 +50,14 @@ def summarise(out: Path) -> dict[str, Any]:
 
 def summarise_row(row_folder: RowFolder) -> dict[str, Any]:
     """One row's figures on one split, group by group, and the cases that failed."""
+    try:
+        return _row(row_folder)
+    except (LookupError, TypeError, AttributeError, ValueError) as error:
+        why = f"{row_folder.path}: damaged results: {type(error).__name__}: {error}"
+        raise QuerySplatError(why, "Remove that folder and run the command again.") from error
+
+
+def _row(row_folder: RowFolder) -> dict[str, Any]:
     config = read_json(row_folder.path / "run_config.json")
     split = config["split"]
     scores: dict[str, dict[str, list[float]]] = {group: {metric: [] for metric in SCORES} for group in GROUPS}

@@ -15,8 +15,10 @@ from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.pipeline.budget import Budget, working_size
 from querysplat_cli.pipeline.build import Allowance, BuiltScene, encode_and_build
 from querysplat_cli.pipeline.full_size import LargePhotos, full_size_quality
+from querysplat_cli.pipeline.gaussian_files import check_target, folder_of_scene
+from querysplat_cli.pipeline.given_frame import given_frame
 from querysplat_cli.pipeline.memory import MemoryNeeds, within_memory
-from querysplat_cli.pipeline.scene_folder import StoredScene, scene_folder, write_scene
+from querysplat_cli.pipeline.scene_folder import StoredScene, refuse_foreign, write_scene
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.prune.resolution import Blurred, blurred
 from querysplat_cli.reporting import omissions
@@ -85,9 +87,11 @@ def reconstruct(settings: ReconstructSettings, stages: Stages | None = None) -> 
     Raises QuerySplatError on bad input and ImpossibleScene when no scene can be made of the photos; nothing is written
     then.
     """
-    outputs = [settings.ply, scene_folder(settings.ply)]
+    check_target(settings.ply)
+    outputs = [settings.ply, folder_of_scene(settings.ply)]
     refuse_replacing(settings.inputs, outputs)
     refuse_existing(outputs, force=settings.force)
+    refuse_foreign(outputs[1])
     check_writable(settings.ply.parent)
     device = find_device(settings.device)
     with matrix_products(check_precision(settings.precision)):
@@ -213,7 +217,7 @@ def _report(
     expected, further = inputs.bytes_expected, scene.full_size
     return Report(
         ply=str(settings.ply),
-        scene=str(scene_folder(settings.ply)),
+        scene=str(folder_of_scene(settings.ply)),
         views=views_entry(scene.posed.views.names, (*inputs.left_out, *passes.left_out, *scene.duplicates)),
         gaussians=len(scene.gaussians),
         seconds=seconds_entry(stages.seconds),
@@ -269,6 +273,7 @@ def _stored(inputs: _Inputs, passes: HoldoutCameras, scene: BuiltScene, settings
         scene.prepared.map,
         scene.adapted.kept,
         {file.name: file for file in files},
+        given_frame(passes.chosen.inputs, inputs.known),
         len(scene.backdrop) if scene.backdrop else 0,
         scene.exposures,
     )

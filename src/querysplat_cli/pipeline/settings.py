@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
-from annotated_types import Ge
+from annotated_types import Ge, Le
 
 from querysplat_cli.runtime.choices import (
     ExposureCorrection,
@@ -140,6 +140,7 @@ class ReconstructSettings:
     budget: Annotated[
         float | None,
         Ge(1.0),
+        Le(1e8),
         Option(
             "Seconds for the whole command. Sets the picture size and the steps of optimisation.",
             metavar="SECONDS",
@@ -189,6 +190,7 @@ class ResumeSettings:
     lr: Annotated[
         float | None,
         Ge(1e-8),
+        Le(1e3),
         Option(
             "The learning rate.",
             metavar="RATE",

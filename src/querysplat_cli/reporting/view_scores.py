@@ -70,8 +70,9 @@ def _corrected_scores(
     picture: Float[Tensor, "3 height width"], photo: Float[Tensor, "3 height width"], mask: Bool[Tensor, "height width"]
 ) -> dict[str, float]:
     corrected, left = colour_corrected(picture, photo, mask), left_half(mask)
+    right = mask & ~left
     return {
         "psnr_cc": psnr(corrected, photo, mask),
         "ssim_cc": ssim_metric(torch.where(mask, corrected, photo), photo),
-        "psnr_half": psnr(colour_corrected(picture, photo, left), photo, mask & ~left),
+        "psnr_half": psnr(colour_corrected(picture, photo, left), photo, right if right.any() else mask),
     }

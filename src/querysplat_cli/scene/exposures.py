@@ -9,8 +9,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.json_files import read_json
 from querysplat_cli.scene.tensor_dataclass import TensorDataclass
 from querysplat_cli.scene.views import Views
+
+MAKE_AGAIN = "Run `querysplat reconstruct` again."
 
 
 @dataclass(frozen=True)
@@ -56,16 +60,21 @@ def write_exposures(path: Path, names: Sequence[str], exposures: Exposures) -> N
 
 
 def read_exposures(path: Path, names: Sequence[str]) -> Exposures | None:
-    """The transforms of the photos `names`; None where there is no such file. Raises ValueError when it is damaged."""
+    """The transforms of the photos `names`; None where there is no such file.
+
+    Raises QuerySplatError when it is damaged.
+    """
     if not path.is_file():
         return None
-    found = {entry["name"]: entry["matrix"] for entry in json.loads(path.read_text())["photos"]}
-    missing = [name for name in names if name not in found]
-    if missing:
-        raise ValueError(f"{path.name} has no transform for {missing[0]}")
-    matrices = torch.tensor([found[name] for name in names], dtype=torch.float64)
+    try:
+        found = {entry["name"]: entry["matrix"] for entry in read_json(path, MAKE_AGAIN)["photos"]}
+        matrices = torch.tensor([found[name] for name in names], dtype=torch.float64)
+    except (KeyError, TypeError, ValueError, RuntimeError) as error:
+        raise QuerySplatError(
+            f"{path} is damaged: it must hold a name and a matrix for each photo", MAKE_AGAIN
+        ) from error
     if matrices.shape[1:] != (3, 4) or not bool(matrices.isfinite().all()):
-        raise ValueError(f"{path.name} must hold 3 × 4 finite numbers for each photo")
+        raise QuerySplatError(f"{path} is damaged: it must hold 3 × 4 finite numbers for each photo", MAKE_AGAIN)
     if bool((torch.linalg.det(matrices[:, :, :3]).abs() < 1e-6).any()):
-        raise ValueError(f"{path.name} holds a transform that cannot be inverted")
+        raise QuerySplatError(f"{path} is damaged: it holds a transform that cannot be inverted", MAKE_AGAIN)
     return Exposures(matrices)

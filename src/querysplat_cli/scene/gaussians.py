@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass, fields
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from querysplat_cli.scene.tensor_dataclass import TensorDataclass
@@ -45,6 +45,11 @@ class Gaussians(TensorDataclass):
     @property
     def sh_degree(self) -> int:
         return math.isqrt(self.sh.shape[1]) - 1
+
+    @property
+    def finite(self) -> Bool[Tensor, "n"]:
+        """Which Gaussians have only finite numbers."""
+        return torch.stack([field[:, None].flatten(1).isfinite().all(1) for field in vars(self).values()]).all(0)
 
     def __getitem__(self, index: slice | Tensor) -> "Gaussians":
         return self.map(lambda field: field[index])

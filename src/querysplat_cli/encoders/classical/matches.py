@@ -4,7 +4,6 @@ from collections.abc import Hashable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 import pycolmap
@@ -21,6 +20,7 @@ from querysplat_cli.encoders.classical.verified_pairs import Pair, Verification,
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.cameras import PhotoCamera, rescaled
+from querysplat_cli.scene.drafts import scratch_folder
 from querysplat_cli.scene.views import Photo
 
 
@@ -79,8 +79,7 @@ def matched(
     effort = effort or (CAMERA_POLICY.ordinary_large if are_large(photos) else CAMERA_POLICY.ordinary)
     # COLMAP writes messages to the terminal, where standard output may be the JSON of `--json`.
     pycolmap.logging.minloglevel = pycolmap.logging.FATAL.value
-    with TemporaryDirectory(prefix="querysplat-") as name, _naming_the_folder(name):
-        folder = Path(name)
+    with scratch_folder() as folder, _naming_the_folder(folder):
         progress("finding features", 0.0)
         sizes = write_grey(photos, folder, effort.feature_size)
         focals = tuple(
@@ -103,7 +102,7 @@ def matched(
 
 
 @contextmanager
-def _naming_the_folder(folder: str) -> Iterator[None]:
+def _naming_the_folder(folder: Path) -> Iterator[None]:
     """Names the folder in errors of COLMAP's database, which do not."""
     try:
         yield
