@@ -227,3 +227,13 @@ def test_too_little_memory_is_a_missing_part(
     picture = photo(tmp_path / "p.png")
     assert run(["reconstruct", str(picture), "-o", str(tmp_path / "s.ply"), "-q"]) == ExitCode.MISSING_PART
     assert "out of memory" in one_error(capsys)
+
+
+def test_a_current_folder_that_is_gone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    assert run(["weights"]) == ExitCode.BAD_INPUT
+    assert "the current folder was removed" in one_error(capsys)

@@ -1,5 +1,6 @@
 """The command line: one small file per verb, imported without torch or pycolmap."""
 
+import os
 import sys
 import traceback
 from typing import Any
@@ -24,6 +25,7 @@ def main() -> None:
 def run(arguments: list[str]) -> int:
     """Run one command, and return its exit code. An error becomes two lines on standard error."""
     try:
+        _check_current_folder()
         code = app(arguments or ["--help"], prog_name="querysplat", standalone_mode=False)
         if not code:
             return ExitCode.DONE
@@ -48,6 +50,14 @@ def run(arguments: list[str]) -> int:
         return ExitCode.BUG
     _print_error("stopped", "Nothing half-written was left behind.")
     return signals.exit_code()
+
+
+def _check_current_folder() -> None:
+    """Raise QuerySplatError where the current folder was removed: MKL ends the process with words of its own."""
+    try:
+        os.getcwd()
+    except OSError:
+        raise QuerySplatError("the current folder was removed", "Change to one that is there, with `cd`.") from None
 
 
 def _forget_handled_interrupt() -> None:
