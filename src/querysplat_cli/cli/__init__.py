@@ -41,6 +41,8 @@ def run(arguments: list[str]) -> int:
         _print_error(str(error), "Check the path, its permissions and the free space.")
         return ExitCode.BAD_INPUT
     except Exception as error:
+        if signals.caught():  # libraries that are interrupted while they are imported raise errors of their own
+            return _stopped()
         if is_out_of_memory(error):
             why = str(error).splitlines()[0] if str(error) else "no more can be had"
             _print_error(f"out of memory: {why}", "Use smaller pictures, fewer photos, or a larger machine.")
@@ -48,6 +50,10 @@ def run(arguments: list[str]) -> int:
         traceback.print_exc()
         _print_error("this is a bug in querysplat", "Please report it with the traceback above.")
         return ExitCode.BUG
+    return _stopped()
+
+
+def _stopped() -> int:
     _print_error("stopped", "Nothing half-written was left behind.")
     return signals.exit_code()
 
