@@ -7,6 +7,7 @@ from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
+from querysplat_cli.runtime.caches import find_caches
 from querysplat_cli.runtime.threads import wait_passively
 
 if TYPE_CHECKING:
@@ -50,6 +51,7 @@ except PackageNotFoundError:  # a source tree that was never installed
 
 # The command line and the library both come through here, and neither has imported torch or numba yet.
 wait_passively()
+find_caches()
 
 
 def __getattr__(name: str) -> Any:

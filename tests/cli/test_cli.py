@@ -130,3 +130,100 @@ cli.main()
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, check=False, text=True)
     assert done.returncode == ExitCode.INTERRUPTED, done.stderr
     assert "stopped" in done.stderr
+
+
+NINES = "9" * 5000
+
+
+@pytest.mark.parametrize(
+    ("verb", "options"),
+    [
+        *(
+            ("reconstruct", (option, number))
+            for option in ("--tto", "--queries", "--max-size", "--max-views", "--holdout-every", "--seed", "--prune")
+            for number in (NINES, "99999999999999999999", "1e30", "nan")
+        ),
+        *(("reconstruct", ("--budget", number)) for number in (NINES, "inf", "nan", "1e300", "-1")),
+        ("reconstruct", ("--seed", "-1")),
+        *(("render", ("--size", size)) for size in (f"{NINES}x{NINES}", "0x0", "99999999x2", "x", "1e3x1e3")),
+        *(("render", ("--frames", number)) for number in (NINES, "0", "2000000000")),
+        *(("render", ("--fps", number)) for number in (NINES, "0", "100000")),
+        *(("render", ("--background", colour)) for colour in ("nan,0,0", f"{NINES},0,0", "2,0,0")),
+        *(("convert", ("--scale", number)) for number in (NINES, "inf", "nan", "1e300", "1e-300", "0", "-1")),
+        *(("convert", ("--crop", box)) for box in ("nan,0,0,1,1,1", NINES, "1,1,1,0,0,0")),
+        ("demo", ("--photos", NINES)),
+        ("demo", ("--photos", "1000000000")),
+        ("eval", ("--shard", f"1/{NINES}")),
+        ("inspect", ("--query", NINES)),
+        ("tto", ("--lr", "inf")),
+        ("tto", ("--steps", "9" * 30)),
+    ],
+)
+def test_extreme_numbers_are_refused_in_one_short_line(
+    verb: str, options: tuple[str, ...], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    places = {"convert": [str(tmp_path / "a.ply"), str(tmp_path / "b.ply")], "demo": ["-o", str(tmp_path / "d")]}
+    assert run([verb, *places.get(verb, [str(tmp_path / "a.ply")]), *options]) == ExitCode.BAD_INPUT
+    message = one_error(capsys)
+    assert options[0] in message or options[0] in message.lower()
+    assert len(message) < 400
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        (".", "not a kind of file"),
+        ("/", "not a kind of file"),
+        ("..", "not a kind of file"),
+        ("c3", "not a kind of file"),
+        ("c1.glb", "not a kind of file"),
+        ("c.sog", ".sog"),
+        ("c.compressed.ply", ".compressed.ply"),
+        ("folder.ply", "a folder has that name"),
+        ("photos.ply", "which is read"),
+        ("notes.ply", "holds other files"),
+    ],
+)
+def test_outputs_that_cannot_be_written_are_refused_before_any_work(
+    name: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("querysplat_cli.pipeline.reconstruct.load_photos", lambda *a, **k: pytest.fail("work began"))
+    for folder in ("photos", "folder.ply", "notes"):
+        (tmp_path / folder).mkdir()
+    picture = photo(tmp_path / "photos" / "p.png")
+    (tmp_path / "notes" / "diary.txt").write_text("mine")
+    monkeypatch.chdir(tmp_path / "folder.ply")
+    output = name if name in (".", "/", "..") else str(tmp_path / name)
+    assert run(["reconstruct", str(picture.parent), "-o", output, "--force", "-q"]) == ExitCode.BAD_INPUT
+    assert message in one_error(capsys)
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["diary.txt", "folder.ply", "notes", "p.png", "photos"]
+
+
+def test_a_low_limit_of_the_address_space_is_named_before_any_work(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "querysplat_cli", "reconstruct", str(photo(tmp_path / "p.png"))]
+    limited = ["bash", "-c", 'ulimit -v 1500000; exec "$@"', "bash", *command, "-o", str(tmp_path / "s.ply")]
+    done = subprocess.run(limited, capture_output=True, text=True, check=False)
+    assert done.returncode == ExitCode.MISSING_PART, done.stderr
+    assert "1.4 GiB, and about" in done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["p.png"]
+
+
+@pytest.mark.parametrize(
+    "raised",
+    [
+        MemoryError(),
+        RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried to allocate 4000000000000 bytes."),
+        cv2.error("OpenCV(5.0) (-4:Insufficient memory) Failed to allocate 9 bytes"),
+    ],
+)
+def test_too_little_memory_is_a_missing_part(
+    raised: Exception, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fail(*arguments: object, **options: object) -> None:
+        raise raised
+
+    monkeypatch.setattr("querysplat_cli.pipeline.reconstruct.load_photos", fail)
+    picture = photo(tmp_path / "p.png")
+    assert run(["reconstruct", str(picture), "-o", str(tmp_path / "s.ply"), "-q"]) == ExitCode.MISSING_PART
+    assert "out of memory" in one_error(capsys)

@@ -224,3 +224,20 @@ def test_poses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "there already" in capsys.readouterr().err
     assert run(["poses", str(tmp_path / "a.json")]) == ExitCode.BAD_INPUT
     assert "--colmap" in capsys.readouterr().err
+
+
+def test_cameras_that_are_no_rigid_motions_are_left_out_by_name(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    good, bad = np.eye(4).tolist(), np.full((4, 4), np.nan).tolist()
+    lens = {"w": 64, "h": 48, "fl_x": 50}
+    frames = [{"file_path": f"{i}.png", "transform_matrix": matrix} for i, matrix in enumerate((good, bad))]
+    source, target = tmp_path / "in.json", tmp_path / "out.json"
+    source.write_text(json.dumps({**lens, "frames": frames}))
+    assert run(["convert", str(source), str(target), "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert (said["cameras"], [each["name"] for each in said["left_out"]]) == (1, ["1.png"])
+    assert list(read_known_cameras(target)) == ["0.png"]
+    source.write_text(json.dumps({**lens, "frames": frames[1:]}))
+    assert run(["convert", str(source), str(target), "--force", "-q"]) == ExitCode.BAD_INPUT
+    assert "no camera of it is a rigid motion" in capsys.readouterr().err

@@ -1,6 +1,7 @@
 """`querysplat render` on a small .ply: every kind of output, and every way to choose the cameras."""
 
 import json
+from itertools import pairwise
 from pathlib import Path
 
 import av
@@ -87,6 +88,30 @@ def test_a_film_of_a_scene_without_cameras(ball: Path) -> None:
     assert all(np.asarray(picture)[30, 40, 0] > 150 for picture in pictures)
 
 
+@pytest.mark.parametrize(
+    ("options", "frames"),
+    [(["--fps", "10"], 30), (["--seconds", "1", "--fps", "8"], 8), (["--cameras", "orbit", "--seconds", "2"], 60)],
+)
+def test_a_film_of_few_cameras_is_a_smooth_path_through_them(options: list[str], frames: int, ball: Path) -> None:
+    give_cameras(ball, ("left.jpg", "right.jpg"))
+    film = ball.parent / "film.mp4"
+    assert run(["render", str(ball), "-o", str(film), "--size", "40x30", "-q", *options]) == 0
+    with av.open(str(film)) as opened:
+        pictures = [frame.to_ndarray(format="rgb24").astype(float) for frame in opened.decode(video=0)]
+    assert len(pictures) == frames
+    steps = [np.abs(one - two).mean() for one, two in pairwise(pictures)]
+    assert max(steps) < max(0.5 * np.abs(pictures[0] - pictures[len(pictures) // 2]).mean(), 12)
+
+
+def test_a_film_of_one_camera_is_an_orbit(ball: Path) -> None:
+    give_cameras(ball, ("left.jpg",))
+    film = ball.parent / "film.mp4"
+    assert run(["render", str(ball), "-o", str(film), "--size", "40x30", "--seconds", "1", "-q"]) == 0
+    with av.open(str(film)) as opened:
+        pictures = [frame.to_ndarray(format="rgb24").astype(float) for frame in opened.decode(video=0)]
+    assert len(pictures) == 30
+
+
 def test_an_orbit_takes_the_lens_of_the_inputs(ball: Path) -> None:
     give_cameras(ball, ("left.jpg", "right.jpg"))
     out = ball.parent / "orbit"
@@ -102,6 +127,9 @@ def test_an_orbit_takes_the_lens_of_the_inputs(ball: Path) -> None:
         (["--cameras", "inputs"], "no cameras there"),
         (["--cameras", "nowhere.json"], "no cameras there"),
         (["-o", "film.mp4", "--depth"], "not films"),
+        (["-o", "film.mov"], "films into an .mp4"),
+        (["-o", "frames", "--seconds", "2"], "is for films"),
+        (["--size", "70000x2"], "not a size"),
         (["--size", "12"], "not a size"),
         (["--background", "red"], "not a colour"),
     ],

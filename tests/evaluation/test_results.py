@@ -156,7 +156,7 @@ def test_damaged_results_are_named(tmp_path: Path) -> None:
     row_folder = start(tmp_path, "r", split("small", "small"))
     write_case(row_folder.case("s_000"), "s", result(12), pictures=False)
     (row_folder.case("s_000") / "metrics.json").write_text("{")
-    with pytest.raises(QuerySplatError, match=r"s_000/metrics\.json: damaged"):
+    with pytest.raises(QuerySplatError, match=r"s_000/metrics\.json: cannot be read as JSON"):
         summarise(tmp_path)
 
 

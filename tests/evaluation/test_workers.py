@@ -54,3 +54,16 @@ def test_an_interruption_stops_every_worker(tmp_path: Path) -> None:
     assert time.monotonic() - start < 30
     assert workers._running
     assert not any(process.is_alive() for process in workers._running)
+
+
+def test_workers_that_cannot_start_are_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Otherwise the main process would wait for ever."""
+
+    def fail(workers: Workers[str]) -> None:
+        raise OSError("Cannot allocate memory")
+
+    monkeypatch.setattr(Workers, "_start", fail)
+    ends: dict[str, str | None] = {}
+    Workers(2, handler, tmp_path).run(["a", "b", "c"], lambda job, why: ends.update({job: why}))
+    assert ends.keys() == {"a", "b", "c"}
+    assert all("Cannot allocate memory" in str(why) for why in ends.values())

@@ -8,6 +8,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.scene.formats.colmap_files import check_binary
 from querysplat_cli.scene.formats.known import read_known_cameras
 
 POSES = [
@@ -72,3 +73,31 @@ def test_damaged_models_are_refused(tmp_path: Path) -> None:
         file.unlink()
     with pytest.raises(QuerySplatError, match="no COLMAP model that can be read"):
         read_known_cameras(tmp_path)
+
+
+def test_points_and_rigs_are_no_damage(tmp_path: Path) -> None:
+    model = pycolmap.Reconstruction()
+    for number in (1, 2):
+        camera = pycolmap.Camera(model="FOV", width=640, height=480, params=[500, 500, 320, 240, 0.1], camera_id=number)
+        model.add_camera_with_trivial_rig(camera)
+    for number, (pose, name) in enumerate(zip(POSES, NAMES, strict=True), start=1):
+        points = [pycolmap.Point2D(np.array([i, i])) for i in range(number)]
+        image = pycolmap.Image(name=name, points2D=points, camera_id=1, image_id=number)
+        model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pose))
+    for i in range(3):
+        model.add_point3D(np.ones(3) * i, pycolmap.Track([pycolmap.TrackElement(3, i)]))
+    model.write_binary(tmp_path)
+    check_binary(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["cameras", "images", "points3D", "rigs", "frames"])
+def test_absurd_counts_are_refused_without_their_memory(tmp_path: Path, name: str) -> None:
+    write_model(tmp_path, "PINHOLE", [500, 510, 320, 240])
+    file = tmp_path / f"{name}.bin"
+    whole = file.read_bytes()
+    for damaged in (b"\xff" * 7 + b"\x00" + whole[8:], whole[:-1], b""):
+        file.write_bytes(damaged)
+        with pytest.raises(QuerySplatError, match=f"{name}.bin is damaged"):
+            read_known_cameras(tmp_path)
+    file.write_bytes(whole)
+    assert len(read_known_cameras(tmp_path)) == 3

@@ -27,7 +27,7 @@ def gaussians(count: int, degree: int, seed: int = 0) -> Gaussians:
     )
 
 
-@given(count=st.integers(0, 40), degree=st.integers(0, 3), seed=st.integers(0, 1000))
+@given(count=st.integers(1, 40), degree=st.integers(0, 3), seed=st.integers(0, 1000))
 def test_what_is_written_is_read(tmp_path_factory: pytest.TempPathFactory, count: int, degree: int, seed: int) -> None:
     path = tmp_path_factory.mktemp("ply") / "scene.ply"
     scene = gaussians(count, degree, seed)
@@ -39,6 +39,15 @@ def test_what_is_written_is_read(tmp_path_factory: pytest.TempPathFactory, count
     torch.testing.assert_close(back.quats, torch.nn.functional.normalize(scene.quats), rtol=1e-6, atol=1e-7)
     torch.testing.assert_close(back.scales, scene.scales, rtol=2e-6, atol=2e-8)
     torch.testing.assert_close(back.opacities, scene.opacities, rtol=2e-6, atol=1e-7)
+
+
+def test_a_scene_without_a_finite_gaussian_is_not_written(tmp_path: Path) -> None:
+    none = gaussians(3, 0)
+    none.means[:] = torch.nan
+    for scene in (none, gaussians(3, 0)[:0]):
+        with pytest.raises(QuerySplatError, match="no Gaussian"):
+            write_ply(tmp_path / "scene.ply", scene)
+    assert not list(tmp_path.iterdir())
 
 
 def test_the_header_and_the_columns_are_the_standard_ones(tmp_path: Path) -> None:
@@ -142,6 +151,16 @@ def test_files_that_are_no_scene_are_refused(tmp_path: Path) -> None:
     (tmp_path / "text.ply").write_text("not a ply")
     (tmp_path / "noise.ply").write_bytes(bytes(range(256)))
     (tmp_path / "empty.ply").touch()
+    for name, count in {"negative": b"-10", "absurd": b"9223372036854775808", "float": b"1e30", "none": b"0"}.items():
+        (tmp_path / f"{name}.ply").write_bytes(whole.replace(b"vertex 10", b"vertex " + count))
+    digits = b"9" * 5000
+    (tmp_path / "digits.ply").write_bytes(whole.replace(b"vertex 10", b"vertex " + digits))
+    (tmp_path / "list.ply").write_bytes(whole.replace(b"property float opacity", b"property list uchar float opacity"))
+    write_ply(tmp_path / "misnamed.ply", gaussians(10, 1))
+    misnamed = (tmp_path / "misnamed.ply").read_bytes().replace(b"f_rest_3", b"f_rest_x")
+    (tmp_path / "misnamed.ply").write_bytes(misnamed)
+    end = whole.index(b"end_header\n") + len(b"end_header\n")
+    (tmp_path / "nan.ply").write_bytes(whole[:end] + b"\xff" * (len(whole) - end))
     (tmp_path / "huge.ply").write_bytes(whole.replace(b"vertex 10", b"vertex 99999999999999"))
     for name, message in {
         "missing": "no such file",
@@ -155,6 +174,14 @@ def test_files_that_are_no_scene_are_refused(tmp_path: Path) -> None:
         "noise": "damaged",
         "empty": "damaged",
         "huge": "damaged",
+        "negative": "damaged",
+        "absurd": "damaged",
+        "float": "damaged",
+        "digits": "damaged",
+        "none": "more data",
+        "list": "damaged|lists",
+        "misnamed": "f_rest properties",
+        "nan": "no Gaussian with finite numbers",
     }.items():
         with pytest.raises(QuerySplatError, match=message):
             read_ply(tmp_path / f"{name}.ply")

@@ -131,6 +131,30 @@ def test_a_matrix_that_is_no_motion_is_left_to_the_encoder_but_not_rendered(tmp_
         (json.dumps({**LENS, "frames": [frame(matrix=[[1, 2], [3, 4]])]}), "1.png makes no sense"),
         (json.dumps({**LENS, "frames": [frame(matrix=[["x"] * 4] * 4)]}), "1.png makes no sense"),
         (json.dumps({**LENS, "fl_x": -1, "frames": [frame()]}), "1.png makes no sense"),
+        ("[" * 100_000, "nested too deeply"),
+        ('{"w": 1' + "0" * 5000 + ', "frames": [{"file_path": "1.png"}]}', "cannot be read as JSON"),
+        ('{"frames": [{"file_path": "\\ud800.png"}]}', "half a letter"),
+        ('{"frames": [{"file_path": 7}]}', "7 is no name"),
+        ('{"frames": [{"file_path": "."}]}', "no name"),
+        ('{"frames": [{"file_path": ".."}]}', "no name"),
+        ('{"frames": [{"file_path": "a/.."}]}', "no name"),
+        ('{"frames": [{"file_path": "a\\u0000.png"}]}', "no name"),
+        (json.dumps({**LENS, "frames": [frame()], "heldout_frames": {"a": 1}}), "heldout_frames"),
+        *(
+            (json.dumps({**LENS, key: value, "frames": [frame()]}), "1.png makes no sense")
+            for key, values in {
+                "w": (0, -111, 1e30, 1.5, math.nan, True, "640", 10**8),
+                "fl_x": (0, -111, 1e-300, 1e30, math.nan, math.inf),
+                "fl_y": (0, -111, 1e30),
+                "cx": (math.nan, 1e30),
+                "k1": (math.nan, math.inf, 1e30),
+            }.items()
+            for value in values
+        ),
+        (
+            json.dumps({**LENS, "frames": [frame(matrix=[[1, 0, 0, 1e30], [0, 1, 0, 0], [0, 0, 1, 0]])]}),
+            "makes no sense",
+        ),
         (json.dumps({**LENS, "camera_model": "OPENCV_FISHEYE", "frames": [frame()]}), "lens of 1.png"),
         (json.dumps({**LENS, "k3": 0.1, "frames": [frame()]}), "lens of 1.png"),
     ],
@@ -140,6 +164,21 @@ def test_files_that_cannot_be_used_are_refused_with_the_reason(tmp_path: Path, c
     path.write_text(content)
     with pytest.raises(QuerySplatError, match=message):
         read_transforms(path)
+
+
+@pytest.mark.parametrize("canvas", [[2, 2], 7, [480, "640"], [480.5, 640], [10**9, 10**9], [480]])
+def test_a_canvas_that_cannot_hold_the_pictures_is_refused(tmp_path: Path, canvas: object) -> None:
+    path = write(tmp_path / "cameras.json", frame(), canvas=canvas)
+    with pytest.raises(QuerySplatError, match="canvas"):
+        read_cameras(path)
+
+
+def test_pictures_are_looked_for_in_their_own_folder_only(tmp_path: Path) -> None:
+    """Whatever folders a file names, `render` writes, and the scene folder reads, below one folder."""
+    path = write(
+        tmp_path / "cameras.json", frame("../../etc/passwd"), frame("/images/b.png"), frame("./images/s/c.png")
+    )
+    assert read_cameras(path)[0].names == ("etc/passwd", "b.png", "s/c.png")
 
 
 @pytest.mark.parametrize(

@@ -125,3 +125,21 @@ def test_missing_files_and_presets_are_refused(tmp_path: Path) -> None:
     for source in (str(tmp_path / "no.toml"), "nobody"):
         with pytest.raises(QuerySplatError):
             load_config(source)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("steps = 1" + "0" * 5000, "no TOML"),
+        ("a = " + "[" * 5000, "no TOML"),
+        ("base = 3", "no other training"),
+        ("base = 'SELF'", "no other training"),
+    ],
+)
+def test_hostile_files_are_refused(tmp_path: Path, content: str, message: str) -> None:
+    path = tmp_path / "t.toml"
+    path.write_text(content.replace("SELF", str(path)))
+    with pytest.raises(QuerySplatError, match=message):
+        load_config(str(path), ())
+    with pytest.raises(QuerySplatError, match="cannot be read"):
+        load_config("compact", ("seed=1" + "0" * 5000,))

@@ -7,11 +7,15 @@ from typing import Any
 import typer
 
 from querysplat_cli.cli.app import app
-from querysplat_cli.runtime.errors import ExitCode, QuerySplatError
+from querysplat_cli.runtime import signals
+from querysplat_cli.runtime.errors import ExitCode, QuerySplatError, is_out_of_memory
+from querysplat_cli.runtime.streams import tolerate_closed_streams
 
 
 def main() -> None:
     """Run the command line and exit with a code of `ExitCode`."""
+    tolerate_closed_streams()
+    signals.catch()
     code = run(sys.argv[1:])
     _forget_handled_interrupt()
     sys.exit(code)
@@ -34,15 +38,16 @@ def run(arguments: list[str]) -> int:
     except OSError as error:
         _print_error(str(error), "Check the path, its permissions and the free space.")
         return ExitCode.BAD_INPUT
-    except MemoryError:
-        _print_error("out of memory", "Use a smaller --max-size, or fewer photos.")
-        return ExitCode.BAD_INPUT
-    except Exception:
+    except Exception as error:
+        if is_out_of_memory(error):
+            why = str(error).splitlines()[0] if str(error) else "no more can be had"
+            _print_error(f"out of memory: {why}", "Use smaller pictures, fewer photos, or a larger machine.")
+            return ExitCode.MISSING_PART
         traceback.print_exc()
         _print_error("this is a bug in querysplat", "Please report it with the traceback above.")
         return ExitCode.BUG
     _print_error("stopped", "Nothing half-written was left behind.")
-    return ExitCode.INTERRUPTED
+    return signals.exit_code()
 
 
 def _forget_handled_interrupt() -> None:

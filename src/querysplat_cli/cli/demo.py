@@ -1,7 +1,5 @@
 """`querysplat demo`: photos of a procedural scene, and the scene reconstructed from the photos."""
 
-from pathlib import Path
-
 from querysplat_cli.cli.verb import Printing
 from querysplat_cli.commands.requests import DemoRequest
 
@@ -9,11 +7,9 @@ from querysplat_cli.commands.requests import DemoRequest
 def demo(request: DemoRequest, printing: Printing) -> None:
     """Photograph a procedural 3D scene, and reconstruct it like any other photos. Needs no network."""
     from querysplat_cli.cli.print_report import print_report
-    from querysplat_cli.cli.terminal import say, showing_stages
+    from querysplat_cli.cli.terminal import showing_stages
     from querysplat_cli.commands.demo import run_demo
 
     with showing_stages(printing) as stages:
         report = run_demo(request, stages)
     print_report(report, printing)
-    say(f"The scene:   {report.ply}   (open it in any 3D Gaussian splatting viewer)", printing)
-    say(f"The preview: {Path(report.scene) / 'preview.png'}   (photos beside renders)", printing)

@@ -6,10 +6,14 @@ from types import NoneType, UnionType
 from typing import Any, Literal, Union, get_args, get_origin
 
 import typer
-from annotated_types import Ge, Gt
+from annotated_types import Ge, Gt, Le
 
+from querysplat_cli.runtime.json_files import shown
 from querysplat_cli.runtime.options import Option
 
+LARGEST = 2**31 - 1
+"""The largest whole number of an option: COLMAP's seeds are no larger, and nothing here counts further."""
+LARGEST_REAL = 1e15
 Parser = Callable[[str], Any]
 """Raises typer.BadParameter, or QuerySplatError, for text that means nothing."""
 
@@ -37,7 +41,7 @@ def _word(words: dict[str, Any]) -> Parser:
     def parse(text: str) -> Any:
         if text in words:
             return words[text]
-        raise typer.BadParameter(f"'{text}' is not one of {', '.join(words)}.")
+        raise typer.BadParameter(f"{shown(text)} is not one of {', '.join(words)}.")
 
     return parse
 
@@ -50,10 +54,16 @@ def _value_or_word(kind: type, bounds: Iterable[object], words: dict[str, Any]) 
             value = kind(text)
         except ValueError:
             wanted = " or ".join((_in_words(kind), *words))
-            raise typer.BadParameter(f"'{text}' is not {wanted}.") from None
+            raise typer.BadParameter(f"{shown(text)} is not {wanted}.") from None
+        if isinstance(value, Path) and "\0" in text:
+            raise typer.BadParameter(f"{shown(text)} is not a path.")
+        if isinstance(value, int | float) and not abs(value) <= (LARGEST if isinstance(value, int) else LARGEST_REAL):
+            raise typer.BadParameter(f"{shown(text)} is too large, or no finite number.")
         for bound in bounds:
             if isinstance(bound, Ge) and not value >= bound.ge:
                 raise typer.BadParameter(f"{text} is less than {bound.ge}.")
+            if isinstance(bound, Le) and not value <= bound.le:
+                raise typer.BadParameter(f"{text} is more than {bound.le}.")
             if isinstance(bound, Gt) and not value > bound.gt:
                 raise typer.BadParameter(f"{text} is not more than {bound.gt}.")
         return value

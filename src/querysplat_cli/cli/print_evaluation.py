@@ -26,7 +26,9 @@ def print_evaluation(summary: dict[str, Any], output: Path, printing: Printing) 
 def _table(summary: dict[str, Any], views: int) -> Table:
     """The averages of splits with `views` inputs, and the figures that the paper quotes for them."""
     table = Table(title=f"{views} views", title_justify="left", box=None, padding=(0, 2, 0, 0))
-    for column in ("row", "group", "PSNR", "SSIM", "LPIPS", "scored", "failed", "seconds", "Gaussians"):
+    # The names of rows differ at their ends, so they are never cut.
+    table.add_column("row", overflow="fold")
+    for column in ("group", "PSNR", "SSIM", "LPIPS", "scored", "failed", "seconds", "Gaussians"):
         table.add_column(column)
     for row in summary["averages"]:
         if row["views"] == views:

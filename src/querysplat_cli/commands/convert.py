@@ -1,22 +1,20 @@
 """What `convert` does: Gaussians from one kind of file to another, and cameras from one kind to another."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import torch
 
 from querysplat_cli.commands.requests import Conversion
+from querysplat_cli.pipeline.gaussian_files import FLIPPED, READERS, check_target, read_gaussians, write_gaussians
 from querysplat_cli.pipeline.scene_folder import write_images
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.files import atomic_folder, refuse_existing
 from querysplat_cli.scene.formats.colmap import copy_colmap, write_colmap
-from querysplat_cli.scene.formats.compressed import read_sog, read_spz, write_spz
 from querysplat_cli.scene.formats.known import find_known_cameras, read_known_cameras
-from querysplat_cli.scene.formats.ply import read_ply, write_ply
-from querysplat_cli.scene.formats.transforms import write_transforms
-from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.formats.transforms import is_rigid, write_transforms
 from querysplat_cli.scene.match_cameras import match_cameras
 from querysplat_cli.scene.photos import WHOLE, find_photos, load_photo, short_names
 from querysplat_cli.scene.pictures import stored_name
@@ -26,10 +24,6 @@ from querysplat_cli.scene.undistort import undistorted
 from querysplat_cli.scene.views import LeftOut
 from querysplat_cli.splat.transform import transform_gaussians
 
-READERS: dict[str, Callable[[Path], Gaussians]] = {".ply": read_ply, ".spz": read_spz, ".sog": read_sog}
-WRITERS: dict[str, Callable[[Path, Gaussians], int]] = {".ply": write_ply, ".spz": write_spz}
-FLIPPED = Sim3(1.0, torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64)), torch.zeros(3).double())
-"""From the y-down axes of .ply files to the y-up axes that SPZ specifies. It is its own inverse."""
 UP = {
     axis: torch.tensor([float(axis[-1] == letter) for letter in "xyz"]).double() * (-1 if axis[0] == "-" else 1)
     for axis in ("x", "y", "z", "-x", "-y", "-z")
@@ -58,20 +52,9 @@ def convert(request: Conversion) -> dict[str, Any]:
 
 
 def _convert_gaussians(request: Conversion) -> dict[str, Any]:
-    kinds = request.source.suffix.lower(), request.target.suffix.lower()
-    if kinds[1] == ".sog":
-        raise QuerySplatError(
-            "no kept Python library writes .sog (sogpy 1.0.2 mixes up the colours of its SH)",
-            "Write a .ply, and convert that with PlayCanvas's splat-transform.",
-        )
-    if kinds[1] not in WRITERS:
-        raise QuerySplatError(f"{request.target}: not a kind of file for Gaussians", f"Use {' or '.join(WRITERS)}.")
-    if not request.source.is_file():
-        raise QuerySplatError(f"{request.source}: no such file", "Give a .ply, .spz or .sog.")
-    gaussians = READERS[kinds[0]](request.source)
+    check_target(request.target)
+    gaussians = read_gaussians(request.source)
     read = len(gaussians)
-    if kinds[0] == ".spz":
-        gaussians = transform_gaussians(gaussians, FLIPPED)
     if request.up or request.scale != 1.0:
         gaussians = transform_gaussians(gaussians, Sim3(request.scale, _upright(request.up), torch.zeros(3).double()))
     if request.crop:
@@ -79,29 +62,32 @@ def _convert_gaussians(request: Conversion) -> dict[str, Any]:
         gaussians = gaussians[((gaussians.means >= low) & (gaussians.means <= high)).all(1)]
         if not len(gaussians):
             raise QuerySplatError("--crop leaves no Gaussian", "Give x0,y0,z0,x1,y1,z1 in the converted scene's units.")
-    if kinds[1] == ".spz":
-        gaussians = transform_gaussians(gaussians, FLIPPED)
-    written = WRITERS[kinds[1]](request.target, gaussians)
+    written = write_gaussians(request.target, gaussians)
     sizes = {"source": request.source.stat().st_size, "target": request.target.stat().st_size}
     return {"target": str(request.target), "gaussians": written, "left_out": read - written, "bytes": sizes}
 
 
 def _convert_cameras(request: Conversion) -> dict[str, Any]:
     source = find_known_cameras(request.source)
-    cameras = read_known_cameras(source)
+    given = read_known_cameras(source)
+    cameras = {name: camera for name, camera in given.items() if is_rigid(camera.w2c)}
+    left_out = [vars(LeftOut(name, "its camera is no rigid motion")) for name in given if name not in cameras]
+    if not cameras:
+        raise QuerySplatError(f"{source}: no camera of it is a rigid motion", "Export it again.")
     if request.target.suffix.lower() == ".json" and not request.photos:
         write_transforms(request.target, cameras)
     elif request.target.suffix:
         raise QuerySplatError(f"{request.target}: not a kind of file for cameras", "Use a .json, or a folder.")
     elif request.photos:
-        return _make_scene_folder(request.target, cameras, request.photos)
+        made = _make_scene_folder(request.target, cameras, request.photos)
+        return {**made, "left_out": [*made["left_out"], *left_out]}
     else:
         with atomic_folder(request.target) as draft:
             if source.is_dir():
                 copy_colmap(source, draft, text=request.text)
             else:
                 write_colmap(draft, cameras, text=request.text)
-    return {"target": str(request.target), "cameras": len(cameras)}
+    return {"target": str(request.target), "cameras": len(cameras), "left_out": left_out}
 
 
 def _make_scene_folder(target: Path, cameras: Mapping[str, PhotoCamera], place: Path) -> dict[str, Any]:

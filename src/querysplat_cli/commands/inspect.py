@@ -11,8 +11,9 @@ from torch.nn import functional as F
 
 from querysplat_cli.commands.requests import InspectRequest
 from querysplat_cli.model.attention_maps import attention_of
+from querysplat_cli.pipeline.read_scene import read_scene
 from querysplat_cli.pipeline.resume import load_again
-from querysplat_cli.pipeline.scene_folder import StoredScene, read_scene
+from querysplat_cli.pipeline.scene_folder import StoredScene
 from querysplat_cli.queries.prepare import MemoryMap
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.figures import new_figure, save_figure
@@ -58,7 +59,7 @@ def inspect_scene(request: InspectRequest, stages: Stages) -> Inspected:
     refuse_existing([output], force=request.force)
     with stages("read"):
         scene, report = read_scene(request.scene)
-        model = load_again(scene.model, report["settings"], request.weights, torch.device("cpu"))
+        model = load_again(scene, report["settings"], request.weights, torch.device("cpu"))
         if scene.map is None:
             raise QuerySplatError(
                 f"{request.scene} was made by an earlier version", "Run `querysplat reconstruct` again."

@@ -1,5 +1,6 @@
 """What `poses` does: the errors of one set of cameras against another."""
 
+from pathlib import Path
 from typing import Any
 
 from querysplat_cli.commands.requests import PosesRequest
@@ -8,7 +9,12 @@ from querysplat_cli.evaluation.poses import compare_cameras, draw_trajectories
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.files import refuse_existing
 from querysplat_cli.scene.formats.known import read_known_cameras
-from querysplat_cli.scene.photos import find_photos, load_photos
+from querysplat_cli.scene.photo_files import check_photo_files, read_photo_files
+from querysplat_cli.scene.photos import PICTURE_FOLDERS, find_photos, load_photos
+from querysplat_cli.scene.views import Photo
+
+LONGEST_SIDE = 1600
+"""Pixels of the photos that COLMAP gets, as `reconstruct` reads them."""
 
 
 def compare(request: PosesRequest) -> tuple[dict[str, Any], str]:
@@ -24,8 +30,26 @@ def compare(request: PosesRequest) -> tuple[dict[str, Any], str]:
     if request.second:
         second, name = read_known_cameras(request.second), str(request.second)
     else:
-        second, name = estimate_with_colmap(load_photos(find_photos([request.first]))[0], seed=request.seed), "COLMAP"
+        second, name = estimate_with_colmap(_photos(request.first), seed=request.seed), "COLMAP"
     errors = compare_cameras(first, second)
     if request.plot:
         draw_trajectories(errors, request.plot, (str(request.first), name))
     return errors.summary(), name
+
+
+def _photos(place: Path) -> list[Photo]:
+    """The photos that the cameras in or at `place` belong to.
+
+    Those of a scene are the ones that it was made of. The small pictures in its folder have too little detail.
+    """
+    folder = place if place.is_dir() else place.parent
+    files = list(read_photo_files(folder / "photos.json").values())
+    if files:
+        check_photo_files(files)
+        return [file.load(LONGEST_SIDE) for file in files]
+    beside = [folder / name for name in PICTURE_FOLDERS if (folder / name).is_dir()]
+    try:
+        return load_photos(find_photos(beside[:1] or [folder]))[0]
+    except QuerySplatError as error:
+        hint = f"Put the photos into {folder / PICTURE_FOLDERS[0]}, or compare with another set of cameras."
+        raise QuerySplatError(f"--colmap needs the photos of {place}: {error.message}", hint) from error

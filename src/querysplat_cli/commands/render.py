@@ -10,22 +10,30 @@ import numpy as np
 import torch
 
 from querysplat_cli.commands.requests import RenderRequest
-from querysplat_cli.pipeline.scene_folder import scene_folder
+from querysplat_cli.pipeline.gaussian_files import file_of_scene, folder_of_scene, read_gaussians
 from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.limits import require_memory
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import Cameras
-from querysplat_cli.scene.files import atomic_folder, atomic_path, refuse_existing
-from querysplat_cli.scene.formats.ply import read_ply
-from querysplat_cli.scene.formats.transforms import read_cameras
+from querysplat_cli.scene.files import atomic_folder, atomic_path, refuse_existing, with_name
+from querysplat_cli.scene.formats.transforms import NamedCameras, read_cameras, working_frame
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.scene.paths import orbit, surround
+from querysplat_cli.scene.paths import interpolate, opaque_centres, orbit, surround
 from querysplat_cli.scene.pictures import eight_bit, write_picture
 from querysplat_cli.splat.render import Rendering, render
+from querysplat_cli.splat.transform import transform_gaussians
 
 FOREIGN_SIZE = (720, 960)
 """Height and width of the frames of a scene without cameras, unless the user gives a size."""
 DEPTH_UNITS = 1000
 """Steps of a 16-bit depth PNG in one scene unit. 0 is a pixel without Gaussians, 65,535 the greatest depth."""
+
+STEP_SECONDS, FILM_SECONDS = 1.5, (3.0, 12.0)
+"""How long a film takes from one input camera to the next, and altogether at least and at most."""
+OTHER_KINDS = {".avi", ".mov", ".mkv", ".webm", ".gif", ".png", ".jpg", ".jpeg", ".ply", ".spz"}
+"""Endings of files, in a target, that are no films and no names of folders."""
+PIXEL_BYTES = 100
+"""About the memory of one pixel while a picture is rendered and written."""
 
 
 @dataclass(frozen=True)
@@ -44,39 +52,50 @@ class Rendered:
 def render_file(request: RenderRequest, stages: Stages) -> Rendered:
     """Render `request.scene` to a folder of PNG frames, or to a film if the target ends in .mp4."""
     refuse_existing([request.target], force=request.force)
+    _check_target(request)
     with stages("read"):
-        gaussians = read_ply(request.scene)
-        names, cameras, sizes = _cameras(request, gaussians)
-    film = request.target.suffix.lower() == ".mp4"
-    if film and (request.depth or request.alpha):
-        raise QuerySplatError("--depth and --alpha are pictures, not films", "Write to a folder instead of an .mp4.")
+        gaussians = read_gaussians(file_of_scene(with_name(request.scene)))
+        beside = folder_of_scene(with_name(request.scene)) / "cameras.json"
+        names, cameras, sizes = _cameras(request, beside, gaussians)
+        frame = working_frame(beside) if beside.is_file() else None
+        if frame:  # the splatter's limits are in the units in which the scene was made
+            gaussians, cameras = transform_gaussians(gaussians, frame.inverse()), cameras.transformed(frame.inverse())
+        unit = frame.scale if frame else 1.0
+    height, width = request.size or (max(side) for side in zip(*sizes, strict=True))
+    require_memory(PIXEL_BYTES * height * width, f"pictures of {width:,} × {height:,} pixels")
     with stages("render") as progress:
         pictures = _render_each(gaussians, cameras, sizes, request, progress)
-        if film:
+        if request.is_film:
             with atomic_path(request.target) as draft:
                 _write_film(draft, pictures, request.fps)
         else:
             with atomic_folder(request.target) as draft:
                 for name, picture in zip(names, pictures, strict=True):
-                    _write_frame(draft / name, picture, request)
+                    _write_frame(draft / name, picture, request, unit)
     return Rendered(str(request.target), len(cameras), len(gaussians), stages.seconds)
 
 
-def _cameras(request: RenderRequest, gaussians: Gaussians) -> tuple[list[str], Cameras, list[tuple[int, int]]]:
-    """Names, cameras and picture sizes of the frames."""
-    beside = scene_folder(request.scene) / "cameras.json"
-    if request.cameras == "orbit" or (request.cameras == "auto" and not beside.is_file()):
-        opaque = gaussians.means[gaussians.opacities >= min(0.5, float(gaussians.opacities.max()))]
-        if beside.is_file():
-            inputs = read_cameras(beside)[0]
-            size = inputs.sizes[0]
-            path = orbit(
-                replace(inputs.cameras, height=size[0], width=size[1]), opaque.median(0).values, request.frames
-            )
-        else:
-            size = request.size or FOREIGN_SIZE
-            path = surround(opaque, request.frames, *size)
-        return [f"frame_{i:04d}" for i in range(len(path))], path, [size] * len(path)
+def _check_target(request: RenderRequest) -> None:
+    if request.is_film and (request.depth or request.alpha):
+        raise QuerySplatError("--depth and --alpha are pictures, not films", "Write to a folder instead of an .mp4.")
+    if request.seconds and not request.is_film:
+        raise QuerySplatError("--seconds is for films", "Write to an .mp4, or leave it out.")
+    if request.target.suffix.lower() in OTHER_KINDS:
+        raise QuerySplatError(
+            f"{request.target}: frames go into a folder, and films into an .mp4", "Choose another output."
+        )
+
+
+Path3D = tuple[list[str], Cameras, list[tuple[int, int]]]
+"""Names, cameras and picture sizes (height, width) of the pictures."""
+
+
+def _cameras(request: RenderRequest, beside: Path, gaussians: Gaussians) -> Path3D:
+    """What is rendered, in the frame of the files. `beside` is the scene's cameras.json, which may be missing."""
+    known = read_cameras(beside)[0] if beside.is_file() and request.cameras in ("auto", "orbit") else None
+    still = request.is_film and known is not None and len(known.names) == 1
+    if request.cameras == "orbit" or (request.cameras == "auto" and (known is None or still)):
+        return _orbit(request, known, gaussians)
     file = beside if request.cameras in ("auto", "inputs") else Path(request.cameras)
     if not file.is_file():
         raise QuerySplatError(
@@ -84,8 +103,35 @@ def _cameras(request: RenderRequest, gaussians: Gaussians) -> tuple[list[str], C
             "Use --cameras orbit, or --cameras FILE with a file in nerfstudio's transforms.json form.",
         )
     inputs = read_cameras(file)[0]
+    if request.is_film and (file == beside or request.seconds):
+        return _through(inputs, request)
     names = [str(Path(name).with_suffix("")) for name in inputs.names]
     return names if len(set(names)) == len(names) else list(inputs.names), inputs.cameras, list(inputs.sizes)
+
+
+def _orbit(request: RenderRequest, known: NamedCameras | None, gaussians: Gaussians) -> Path3D:
+    """A path around the scene, at the height and distance of the `known` cameras if there are any."""
+    frames = request.frames if request.seconds is None else max(1, round(request.seconds * request.fps))
+    opaque = opaque_centres(gaussians)
+    if known:
+        size = known.sizes[0]
+        path = orbit(replace(known.cameras, height=size[0], width=size[1]), opaque.median(0).values, frames)
+    else:
+        size = request.size or FOREIGN_SIZE
+        path = surround(opaque, frames, *size)
+    return _numbered(path, size)
+
+
+def _through(inputs: NamedCameras, request: RenderRequest) -> Path3D:
+    """A smooth path through the cameras, in their order."""
+    usual = min(max(STEP_SECONDS * (len(inputs.names) - 1), FILM_SECONDS[0]), FILM_SECONDS[1])
+    size = inputs.sizes[0]
+    frames = max(2, round((request.seconds or usual) * request.fps))
+    return _numbered(interpolate(replace(inputs.cameras, height=size[0], width=size[1]), frames), size)
+
+
+def _numbered(path: Cameras, size: tuple[int, int]) -> Path3D:
+    return [f"frame_{i:04d}" for i in range(len(path))], path, [size] * len(path)
 
 
 def _render_each(
@@ -101,10 +147,11 @@ def _render_each(
         progress("", (i + 1) / len(sizes))
 
 
-def _write_frame(path: Path, picture: Rendering, request: RenderRequest) -> None:
+def _write_frame(path: Path, picture: Rendering, request: RenderRequest, unit: float) -> None:
+    """Write one frame's pictures. `unit` is one unit of the rendering in those of the scene's files."""
     write_picture(path.with_name(f"{path.name}.png"), eight_bit(picture.colour[0].clamp(0, 1)))
     if request.depth:
-        steps = (picture.depth[0] * DEPTH_UNITS).round().clamp(0, 65535)
+        steps = (picture.depth[0] * unit * DEPTH_UNITS).round().clamp(0, 65535)
         write_picture(path.with_name(f"{path.name}_depth.png"), steps.numpy().astype(np.uint16))
     if request.alpha:
         write_picture(

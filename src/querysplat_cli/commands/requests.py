@@ -4,18 +4,27 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from annotated_types import Ge, Gt
+from annotated_types import Ge, Le
 
 from querysplat_cli.runtime.choices import Axis
 from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.json_files import shown
 from querysplat_cli.runtime.options import Force, MovedWeights, Option, Seed, StoredScenePath
+from querysplat_cli.scene.files import with_name
+
+LARGEST_SIZE = 65535
+"""Pixels of the longest side of a picture that common formats can hold."""
 
 
 def read_size(text: str) -> tuple[int, int]:
     """(height, width) of "WIDTHxHEIGHT"; raises QuerySplatError for anything else."""
     width, _, height = text.lower().partition("x")
-    if not (width.isdecimal() and height.isdecimal() and int(width) and int(height)):
-        raise QuerySplatError(f"--size {text}: not a size", "Write it as WIDTHxHEIGHT, for instance 1280x720.")
+    digits = width.isdecimal() and height.isdecimal() and max(len(width), len(height)) <= len(str(LARGEST_SIZE))
+    if not (digits and min(int(width), int(height)) > 0 and max(int(width), int(height)) <= LARGEST_SIZE):
+        raise QuerySplatError(
+            f"--size {shown(text)}: not a size",
+            f"Write it as WIDTHxHEIGHT with sides up to {LARGEST_SIZE}, for instance 1280x720.",
+        )
     return int(height), int(width)
 
 
@@ -26,7 +35,9 @@ def read_colour(text: str) -> tuple[float, float, float]:
         if not all(0 <= part <= 1 for part in (red, green, blue)):
             raise ValueError
     except ValueError:
-        raise QuerySplatError(f"--background {text}: not a colour", "Write three numbers from 0 to 1: 1,1,1.") from None
+        raise QuerySplatError(
+            f"--background {shown(text)}: not a colour", "Write three numbers from 0 to 1: 1,1,1."
+        ) from None
     return red, green, blue
 
 
@@ -37,15 +48,23 @@ def read_box(text: str) -> tuple[float, ...]:
     except ValueError:
         box = ()
     if len(box) != 6 or not all(low < high for low, high in zip(box[:3], box[3:], strict=True)):
-        raise QuerySplatError(f"--crop {text}: not a box", "Write x0,y0,z0,x1,y1,z1 with x0 < x1 and so on.")
+        raise QuerySplatError(f"--crop {shown(text)}: not a box", "Write x0,y0,z0,x1,y1,z1 with x0 < x1 and so on.")
     return box
+
+
+def beside(scene: Path, what: str) -> Path:
+    """The folder SCENE-what for results, beside a scene's folder or file."""
+    place = with_name(scene)
+    return place.with_name(f"{place.name if place.is_dir() else place.stem}-{what}")
 
 
 @dataclass(frozen=True)
 class RenderRequest:
     """Pictures or a film of a .ply."""
 
-    scene: Annotated[Path, Option("A 3D Gaussian splatting .ply of SH degree 0 to 3.", argument=True)]
+    scene: Annotated[
+        Path, Option("A scene folder, or a .ply, .spz or .sog of SH degree 0 to 3.", metavar="SCENE", argument=True)
+    ]
     output: Annotated[
         Path | None,
         Option(
@@ -58,13 +77,23 @@ class RenderRequest:
     cameras: Annotated[
         str,
         Option(
-            "The input cameras (inputs), a path around the scene (orbit), or a file in transforms.json form. auto is "
-            "inputs where they are known, and orbit elsewhere.",
+            "The input cameras (inputs; in a film, a smooth path through them), a path around the scene (orbit), or a "
+            "file in transforms.json form. auto is inputs where they are known, and orbit elsewhere.",
             metavar="auto|inputs|orbit|FILE",
         ),
     ] = "auto"
-    frames: Annotated[int, Ge(1), Option("The number of frames of an orbit.", metavar="N")] = 90
-    fps: Annotated[int, Ge(1), Option("The frames per second of a film.", metavar="N")] = 30
+    frames: Annotated[int, Ge(1), Le(1_000_000), Option("The number of frames of an orbit.", metavar="N")] = 90
+    seconds: Annotated[
+        float | None,
+        Ge(0.1),
+        Le(600.0),
+        Option(
+            "The length of a film.",
+            metavar="S",
+            default="1.5 for each step between input cameras, 3 to 12; an orbit's --frames",
+        ),
+    ] = None
+    fps: Annotated[int, Ge(1), Le(1000), Option("The frames per second of a film.", metavar="N")] = 30
     size: Annotated[
         tuple[int, int] | None,
         Option("The size of the frames, in pixels.", metavar="WxH", default="the cameras' own", parse=read_size),
@@ -80,7 +109,11 @@ class RenderRequest:
     @property
     def target(self) -> Path:
         """The folder or the film to write."""
-        return self.output or self.scene.with_name(f"{self.scene.stem}-renders")
+        return self.output or beside(self.scene, "renders")
+
+    @property
+    def is_film(self) -> bool:
+        return self.target.suffix.lower() == ".mp4"
 
 
 @dataclass(frozen=True)
@@ -104,7 +137,7 @@ class Conversion:
         Option("The folder of the cameras' photos. TARGET becomes a scene folder of both.", metavar="DIR"),
     ] = None
     up: Annotated[Axis | None, Option("The axis that points up in the source. It becomes -y.")] = None
-    scale: Annotated[float, Gt(0), Option("Multiply all lengths by this number.", metavar="FACTOR")] = 1.0
+    scale: Annotated[float, Ge(1e-9), Le(1e9), Option("Multiply all lengths by this number.", metavar="FACTOR")] = 1.0
     crop: Annotated[
         tuple[float, ...] | None,
         Option(
@@ -141,7 +174,7 @@ class InspectRequest:
     @property
     def target(self) -> Path:
         """The folder to write."""
-        return self.output or self.scene.with_name(f"{self.scene.stem}-inspected")
+        return self.output or beside(self.scene, "inspected")
 
 
 @dataclass(frozen=True)
@@ -151,7 +184,7 @@ class DemoRequest:
     output: Annotated[Path, Option("A folder for the photos and the scene.", ("--output", "-o"), metavar="DIR")] = Path(
         "querysplat-demo"
     )
-    photos: Annotated[int, Ge(3), Option("How many photos to take.", metavar="N")] = 12
+    photos: Annotated[int, Ge(3), Le(10_000), Option("How many photos to take.", metavar="N")] = 12
     seed: Seed = 42
     force: Force = False
 

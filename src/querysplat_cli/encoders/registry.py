@@ -1,10 +1,9 @@
 """Encoders by name. An encoder is imported when it is first asked for."""
 
-import signal
-import threading
 from importlib import import_module
 
 from querysplat_cli.encoders.base import Encoder, EncoderOptions
+from querysplat_cli.runtime.colmap import load_pycolmap
 from querysplat_cli.runtime.errors import QuerySplatError
 
 ENCODERS = ("classical", "vggt", "vggt_omega")
@@ -19,9 +18,6 @@ def find_encoder(name: str, options: EncoderOptions = DEFAULT_OPTIONS) -> Encode
     """
     if name not in ENCODERS:
         raise QuerySplatError(f"there is no encoder named '{name}'", f"Choose one of: {', '.join(ENCODERS)}.")
-    # When pycolmap is imported it installs a SIGTERM handler that prints a stack dump. The old handler comes back.
-    before = signal.getsignal(signal.SIGTERM)
+    load_pycolmap()  # the module of the encoder imports it, with its handler of SIGTERM
     encoder: Encoder = import_module(f"querysplat_cli.encoders.{name}.encoder").make(options)
-    if threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGTERM, before or signal.SIG_DFL)
     return encoder

@@ -6,6 +6,7 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.json_files import shown
 
 FIXED = {"inputs", "ply", "holdout_every", "holdout_cameras", "poses", "force", "seed", "device", "max_views", "fit"}
 FIXED |= {"budget", "refine_cameras"}
@@ -30,12 +31,12 @@ def read_axis(text: str) -> Axis:
     name = name.strip().replace("-", "_")
     known = axes()
     if name not in known or not equals or not values:
-        raise QuerySplatError(f"--sweep {text}: not FIELD=VALUE,VALUE", f"Fields: {', '.join(sorted(known))}.")
+        raise QuerySplatError(f"--sweep {shown(text)}: not FIELD=VALUE,VALUE", f"Fields: {', '.join(sorted(known))}.")
     try:
         return name, tuple(dict.fromkeys(_value(part.strip(), known[name]) for part in values.split(",")))
     except ValueError:
         raise QuerySplatError(
-            f"--sweep {text}: {name} takes {_type_name(known[name])}", "Separate values by commas."
+            f"--sweep {shown(text)}: {name} takes {_type_name(known[name])}", "Separate values by commas."
         ) from None
 
 

@@ -1,14 +1,13 @@
 """COLMAP as it comes, for comparison: default features, exhaustive matching, incremental mapping."""
 
 from collections.abc import Sequence
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import cv2
-import pycolmap
 
+from querysplat_cli.runtime.colmap import load_pycolmap
 from querysplat_cli.runtime.errors import ImpossibleScene
 from querysplat_cli.scene.cameras import PhotoCamera
+from querysplat_cli.scene.drafts import scratch_folder
 from querysplat_cli.scene.formats.colmap import read_colmap
 from querysplat_cli.scene.views import Photo
 
@@ -18,10 +17,11 @@ def estimate_with_colmap(photos: Sequence[Photo], *, seed: int) -> dict[str, Pho
 
     Raises ImpossibleScene when it places no two photos.
     """
+    pycolmap = load_pycolmap()
     pycolmap.logging.minloglevel = pycolmap.logging.FATAL.value
     pycolmap.set_random_seed(seed)
-    with TemporaryDirectory(prefix="querysplat-") as scratch:
-        pictures, database, models = (Path(scratch) / name for name in ("pictures", "matches.db", "models"))
+    with scratch_folder() as scratch:
+        pictures, database, models = (scratch / name for name in ("pictures", "matches.db", "models"))
         models.mkdir()
         names = {}
         for number, photo in enumerate(photos):

@@ -2,8 +2,6 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import torch
 
@@ -13,6 +11,7 @@ from querysplat_cli.evaluation.metrics import Scores, compare
 from querysplat_cli.evaluation.protocol import Protocol
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import PhotoCamera, rescaled, same_shape
+from querysplat_cli.scene.drafts import scratch_folder
 from querysplat_cli.scene.formats.dataset import Frame, fetch
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.photos import WHOLE, load_photos
@@ -61,8 +60,8 @@ class Judge:
         """`cameras` are the dataset's, of the whole photos. Raises QuerySplatError when a photo cannot be read."""
         self.groups, self.protocol, self._lpips = groups, protocol, lpips
         frames = list({frame.name: frame for group in groups.values() for frame in group}.values())
-        with TemporaryDirectory() as scratch:
-            loaded, unread = load_photos(fetch(frames, Path(scratch)), WHOLE)
+        with scratch_folder() as scratch:
+            loaded, unread = load_photos(fetch(frames, scratch), WHOLE)
         if unread:
             raise QuerySplatError(f"{unread[0].name}: {unread[0].why}", "Download the scene again.")
         self.photos: dict[str, tuple[Photo, Photo]] = {}

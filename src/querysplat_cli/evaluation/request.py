@@ -10,6 +10,7 @@ from querysplat_cli.evaluation.axes import Axis, read_axis
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.runtime.choices import CameraSource, InputCount, ProtocolName, Scale
 from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.json_files import shown
 from querysplat_cli.runtime.options import Force, LpipsWeights, Only, Option
 
 WITHOUT_PHOTOS = {"inputs": (), "ply": Path("scene.ply"), "fit": "pad"}
@@ -19,8 +20,9 @@ WITHOUT_PHOTOS = {"inputs": (), "ply": Path("scene.ply"), "fit": "pad"}
 def read_shard(text: str) -> tuple[int, int]:
     """I and N of "I/N"; raises QuerySplatError unless I is from 1 to N."""
     number, _, count = text.partition("/")
-    if not (number.isdecimal() and count.isdecimal() and 1 <= int(number) <= int(count)):
-        raise QuerySplatError(f"--shard {text}: not I/N with I from 1 to N", "For instance 2/8.")
+    digits = number.isdecimal() and count.isdecimal() and len(count) < 10 and len(number) < 10
+    if not (digits and 1 <= int(number) <= int(count)):
+        raise QuerySplatError(f"--shard {shown(text)}: not I/N with I from 1 to N", "For instance 2/8.")
     return int(number), int(count)
 
 

@@ -25,9 +25,10 @@ import numpy as np
 import torch
 
 from querysplat_cli.evaluation.judge import RowResult, ViewScore
-from querysplat_cli.evaluation.metrics import METRICS
+from querysplat_cli.evaluation.metrics import CORRECTED, METRICS
 from querysplat_cli.evaluation.splits import GROUPS, Split
 from querysplat_cli.reporting.report import machine
+from querysplat_cli.runtime import json_files
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.files import atomic_folder, atomic_path
 from querysplat_cli.scene.pictures import eight_bit, write_picture
@@ -166,10 +167,7 @@ def merge(parts: Sequence[Path], out: Path) -> None:
 
 def read_json(path: Path) -> Any:
     """Raises QuerySplatError when the file cannot be read."""
-    try:
-        return json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise QuerySplatError(f"{path}: damaged: {error}", "Remove its folder and run the command again.") from None
+    return json_files.read_json(path, "Remove its folder and run the command again.")
 
 
 def write_json(path: Path, content: Any) -> None:
@@ -179,7 +177,7 @@ def write_json(path: Path, content: Any) -> None:
 
 
 def _mean(views: Sequence[ViewScore]) -> dict[str, float | None]:
-    return {metric: mean(getattr(view.scores, metric) for view in views) for metric in METRICS}
+    return {metric: mean(getattr(view.scores, metric) for view in views) for metric in (*METRICS, *CORRECTED)}
 
 
 def mean(values: Iterable[float | None]) -> float | None:

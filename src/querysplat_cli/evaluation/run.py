@@ -26,6 +26,9 @@ from querysplat_cli.scene.files import check_writable
 from querysplat_cli.scene.formats.dataset import find_scenes
 from querysplat_cli.splat.compile_ahead import compile_ahead
 
+MANY_SCENES = 100
+"""With more scenes to make, the message says how to make fewer."""
+
 
 @dataclass(frozen=True)
 class Setup:
@@ -65,6 +68,7 @@ def evaluate(request: EvalRequest, stages: Stages, say: Callable[[str], None]) -
         table = plan_rows(request, scenes.values(), say)
     jobs = plan_jobs(request, splits, scenes, table, lpips)
     _write_splits(request.out, splits)
+    say(_count(jobs, len(splits), request.workers))
     setup = Setup(
         request.out,
         Protocol(request.protocol),
@@ -118,6 +122,13 @@ def _work(setup: Setup, lpips: Any, job: Job) -> None:
             write_failure(folder, job.case.scene, error.message, error.hint)
         except Exception as error:
             write_failure(folder, job.case.scene, f"a bug: {type(error).__name__}: {error}", format_exc())
+
+
+def _count(jobs: Sequence[Job], splits: int, workers: int) -> str:
+    """How much is to be done, before it begins."""
+    scenes = sum(len(job.rows) for job in jobs)
+    text = f"{len(jobs):,} cases of {splits} splits, {scenes:,} scenes to make, {workers} at a time"
+    return f"{text}; --cases N takes N cases of each split" if scenes > MANY_SCENES else text
 
 
 def _write_splits(out: Path, splits: Sequence[Split]) -> None:

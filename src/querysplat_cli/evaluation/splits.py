@@ -14,6 +14,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.json_files import read_json
 from querysplat_cli.scene.files import atomic_path
 from querysplat_cli.scene.formats.dataset import CapturedScene, Frame
 
@@ -63,13 +64,10 @@ def read_splits(path: Path) -> list[Split]:
         if not files:
             raise QuerySplatError(f"{path}: no .json in it", "Give split files, or a folder of them.")
         return [split for file in files for split in read_splits(file)]
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise QuerySplatError(f"{path}: cannot be read as JSON: {error}", "Give a split file.") from None
+    content = read_json(path, "Give a split file.")
     try:
         return [_read_release(path.stem, content)] if "samples" in content else _read_index(path.stem, content)
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError) as error:
         raise QuerySplatError(
             f"{path}: neither a split file nor an index file ({type(error).__name__}: {error})",
             "Give a file with `samples`, or one of the form {scene: {context: [...], target: [...]}}.",

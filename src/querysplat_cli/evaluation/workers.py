@@ -10,6 +10,8 @@ from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from typing import Any, Generic, TypeVar
 
+from querysplat_cli.runtime import signals
+
 Job = TypeVar("Job")
 THREAD_LIMITS = ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "MKL_NUM_THREADS")
 STOP_SECONDS = 5.0
@@ -35,7 +37,7 @@ class Workers(Generic[Job]):
         `done` is never called twice at a time. On an exception, all processes are stopped; Ctrl-C and a scheduler's
         SIGTERM are one. Call it from the main thread.
         """
-        before = signal.signal(signal.SIGTERM, _interrupt)
+        before = signal.signal(signal.SIGTERM, signals.interrupt)
         waiting: queue.SimpleQueue[Job] = queue.SimpleQueue()
         for job in jobs:
             waiting.put(job)
@@ -66,7 +68,11 @@ class Workers(Generic[Job]):
                 job = waiting.get_nowait()
             except queue.Empty:
                 break
-            worker = worker or self._start()
+            try:
+                worker = worker or self._start()
+            except Exception as error:  # no process, or nothing that it could be sent; `run` waits for a word
+                finished.put((job, f"no process could be started for it: {error}"))
+                continue
             if worker is None:
                 break
             process, pipe = worker
@@ -119,10 +125,6 @@ def _serve(pipe: Connection, handler: Callable[[Any], Callable[[Any], None]], se
             return
         handle(job)
         pipe.send(None)
-
-
-def _interrupt(*_: object) -> None:
-    raise KeyboardInterrupt
 
 
 def _last_words(code: int | None) -> str:

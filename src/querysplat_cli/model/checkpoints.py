@@ -102,7 +102,7 @@ def save(model: QuerySplat, path: Path) -> None:
 def _stored_config(path: Path, stored: str) -> ModelConfig:
     try:
         return ModelConfig.from_dict(json.loads(stored))
-    except (ValueError, TypeError, AttributeError) as error:
+    except (ValueError, TypeError, AttributeError, RecursionError) as error:
         raise QuerySplatError(f"{path}: its configuration cannot be read: {error}", "Make the file again.") from error
 
 

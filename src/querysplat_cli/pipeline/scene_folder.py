@@ -2,9 +2,10 @@
 
 scene.ply
 scene/
-  cameras.json             nerfstudio form; held-out views under "heldout_frames"
+  cameras.json             nerfstudio form; held-out views under "heldout_frames"; in the frame of given cameras
   images/                  the undistorted photos that the cameras belong to
   photos.json              where the photos themselves lie, and their lenses, if the encoder knows these
+  exposures.json           the colour transforms of the input photos, if these differ in exposure
   memories.safetensors     memories, anchors, masks and depth, and the model that they belong to
   report.json
   preview.png
@@ -13,34 +14,39 @@ scene/
 
 import dataclasses
 import json
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import cv2
-import numpy as np
 import torch
 from jaxtyping import Bool
-from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
 from querysplat_cli.model.anchors import Anchors
 from querysplat_cli.model.memories import Memories
+from querysplat_cli.pipeline.gaussian_files import folder_of_scene, write_gaussians
+from querysplat_cli.pipeline.stored_tensors import StoredTensors, flattened
 from querysplat_cli.queries.prepare import MemoryMap
 from querysplat_cli.reporting.convergence_plot import write_curve
 from querysplat_cli.reporting.preview import write_preview
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
-from querysplat_cli.scene.files import atomic_folder, atomic_path
-from querysplat_cli.scene.formats.ply import write_ply
-from querysplat_cli.scene.formats.transforms import read_cameras, write_cameras
+from querysplat_cli.scene.exposures import Exposures, write_exposures
+from querysplat_cli.scene.files import atomic_together
+from querysplat_cli.scene.formats.transforms import write_cameras
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.scene.photo_files import PhotoFile, read_photo_files, write_photo_files
+from querysplat_cli.scene.photo_files import PhotoFile, write_photo_files
 from querysplat_cli.scene.pictures import LOSSLESS_SUFFIXES, eight_bit, stored_name, write_picture
+from querysplat_cli.scene.sim3 import Sim3
 from querysplat_cli.scene.views import Views
+from querysplat_cli.splat.transform import transform_gaussians
 
 JPEG_SETTINGS = (cv2.IMWRITE_JPEG_QUALITY, 100, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
+
+SCENE_FILES = ("report.json", "cameras.json", "memories.safetensors")
+"""A folder with one of these is taken for a scene's."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +54,12 @@ class StoredScene:
     """A scene that can be optimised further.
 
     `model` is the preset or checkpoint that decodes the memories. `kept` marks the decoded Gaussians that belong to
-    the scene (None: all). `photos` are the files of input and held-out photos by name; it may lack some.
+    the scene (None: all). `photos` are the files of input and held-out photos by name; it may lack some. The last
+    Gaussians, as many as `backdrop` says, are the backdrop. `exposures` are the colour transforms of the input views
+    (None: they show the scene's own colours).
+
+    Everything here is in the frame in which the scene was made. `frame` maps it to that of the files, where the user
+    gave cameras.
     """
 
     views: Views
@@ -60,6 +71,9 @@ class StoredScene:
     map: MemoryMap | None = None
     kept: Bool[Tensor, "n"] | None = None
     photos: dict[str, PhotoFile] = dataclasses.field(default_factory=dict)
+    frame: Sim3 | None = None
+    backdrop: int = 0
+    exposures: Exposures | None = None
 
     @property
     def groups(self) -> dict[str, tuple[Views, Cameras]]:
@@ -68,37 +82,32 @@ class StoredScene:
         return {**inputs, "held out": self.heldout} if self.heldout else inputs
 
 
-def scene_folder(ply: Path) -> Path:
-    """The folder beside a scene's .ply."""
-    return ply.with_suffix("")
+def refuse_foreign(folder: Path) -> None:
+    """Raise QuerySplatError when `folder` holds files, and is no scene folder: --force replaces scenes alone."""
+    if folder.is_dir() and any(folder.iterdir()) and not any((folder / name).is_file() for name in SCENE_FILES):
+        raise QuerySplatError(
+            f"{folder} is where the scene's folder goes, and holds other files", "Choose another output, or move it."
+        )
 
 
-def ply_path(path: Path) -> Path:
-    """The .ply of a scene; `path` is its folder or the .ply itself."""
-    return path if path.suffix.lower() == ".ply" else path.with_name(f"{path.name}.ply")
-
-
-def write_scene(ply: Path, scene: StoredScene, gaussians: Gaussians, report: dict[str, Any]) -> int:
-    """Write, or replace, `ply` and the folder beside it; returns the number of Gaussians in the file.
+def write_scene(target: Path, scene: StoredScene, gaussians: Gaussians, report: dict[str, Any]) -> int:
+    """Write, or replace, `target` (a .ply or .spz) and the folder beside it; returns the number of Gaussians in it.
 
     Everything is written to temporary names first, so an interruption leaves what was there before.
     """
-    folder = scene_folder(ply)
-    with atomic_path(ply) as ply_draft, atomic_folder(folder) as draft:
-        written = write_ply(ply_draft, gaussians)
+    with atomic_together(target, folder_of_scene(target)) as (target_draft, draft):
+        draft.mkdir()
+        placed = transform_gaussians(gaussians, scene.frame) if scene.frame else gaussians
+        written = write_gaussians(target_draft, placed)
         for views, _ in scene.groups.values():
             write_images(draft / "images", views)
-        write_cameras(draft / "cameras.json", scene.cameras, scene.views, heldout=scene.heldout)
+        write_cameras(draft / "cameras.json", scene.cameras, scene.views, heldout=scene.heldout, frame=scene.frame)
         if scene.photos:
             write_photo_files(draft / "photos.json", list(scene.photos.values()))
+        if scene.exposures:
+            write_exposures(draft / "exposures.json", scene.views.names, scene.exposures)
         masks = torch.cat([views.masks for views, _ in scene.groups.values()])
-        tensors = {"masks": masks, **_flatten("memories", scene.memories)}
-        if scene.anchors is not None:
-            tensors |= _flatten("anchors", scene.anchors)
-        if scene.kept is not None:
-            tensors["kept"] = scene.kept
-        if scene.map is not None:
-            tensors |= _flatten("map", scene.map)
+        tensors = flattened(StoredTensors(masks, scene.memories, scene.anchors, scene.kept, scene.map))
         # Not by `save_file`, which makes files that only their owner may read.
         (draft / "memories.safetensors").write_bytes(save(tensors, metadata={"model": scene.model}))
         (draft / "report.json").write_text(json.dumps(report, indent=2) + "\n")
@@ -114,66 +123,3 @@ def write_images(folder: Path, views: Views) -> None:
         path = folder / stored_name(name)
         settings = () if path.suffix.lower() in LOSSLESS_SUFFIXES else JPEG_SETTINGS
         write_picture(path, eight_bit(image[:, :height, :width]), settings)
-
-
-def read_scene(path: Path) -> tuple[StoredScene, dict[str, Any]]:
-    """The scene and the report in a folder that `write_scene` made; `path` is the folder or its .ply.
-
-    Raises QuerySplatError when a part is missing or damaged.
-    """
-    folder = scene_folder(path) if path.suffix.lower() == ".ply" else path
-    memories = folder / "memories.safetensors"
-    if not memories.is_file():
-        raise QuerySplatError(
-            f"{folder} has no memories.safetensors: nothing was reconstructed there",
-            "Give the folder (or the .ply beside it) that `querysplat reconstruct` wrote.",
-        )
-    try:
-        with safe_open(memories, framework="pt") as file:
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - not a mapping
-            model = file.metadata()["model"]
-        report = json.loads((folder / "report.json").read_text())
-        inputs, heldout = read_cameras(folder / "cameras.json")
-        photos = read_photo_files(folder / "photos.json")
-        count = len(inputs.names)
-        views = _read_images(folder / "images", inputs.names, inputs.sizes, tensors["masks"][:count])
-        held = None
-        if heldout:
-            masks = tensors["masks"][count:]
-            held = _read_images(folder / "images", heldout.names, heldout.sizes, masks), heldout.cameras
-        anchors = _unflatten(Anchors, "anchors", tensors) if "anchors.means" in tensors else None
-        where = _unflatten(MemoryMap, "map", tensors) if "map.grid" in tensors else None
-        memory = _unflatten(Memories, "memories", tensors)
-        scene = StoredScene(views, inputs.cameras, held, memory, anchors, model, where, tensors.get("kept"), photos)
-    except (OSError, SafetensorError, KeyError, ValueError) as error:
-        raise QuerySplatError(f"{folder} is damaged: {error}", "Run `querysplat reconstruct` again.") from error
-    return scene, report
-
-
-def _flatten(name: str, part: Any) -> dict[str, Tensor]:
-    """A dataclass of tensors and of such dataclasses, as named tensors."""
-    if not is_dataclass(part):
-        return {name: part.detach().contiguous().clone()}
-    flat: dict[str, Tensor] = {}
-    for field in fields(part):
-        flat |= _flatten(f"{name}.{field.name}", getattr(part, field.name))
-    return flat
-
-
-def _unflatten(kind: Any, name: str, tensors: dict[str, Tensor]) -> Any:
-    if not is_dataclass(kind):
-        return tensors[name].float() if tensors[name].is_floating_point() else tensors[name]
-    parts = {field.name: _unflatten(field.type, f"{name}.{field.name}", tensors) for field in fields(kind)}
-    return kind(**parts)  # type: ignore[operator]
-
-
-def _read_images(folder: Path, names: tuple[str, ...], sizes: tuple[tuple[int, int], ...], masks: Tensor) -> Views:
-    images = torch.zeros(len(names), 3, *masks.shape[1:])
-    for row, (name, (height, width)) in enumerate(zip(names, sizes, strict=True)):
-        pixels = cv2.imread(str(folder / stored_name(name)), cv2.IMREAD_COLOR)
-        if pixels is None or pixels.shape[:2] != (height, width):
-            raise OSError(f"images/{stored_name(name)} is missing or has another size")
-        images[row, :, :height, :width] = (
-            torch.from_numpy(np.ascontiguousarray(pixels[..., ::-1])).permute(2, 0, 1) / 255
-        )
-    return Views(images, masks, names, sizes)

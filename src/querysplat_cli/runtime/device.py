@@ -8,10 +8,10 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeVar
 
-import psutil
 import torch
 
 from querysplat_cli.runtime.errors import MissingPart, QuerySplatError
+from querysplat_cli.runtime.limits import free_memory
 
 Part = TypeVar("Part")
 
@@ -35,7 +35,7 @@ def find_device(name: str) -> torch.device:
 
 def free_bytes(device: torch.device) -> int:
     """Bytes of memory that a program can still take on `device`; of the machine's where that is the CPU."""
-    return torch.cuda.mem_get_info(device)[0] if device.type == "cuda" else psutil.virtual_memory().available
+    return torch.cuda.mem_get_info(device)[0] if device.type == "cuda" else free_memory()
 
 
 def peak_gib(device: torch.device | None = None) -> float:

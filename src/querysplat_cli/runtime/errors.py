@@ -20,7 +20,7 @@ class QuerySplatError(Exception):
     The command line prints both and exits with `code`. No code may depend on the wording.
     """
 
-    def __init__(self, message: str, hint: str = "", code: ExitCode = ExitCode.BAD_INPUT) -> None:
+    def __init__(self, message: str, hint: str = "", code: int = ExitCode.BAD_INPUT) -> None:
         super().__init__(message)
         self.message = message
         self.hint = hint
@@ -39,3 +39,12 @@ class MissingPart(QuerySplatError):
 
     def __init__(self, message: str, hint: str = "") -> None:
         super().__init__(message, hint, ExitCode.MISSING_PART)
+
+
+NO_MEMORY = ("can't allocate memory", "Insufficient memory", "bad_alloc", "not enough memory", "Cannot allocate memory")
+"""What torch, OpenCV and native libraries say in errors that are no MemoryError."""
+
+
+def is_out_of_memory(error: BaseException) -> bool:
+    """Whether there was too little memory for what failed."""
+    return isinstance(error, MemoryError) or any(words in str(error) for words in NO_MEMORY)

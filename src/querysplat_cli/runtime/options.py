@@ -46,9 +46,13 @@ class Only:
         object.__setattr__(self, "fixed", fixed)
 
 
-StoredScenePath = Annotated[Path, Option("The folder that `reconstruct` wrote, or the .ply beside it.", argument=True)]
+StoredScenePath = Annotated[
+    Path, Option("The folder that `reconstruct` wrote, or the .ply or .spz beside it.", argument=True)
+]
 Seed = Annotated[
-    int, Option("The seed of every random choice. The same seed on the same machine gives the same file.", metavar="N")
+    int,
+    Ge(0),
+    Option("The seed of every random choice. The same seed on the same machine gives the same file.", metavar="N"),
 ]
 Force = Annotated[bool, Option("Replace files that exist already.")]
 Device = Annotated[

@@ -8,6 +8,7 @@ from pydantic import TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
 from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.json_files import shown
 
 T = TypeVar("T")
 STRICT = {"extra": "forbid", "strict": True, "allow_inf_nan": False}
@@ -24,6 +25,8 @@ def from_tables(kind: type[T], values: Mapping[str, Any], *, what: str, docs: st
         made: T = TypeAdapter(kind).validate_json(json.dumps(values, default=_not_json))
     except ValidationError as error:
         raise _in_words(error.errors()[0], what, docs) from error
+    except (RecursionError, ValueError) as error:
+        raise QuerySplatError(f"the {what} cannot be read: {error}", f"See {docs}.") from error
     return made
 
 
@@ -40,4 +43,4 @@ def _in_words(error: ErrorDetails, what: str, docs: str) -> QuerySplatError:
         case "missing":
             return QuerySplatError(f"the {what} lacks {name}", f"See {docs}.")
     rule = error["msg"].replace("Input should", "It should")
-    return QuerySplatError(f"{name} cannot be {error['input']!r}", f"{rule}. See {docs}.")
+    return QuerySplatError(f"{name} cannot be {shown(error['input'])}", f"{rule}. See {docs}.")

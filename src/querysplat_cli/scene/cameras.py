@@ -14,6 +14,17 @@ SHAPE_TOLERANCE = 0.02
 """By how much rounding their sizes may change the aspect ratio of pictures."""
 
 
+LONGEST_SIDE = 100_000
+"""Pixels of the longer side of the largest picture that a camera may have."""
+FOCAL_RANGE = 0.01, 10_000.0
+"""Sensible focal lengths in longer sides of the picture: fields of view from 179° down to 20 seconds of arc."""
+FARTHEST_PRINCIPAL = 10.0
+"""How far from the picture's corner a principal point may lie, in longer sides of the picture."""
+STRONGEST_DISTORTION = 20.0
+FARTHEST_CENTRE = 1e12
+"""In units of the file. Beyond it, float32 holds no useful difference between two cameras."""
+
+
 def same_shape(one: tuple[int, int], other: tuple[int, int]) -> bool:
     """Whether pictures of these (height, width) have the same aspect ratio, within rounding."""
     return abs(one[1] * other[0] / (one[0] * other[1]) - 1) <= SHAPE_TOLERANCE
@@ -39,6 +50,21 @@ class PhotoCamera:
         """The camera of a picture without distortion, from its matrices [4, 4] and [3, 3]."""
         (fx, _, cx), (_, fy, cy), _ = K.tolist()
         return PhotoCamera(w2c, (fx, fy), (cx, cy), (0.0, 0.0, 0.0, 0.0), height, width)
+
+    def fault(self) -> str:
+        """Why no camera is like this, or "". A pose that is no rigid motion is no fault here."""
+        longer, (low, high) = max(self.height, self.width), FOCAL_RANGE
+        if not (min(self.height, self.width) > 0 and longer <= LONGEST_SIDE):
+            return f"its picture is {self.width} × {self.height} pixels"
+        if not all(low <= focal / longer <= high for focal in self.focal):
+            return f"its focal length is {self.focal[0]:g}, {self.focal[1]:g} pixels"
+        if not all(abs(place) <= FARTHEST_PRINCIPAL * longer for place in self.principal):
+            return f"its principal point is {self.principal[0]:g}, {self.principal[1]:g} pixels"
+        if not all(abs(k) <= STRONGEST_DISTORTION for k in self.distortion):
+            return f"its lens distortion is {', '.join(f'{k:g}' for k in self.distortion)}"
+        if np.abs(np.nan_to_num(self.w2c[:3, 3], nan=0.0, posinf=0.0, neginf=0.0)).max() > FARTHEST_CENTRE:
+            return f"it is more than {FARTHEST_CENTRE:g} units from the origin"
+        return ""
 
 
 @dataclass(frozen=True)

@@ -2,13 +2,15 @@
 
 import errno
 import os
-import secrets
 import shutil
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
+from querysplat_cli.runtime import signals
 from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.json_files import shown
+from querysplat_cli.scene.drafts import BEFORE, own_folder
 
 NEARLY_FULL = 64 << 20
 """With fewer free bytes, a failed write that gives no reason is taken to be one of a full disk."""
@@ -19,12 +21,27 @@ NO_FOLDER = {errno.ENOTDIR, errno.EEXIST}
 
 
 def refuse_existing(paths: Sequence[Path], *, force: bool) -> None:
-    """Raise QuerySplatError when one of `paths` exists, unless `force`."""
+    """Raise QuerySplatError when one of `paths` exists, unless `force`.
+
+    A folder that holds the current folder or the home directory is refused in any case.
+    """
+    for path in paths:
+        if path.is_dir() and any(here.is_relative_to(path.resolve()) for here in _homes()):
+            raise QuerySplatError(f"{path} holds the folder that you are in, or your home", "Choose another output.")
     existing = [str(path) for path in paths if path.exists() or path.is_symlink()]
     if existing and not force:
         raise QuerySplatError(
             f"{' and '.join(existing)}: there already", "Add --force to replace, or choose another output."
         )
+
+
+def _homes() -> list[Path]:
+    """The current folder and the home directory, as far as there are any."""
+    found = []
+    for find in (Path.cwd, Path.home):
+        with suppress(OSError, RuntimeError):
+            found.append(find().resolve())
+    return found
 
 
 def refuse_replacing(inputs: Sequence[Path], outputs: Sequence[Path]) -> None:
@@ -33,7 +50,8 @@ def refuse_replacing(inputs: Sequence[Path], outputs: Sequence[Path]) -> None:
         here = path.resolve()
         for output in outputs:
             if output.resolve() in (here, *here.parents):
-                raise QuerySplatError(f"{output} would replace {path}, which is read", "Choose another output.")
+                why = f"the folder {output} of the scene would replace {path}, which is read"
+                raise QuerySplatError(why, f"Choose another output, for instance -o {output.name}-scene.ply.")
 
 
 def check_writable(folder: Path) -> None:
@@ -41,7 +59,7 @@ def check_writable(folder: Path) -> None:
 
     Worth calling before long work whose result goes there.
     """
-    with _draft(folder / "probe") as draft:
+    with _draft(folder.resolve() / "probe") as draft:
         draft.touch()
 
 
@@ -72,49 +90,80 @@ def sole_writer(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
-    """The name of a draft beside `path`, with the same suffix. At the end the file of that name replaces `path`.
+    """The name of a draft with the same name as `path`. At the end the file of that name replaces `path`.
 
     On any exception, Ctrl-C included, the draft is removed and `path` stays as it was. A full disk and missing
     permission become QuerySplatError.
     """
-    with _draft(path) as draft:
+    with atomic_together(path) as (draft,):
         yield draft
-        _sync(draft)
-        os.replace(draft, path)
 
 
 @contextmanager
 def atomic_folder(path: Path) -> Iterator[Path]:
-    """An empty draft folder beside `path`. At the end it replaces `path`, with all that it then holds.
-
-    On any exception the draft is removed and `path` stays as it was. A full disk and missing permission become
-    QuerySplatError.
-    """
-    with _draft(path) as draft:
+    """An empty draft folder. At the end it replaces `path`, with all that it then holds. It fails as `atomic_path`."""
+    with atomic_together(path) as (draft,):
         draft.mkdir()
         yield draft
-        for file in draft.rglob("*"):
-            if file.is_file():
-                _sync(file)
-        _swap(draft, path)
 
 
 @contextmanager
-def _draft(path: Path) -> Iterator[Path]:
-    draft = path.with_name(f".{path.stem}-{secrets.token_hex(4)}{path.suffix}")
+def atomic_together(*paths: Path) -> Iterator[tuple[Path, ...]]:
+    """A draft for each of `paths`. At the end all of them take their places, or none does.
+
+    A draft is a name that nothing has yet, in a hidden folder beside its path. Fails as `atomic_path` does.
+    """
+    with ExitStack() as stack:
+        places = [without_steps(path) for path in paths]
+        drafts = tuple(stack.enter_context(_draft(place)) for place in places)
+        yield drafts
+        for draft in drafts:
+            for file in (draft, *draft.rglob("*")):
+                if file.is_file():
+                    _sync(file)
+        # One after the other, so that errors of each are in words. Folders first: they can be put back.
+        pairs = sorted(zip(drafts, places, strict=True), key=lambda pair: not pair[0].is_dir())
+        with signals.held(), ExitStack() as undo:
+            for draft, place in pairs:
+                _exchange(draft, place, undo)
+            undo.pop_all()
+
+
+def with_name(path: Path) -> Path:
+    """`path`, or where it ends in `.` or `..` the same place by a path that ends in a name."""
+    return path if path.name not in ("", "..") else path.resolve()
+
+
+def without_steps(path: Path) -> Path:
+    """The same place by an absolute path without `.`, `..` or a symbolic link to a folder on the way.
+
+    Raises QuerySplatError for a path that ends in no name.
+    """
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        yield draft
+        place = with_name(path)
+        place = place.parent.resolve() / place.name
+    except (OSError, RuntimeError, ValueError) as error:
+        raise QuerySplatError(f"{shown(str(path))}: no such place: {error}", "Choose another output.") from None
+    if not place.name:
+        raise QuerySplatError(f"{path}: not the name of an output", "Choose another output.")
+    return place
+
+
+@contextmanager
+def _draft(place: Path) -> Iterator[Path]:
+    """A name for a draft of `place`, which is as `without_steps` makes it. Errors of writing are put in words."""
+    try:
+        place.parent.mkdir(parents=True, exist_ok=True)
+        with own_folder(place.parent) as folder:
+            yield folder / place.name
     except QuerySplatError:
         raise
     # safetensors has errors of its own for a full disk.
     except Exception as error:
-        why = _in_words(error, path)
+        why = _in_words(error, place)
         if why is None:
             raise
         raise why from error
-    finally:
-        _remove(draft)
 
 
 def _in_words(error: Exception, path: Path) -> QuerySplatError | None:
@@ -136,29 +185,21 @@ def _silent_failure(error: Exception, folder: Path) -> bool:
     return without_reason and folder.is_dir() and shutil.disk_usage(folder).free < NEARLY_FULL
 
 
-def _swap(draft: Path, path: Path) -> None:
-    """Put `draft` in the place of `path`. No portable call exchanges two folders, hence two renames."""
-    if not (path.exists() or path.is_symlink()):
-        os.rename(draft, path)
+def _exchange(draft: Path, place: Path, undo: ExitStack) -> None:
+    """Put `draft` in its place, and add to `undo` what puts everything back."""
+    if not draft.is_dir():
+        os.replace(draft, place)
         return
-    before = draft.with_name(f"{draft.name}-before")
-    os.rename(path, before)
-    try:
-        os.rename(draft, path)
-    except BaseException:
-        os.rename(before, path)
-        raise
-    _remove(before)
+    if os.path.lexists(place):
+        # No portable call exchanges two folders, hence two renames. `sweep` puts the old one back after a kill.
+        before = draft.parent / BEFORE / place.name
+        before.parent.mkdir()
+        os.rename(place, before)
+        undo.callback(os.rename, before, place)
+    os.rename(draft, place)
+    undo.callback(os.rename, place, draft)
 
 
 def _sync(file: Path) -> None:
     with file.open("rb+") as handle:
         os.fsync(handle.fileno())
-
-
-def _remove(path: Path) -> None:
-    if path.is_dir() and not path.is_symlink():
-        shutil.rmtree(path, ignore_errors=True)
-    else:
-        with suppress(OSError):
-            path.unlink()

@@ -1,10 +1,10 @@
 """A scene: a set of 3D Gaussians."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from querysplat_cli.scene.tensor_dataclass import TensorDataclass
@@ -46,6 +46,11 @@ class Gaussians(TensorDataclass):
     def sh_degree(self) -> int:
         return math.isqrt(self.sh.shape[1]) - 1
 
+    @property
+    def finite(self) -> Bool[Tensor, "n"]:
+        """Which Gaussians have only finite numbers."""
+        return torch.stack([field[:, None].flatten(1).isfinite().all(1) for field in vars(self).values()]).all(0)
+
     def __getitem__(self, index: slice | Tensor) -> "Gaussians":
         return self.map(lambda field: field[index])
 
@@ -54,3 +59,10 @@ class Gaussians(TensorDataclass):
 
     def to(self, target: torch.dtype | torch.device | str) -> "Gaussians":
         return self.map(lambda field: field.to(target))
+
+
+def joined(*parts: Gaussians) -> Gaussians:
+    """All Gaussians of `parts`, which have SH of the same degree."""
+    return Gaussians(
+        **{each.name: torch.cat([getattr(part, each.name) for part in parts]) for each in fields(Gaussians)}
+    )

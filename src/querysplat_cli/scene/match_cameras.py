@@ -19,13 +19,18 @@ def match_cameras(
         camera = given.get(photo.name)
         fault = _fault(photo, camera) if camera else "no camera is given for it"
         if camera and not fault:
-            u, _, vt = np.linalg.svd(camera.w2c[:3, :3])
-            w2c = np.array(camera.w2c, dtype=np.float64)
-            w2c[:3, :3] = u @ vt
-            cameras[number] = replace(camera, w2c=w2c)
+            cameras[number] = replace(camera, w2c=rigid(camera.w2c))
         else:
             left_out.append(LeftOut(photo.name, fault))
     return cameras, left_out
+
+
+def rigid(w2c: np.ndarray) -> np.ndarray:
+    """The matrix [4, 4] with the nearest orthonormal rotation, in float64."""
+    u, _, vt = np.linalg.svd(w2c[:3, :3])
+    exact = np.array(w2c, dtype=np.float64)
+    exact[:3, :3] = u @ vt
+    return exact
 
 
 def _fault(photo: Photo, camera: PhotoCamera) -> str:

@@ -12,11 +12,14 @@ import numpy as np
 import torch
 
 from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.json_files import read_json
+from querysplat_cli.runtime.tables import STRICT, from_tables
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera, same_shape
 from querysplat_cli.scene.photos import load_photo, longer_side
 from querysplat_cli.scene.undistort import on_canvas, undistorted
 from querysplat_cli.scene.views import Photo, Views
 
+MAKE_AGAIN = "Make the scene again."
 OVERSAMPLING = 2
 """Photos are straightened at so many times the size of their pictures, where they have the pixels, and then reduced.
 Straightening blurs by about a pixel of its own size."""
@@ -61,10 +64,30 @@ class PhotoFile:
         if not isinstance(photo, Photo):
             raise QuerySplatError(f"{self.path}: {photo.why}", "Put the photo back, or make the scene again.")
         if not same_shape((photo.height, photo.width), (self.height, self.width)):
-            raise QuerySplatError(
-                f"{self.path} has another shape than when the scene was made", "Make the scene again."
-            )
+            raise QuerySplatError(f"{self.path} has another shape than when the scene was made", MAKE_AGAIN)
         return photo
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """One entry of photos.json."""
+
+    __pydantic_config__ = STRICT
+
+    name: str
+    path: str
+    focal: tuple[float, float]
+    principal: tuple[float, float]
+    distortion: tuple[float, float, float, float]
+    height: int
+    width: int
+
+
+@dataclass(frozen=True)
+class _Listing:
+    __pydantic_config__ = STRICT
+
+    photos: tuple[_Entry, ...]
 
 
 def photo_files(
@@ -80,13 +103,16 @@ def write_photo_files(path: Path, files: Sequence[PhotoFile]) -> None:
 
 
 def read_photo_files(path: Path) -> dict[str, PhotoFile]:
-    """Files by photo name; none where there is no such list. Raises ValueError or KeyError when it is damaged."""
+    """Files by photo name; none where there is no such list. Raises QuerySplatError when it is damaged."""
     if not path.is_file():
         return {}
     found = {}
-    for entry in json.loads(path.read_text())["photos"]:
-        lens = {part: tuple(entry[part]) for part in ("focal", "principal", "distortion")}
-        found[entry["name"]] = PhotoFile(**{**entry, **lens, "path": Path(entry["path"])})
+    entries = from_tables(_Listing, read_json(path, MAKE_AGAIN), what="list of photos", docs="docs/cli.md").photos
+    for entry in entries:
+        file = PhotoFile(**{**vars(entry), "path": Path(entry.path)})
+        if file.lens.fault() or "\0" in entry.path:
+            raise QuerySplatError(f"{path}: the lens of {file.name} makes no sense: {file.lens.fault()}", MAKE_AGAIN)
+        found[file.name] = file
     return found
 
 

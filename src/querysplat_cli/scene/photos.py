@@ -22,6 +22,8 @@ PICTURE_FOLDERS = ("images", "images_2", "images_4", "images_8")
 """Where DL3DV and nerfstudio keep the pictures of a scene, largest first."""
 SCENE_FOLDERS = ("", "nerfstudio", "colmap")
 """Where in a scene's folder DL3DV's releases keep these picture folders."""
+LONGEST_NUMBER = 100
+"""Longer rows of digits in a name are sorted as text."""
 SMALLEST_SIDE = 64
 WHOLE = 1 << 16
 """As `max_side`, this reduces no photo."""
@@ -83,6 +85,9 @@ def load_photos(
 
 def load_photo(path: Path, name: str, max_side: int) -> Photo | LeftOut:
     """One photo, as `load_photos` decodes it, or why it is not usable."""
+    if not names_a_photo(str(path)):
+        # Native libraries crash on such names.
+        return LeftOut(os.fsencode(name).decode(errors="replace"), "its file name is not valid UTF-8; rename it")
     try:
         if not path.stat().st_size:
             return LeftOut(name, "the file is empty")
@@ -91,8 +96,7 @@ def load_photo(path: Path, name: str, max_side: int) -> Photo | LeftOut:
         return LeftOut(name, _why_not_a_picture(path))
     except Image.DecompressionBombError:
         return LeftOut(name, "far too many pixels for a photo")
-    # Pillow raises many kinds of error for damaged files.
-    except (OSError, SyntaxError, ValueError, EOFError, IndexError, TypeError) as error:
+    except Exception as error:  # damage can raise anything in Pillow's decoders
         return LeftOut(name, f"it cannot be decoded: {error}")
     if min(pixels.shape[:2]) < SMALLEST_SIDE:
         return LeftOut(name, f"{pixels.shape[1]} × {pixels.shape[0]} pixels are too few")
@@ -122,10 +126,20 @@ def short_names(paths: Sequence[PurePath]) -> list[str]:
     return names
 
 
+def names_a_photo(name: str) -> bool:
+    """Whether a text from a file can be the path of a photo: it ends in a file's name, in letters that exist."""
+    try:
+        name.encode()
+    except UnicodeEncodeError:
+        return False
+    return PurePath(name).name not in ("", "..") and "\0" not in name
+
+
 def natural_key(path: Path) -> list[tuple[int, int | str]]:
     """Sorts names as people do: photo_2 before photo_10, and upper case with lower case."""
     parts = re.split(r"(\d+)", path.name.casefold())
-    return [(0, int(part)) if part.isdecimal() else (1, part) for part in parts]
+    # Python refuses to read numbers of more than 4,300 digits.
+    return [(0, int(part)) if part.isdecimal() and len(part) < LONGEST_NUMBER else (1, part) for part in parts]
 
 
 def _folder_photos(folder: Path) -> list[Path]:
@@ -201,7 +215,7 @@ def _focal(image: Image.Image) -> float | None:
     width, height = image.size
     try:
         exif = image.getexif().get_ifd(ExifTags.IFD.Exif)
-        focal = _focal_from_film(exif, width, height) or _focal_from_sensor(exif, width)
+        focal = _focal_from_film(exif, width, height) or _focal_from_sensor(exif, width, height)
     except (ValueError, TypeError, ZeroDivisionError, KeyError, SyntaxError, OSError):
         return None
     low, high = SENSIBLE_FOCAL
@@ -213,15 +227,22 @@ def _focal_from_film(exif: dict[int, Any], width: int, height: int) -> float | N
     return film * float(np.hypot(width, height)) / FULL_FRAME_DIAGONAL if film else None
 
 
-def _focal_from_sensor(exif: dict[int, Any], width: int) -> float | None:
-    """Focal length times the sensor's pixels per millimetre; the file may have been reduced after it was taken."""
+def _focal_from_sensor(exif: dict[int, Any], width: int, height: int) -> float | None:
+    """Focal length times the sensor's pixels per millimetre; the file may have been reduced after it was taken.
+
+    Some cameras state the density along one side only.
+    """
     millimetres = float(exif.get(ExifTags.Base.FocalLength, 0))
-    density = float(exif.get(ExifTags.Base.FocalPlaneXResolution, 0))
-    if not (millimetres and density):
-        return None
     unit = MILLIMETRES[int(exif.get(ExifTags.Base.FocalPlaneResolutionUnit, 2))]
-    full_width = float(exif.get(ExifTags.Base.ExifImageWidth, 0)) or width
-    return millimetres * density / unit * width / full_width
+    sides = (
+        (ExifTags.Base.FocalPlaneXResolution, ExifTags.Base.ExifImageWidth, width),
+        (ExifTags.Base.FocalPlaneYResolution, ExifTags.Base.ExifImageHeight, height),
+    )
+    for density_tag, full_tag, pixels in sides:
+        density = float(exif.get(density_tag, 0))
+        if millimetres and density:
+            return millimetres * density / unit * pixels / (float(exif.get(full_tag, 0)) or pixels)
+    return None
 
 
 def _register_heif() -> None:

@@ -32,6 +32,10 @@ class Sim3:
     def identity() -> "Sim3":
         return Sim3(1.0, torch.eye(3, dtype=torch.float64), torch.zeros(3, dtype=torch.float64))
 
+    def inverse(self) -> "Sim3":
+        rotation = self.rotation.T
+        return Sim3(1 / self.scale, rotation, -(rotation @ self.translation) / self.scale)
+
     def apply(self, points: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
         """Transformed points, in the dtype of `points`."""
         moved = self.scale * points.double() @ self.rotation.T + self.translation

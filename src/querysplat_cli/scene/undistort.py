@@ -7,6 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera, rescaled
 from querysplat_cli.scene.views import Photo, Views
 
@@ -55,6 +56,11 @@ def _straightened(pixels: np.ndarray, camera: PhotoCamera) -> tuple[np.ndarray, 
     if not any(camera.distortion):
         return pixels, K
     left, top, right, bottom = _inscribed(camera, K)
+    if not (left < right and top < bottom):
+        raise QuerySplatError(
+            f"a lens distortion of {', '.join(f'{k:g}' for k in camera.distortion)} folds the picture over itself",
+            "Give the cameras with the lens that took the photos.",
+        )
     height, width = pixels.shape[:2]
     fx, fy = width / (right - left), height / (bottom - top)
     straight = np.array([[fx, 0, -fx * left], [0, fy, -fy * top], [0, 0, 1.0]])

@@ -11,7 +11,11 @@ from annotated_types import Ge, Gt, Interval
 
 from querysplat_cli.model.config import ModelConfig
 from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.json_files import shown
 from querysplat_cli.runtime.tables import STRICT, from_tables
+
+MOST_BASES = 20
+"""The longest chain of trainings that are each based on the next."""
 
 
 @dataclass(frozen=True)
@@ -176,7 +180,8 @@ def _presets() -> Any:
     return resources.files("querysplat_cli") / "presets" / "training"
 
 
-def _tables(source: str) -> dict[str, Any]:
+def _tables(source: str, below: tuple[str, ...] = ()) -> dict[str, Any]:
+    """The tables of a training, on those of its base. `below` are the trainings that are based on this one."""
     path = Path(source)
     try:
         if path.suffix == ".toml":
@@ -190,10 +195,14 @@ def _tables(source: str) -> dict[str, Any]:
             )
     except (OSError, UnicodeDecodeError) as error:
         raise QuerySplatError(f"{source}: cannot be read: {error}", "Give a TOML file.") from error
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # numbers of too many digits; values nested too deeply
         raise QuerySplatError(f"{source}: no TOML: {error}", "Mend that line.") from error
     base = values.pop("base", None)
-    return _merged(_tables(base), values) if base else values
+    if base is None:
+        return values
+    if not isinstance(base, str) or base in below or len(below) > MOST_BASES:
+        raise QuerySplatError(f"{source}: its base {shown(base)} is no other training", "Name another one.")
+    return _merged(_tables(base, (*below, base)), values)
 
 
 def _merged(below: dict[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
@@ -210,6 +219,8 @@ def _value(text: str) -> Any:
         return tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
         return text
+    except (ValueError, RecursionError) as error:
+        raise QuerySplatError(f"--set: {shown(text)} cannot be read: {error}", "Give a shorter value.") from None
 
 
 def _put(values: dict[str, Any], name: str, value: Any) -> None:

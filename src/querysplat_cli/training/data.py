@@ -137,5 +137,5 @@ def _inputs(path: Path) -> int:
     try:
         with safe_open(path, framework="pt") as file:
             return len(json.loads(file.metadata()["sample"])["names"][0])
-    except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
+    except (OSError, SafetensorError, LookupError, TypeError, ValueError, RecursionError) as error:
         raise QuerySplatError(f"{path} is damaged: {error}", "Delete it, and it is made again.") from error

@@ -104,7 +104,7 @@ def read_sample(path: Path) -> Sample:
         )
         views, cameras = _read_views("views", 0, tensors, metadata)
         return Sample(views, cameras, geometry, *_read_views("targets", 1, tensors, metadata))
-    except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
+    except (OSError, SafetensorError, LookupError, TypeError, ValueError, AttributeError, RecursionError) as error:
         raise QuerySplatError(f"{path} is damaged: {error}", "Delete it, and it is made again.") from error
 
 

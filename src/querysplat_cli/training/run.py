@@ -5,7 +5,6 @@ from contextlib import ExitStack
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import torch
@@ -16,6 +15,7 @@ from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.runtime.device import find_device, peak_gib, to_device
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Stages
+from querysplat_cli.scene.drafts import scratch_folder
 from querysplat_cli.scene.files import check_writable, refuse_existing, sole_writer
 from querysplat_cli.training.config import DataSettings, TrainConfig
 from querysplat_cli.training.data import Samples, prepare_samples
@@ -152,8 +152,8 @@ def _one_sample(config: TrainConfig, device: torch.device, ready: int) -> tuple[
         samples = Samples(config.data, config.seed)
         return samples.read(samples.path(0, 0, 0, config.stages[0].inputs)), None
     encoder = _encoder(config.data, device)
-    with TemporaryDirectory() as scratch:
-        data = replace(config.data, cache=scratch, sources=(replace(config.data.sources[0], scenes=1, samples=1),))
+    with scratch_folder() as scratch:
+        data = replace(config.data, cache=str(scratch), sources=(replace(config.data.sources[0], scenes=1, samples=1),))
         start = time.perf_counter()
         prepare_samples(data, lambda: encoder, progress=lambda text, fraction: None)
         seconds = time.perf_counter() - start

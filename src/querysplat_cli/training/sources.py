@@ -4,7 +4,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Protocol, runtime_checkable
 
 import av
@@ -13,6 +12,7 @@ import numpy as np
 
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera
+from querysplat_cli.scene.drafts import scratch_folder
 from querysplat_cli.scene.formats.dataset import CapturedScene, fetch, find_scenes
 from querysplat_cli.scene.photos import load_photos, reduced
 from querysplat_cli.scene.views import Photo
@@ -161,6 +161,9 @@ class Captured:
         if missing := [film for film in films if not film.is_file()]:
             raise QuerySplatError(f"{missing[0]}: no such file", "Give a video, a scene, or a folder of scenes.")
         folders = [place for place in places if place not in films]
+        if gone := [folder for folder in folders if not folder.exists()]:
+            hint = """Name your own with --set 'data.sources.0.places=["/path/to/scenes"]'."""
+            raise QuerySplatError(f"{gone[0]}: no such folder of scenes to train on", hint)
         scenes = find_scenes(folders, settings.pictures) if folders else []
         self._scenes: list[CapturedScene | Path] = [*scenes, *films]
 
@@ -178,8 +181,8 @@ class Captured:
         inputs, targets = drawn_views(chance, settings, len(place.frames))
         chosen = sorted({*inputs, *targets})
         frames = [place.frames[i] for i in chosen]
-        with TemporaryDirectory() as scratch:
-            loaded, unread = load_photos(fetch(frames, Path(scratch)), TRAINING_POLICY.longest_side)
+        with scratch_folder() as scratch:
+            loaded, unread = load_photos(fetch(frames, scratch), TRAINING_POLICY.longest_side)
         if unread:
             raise QuerySplatError(f"{place.name}: {unread[0].name}: {unread[0].why}", "Download the scene again.")
         named = [

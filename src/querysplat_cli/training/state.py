@@ -70,5 +70,5 @@ def read_state(path: Path) -> TrainState:
         if facts.pop("format") != FORMAT:
             raise ValueError("made by another version")
         return TrainState(facts.pop("step"), tensors, facts)
-    except (KeyError, ValueError, TypeError) as error:
+    except (KeyError, ValueError, TypeError, AttributeError, RecursionError) as error:
         raise QuerySplatError(f"{path}: no training state: {error}", "Start the training again.") from error

@@ -13,6 +13,7 @@ from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.conventions import MID_GREY
 from querysplat_cli.splat.render import Rendering, RenderSettings, render
 from querysplat_cli.splat.similarity import photometric_loss, photometric_value
+from querysplat_cli.tto.exposure_refit import RefittedExposures
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,10 @@ class RenderingLoss:
     background: behind the scene (None: black).
     backgrounds: draws the colour of every gradient, so that the scene cannot use the background as its own
         colour. Values, which are compared with each other, have the one `background`.
+    exposures: transforms from the scene's colours to those of each photo (None: they are the same). They are refitted
+        to every render that a gradient is taken of.
+    finest: cameras whose pixels bound how thin optimisation may make a Gaussian (`splat/smoothing.py`; None: nothing
+        bounds that).
     """
 
     views: Views
@@ -58,15 +63,23 @@ class RenderingLoss:
     background: Tensor | None = None
     settings: RenderSettings = field(default_factory=RenderSettings)
     backgrounds: torch.Generator | None = None
+    exposures: RefittedExposures | None = None
+    finest: Cameras | None = None
 
     @classmethod
-    def for_solid_scenes(cls, views: Views, cameras: Cameras, generator: torch.Generator) -> "RenderingLoss":
-        """Values over grey, and gradients over random backgrounds.
+    def for_solid_scenes(
+        cls, views: Views, cameras: Cameras, generator: torch.Generator, exposures: RefittedExposures | None = None
+    ) -> "RenderingLoss":
+        """Values over grey, and gradients over random backgrounds; Gaussians no thinner than pixels.
 
         Over a fixed background, dark or bright places of the photos would become transparent instead of opaque.
         """
         grey = torch.full((3,), MID_GREY, device=cameras.w2c.device)
-        return cls(views, cameras, grey, backgrounds=generator)
+        return cls(views, cameras, grey, backgrounds=generator, exposures=exposures, finest=cameras)
+
+    def render(self, gaussians: Gaussians, view: int) -> Rendering:
+        """One view over black, in the colours of its photo."""
+        return self._exposed(self._render(gaussians, self.cameras, view), view)
 
     def values(self, gaussians: Gaussians, chosen: list[int]) -> list[float]:
         """The loss of each of the views `chosen`."""
@@ -93,6 +106,9 @@ class RenderingLoss:
         for view in chosen:
             rendering = self._render(leaves, cameras, view)
             photo = self._photo(view)
+            if self.exposures:
+                self.exposures.refit(view, rendering, photo[0][0], photo[1][0])
+                rendering = self._exposed(rendering, view)
             (photometric_loss(rendering.over(behind), *photo) / len(chosen)).backward()
             value, error = self._compared(rendering, photo)
             losses.append(value)
@@ -103,12 +119,15 @@ class RenderingLoss:
     def _render(self, gaussians: Gaussians, cameras: Cameras, view: int) -> Rendering:
         return render(gaussians, cameras[[view]], settings=self.settings)
 
+    def _exposed(self, rendering: Rendering, view: int) -> Rendering:
+        return self.exposures.exposed(rendering, view) if self.exposures else rendering
+
     def _photo(self, view: int) -> tuple[Tensor, Tensor]:
         """The photo of a view and its mask, as a batch of one."""
         return self.views.picture(view)[None], self.views.masks[[view]]
 
     def _scores(self, gaussians: Gaussians, view: int) -> tuple[float, float]:
-        return self._compared(self._render(gaussians, self.cameras, view), self._photo(view))
+        return self._compared(self.render(gaussians, view), self._photo(view))
 
     @torch.no_grad()
     def _compared(self, rendering: Rendering, photo: tuple[Tensor, Tensor]) -> tuple[float, float]:

@@ -121,7 +121,7 @@ def load_vgm(
     if "config" in metadata:
         try:
             config = VgmConfig.from_dict(json.loads(metadata["config"]))
-        except (ValueError, TypeError, AttributeError) as error:
+        except (ValueError, TypeError, AttributeError, RecursionError) as error:
             raise QuerySplatError(f"{path}: its configuration cannot be read: {error}", "Make it again.") from error
     with torch.device("meta"):
         model = make(config)

@@ -6,9 +6,12 @@ from typing import Any
 
 import numpy as np
 
+from querysplat_cli.runtime.colmap import load_pycolmap
 from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.json_files import shown
 from querysplat_cli.scene.cameras import PhotoCamera
-from querysplat_cli.scene.photos import short_names
+from querysplat_cli.scene.formats.colmap_files import check_binary
+from querysplat_cli.scene.photos import names_a_photo, short_names
 
 MODEL_FOLDERS = ("", "0", "sparse", "sparse/0", "colmap/sparse/0")
 """Where a model may be in a folder that the user gives."""
@@ -33,10 +36,22 @@ def read_colmap(folder: Path) -> dict[str, PhotoCamera]:
 
     Raises QuerySplatError when the model is damaged, or a lens has more than k1, k2, p1, p2.
     """
+    try:
+        return _cameras(folder)
+    except QuerySplatError:
+        raise
+    except Exception as error:  # damage can raise anything in COLMAP's classes
+        raise QuerySplatError(f"{folder}: no COLMAP model that can be read: {error}", "Export it again.") from error
+
+
+def _cameras(folder: Path) -> dict[str, PhotoCamera]:
     model = _opened(folder)
     images = sorted((image for image in model.images.values() if image.has_pose), key=lambda image: image.name)
     if not images:
         raise QuerySplatError(f"{folder}: the COLMAP model places no photo", "Give another model.")
+    unnamed = [image.name for image in images if not names_a_photo(image.name)]
+    if unnamed:
+        raise QuerySplatError(f"{folder}: {shown(unnamed[0])} is no name of a photo", "Export it again.")
     names = short_names([Path(image.name) for image in images])
     cameras = {}
     for name, image in zip(names, images, strict=True):
@@ -53,7 +68,7 @@ def read_colmap(folder: Path) -> dict[str, PhotoCamera]:
         for place, index in zip(DISTORTION_PARAMETERS[camera.model_name], camera.extra_params_idxs(), strict=True):
             distortion[place] = float(camera.params[index])
         k1, k2, p1, p2 = distortion
-        cameras[name] = PhotoCamera(
+        found = PhotoCamera(
             w2c=w2c,
             focal=(float(camera.focal_length_x), float(camera.focal_length_y)),
             principal=(float(camera.principal_point_x), float(camera.principal_point_y)),
@@ -61,13 +76,16 @@ def read_colmap(folder: Path) -> dict[str, PhotoCamera]:
             height=int(camera.height),
             width=int(camera.width),
         )
+        if found.fault() or not np.isfinite(w2c).all():
+            why = found.fault() or "its pose is not a number"
+            raise QuerySplatError(f"{folder}: the camera of {name} makes no sense: {why}", "Export it again.")
+        cameras[name] = found
     return cameras
 
 
 def write_colmap(folder: Path, cameras: Mapping[str, PhotoCamera], *, text: bool = False) -> None:
     """Write a model without points into the empty `folder`; photos with equal intrinsics share one camera."""
-    import pycolmap
-
+    pycolmap = load_pycolmap()
     model = pycolmap.Reconstruction()
     numbers: dict[tuple[object, ...], int] = {}
     for image_id, (name, camera) in enumerate(cameras.items(), start=1):
@@ -93,12 +111,11 @@ def copy_colmap(source: Path, folder: Path, *, text: bool = False) -> None:
 
 
 def _opened(folder: Path) -> Any:
-    import pycolmap
-
+    check_binary(folder)
     try:
-        return pycolmap.Reconstruction(folder)
-    except (RuntimeError, ValueError, IndexError) as error:
-        reason = str(error).strip().splitlines()[-1]
+        return load_pycolmap().Reconstruction(folder)
+    except Exception as error:  # damage can raise anything in COLMAP's parser
+        reason = (str(error).strip() or type(error).__name__).splitlines()[-1]
         raise QuerySplatError(f"{folder}: no COLMAP model that can be read: {reason}", "Export it again.") from error
 
 

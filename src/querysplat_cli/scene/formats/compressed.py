@@ -14,7 +14,7 @@ import torch
 
 from querysplat_cli.runtime.errors import MissingPart, QuerySplatError
 from querysplat_cli.scene.files import atomic_path
-from querysplat_cli.scene.formats.ply import HIGHEST_OPACITY, export_rows
+from querysplat_cli.scene.formats.ply import HIGHEST_OPACITY, NoGaussian, export_rows
 from querysplat_cli.scene.gaussians import Gaussians
 
 SPZ_BITS = 24
@@ -29,15 +29,18 @@ def read_spz(path: Path) -> Gaussians:
     """
     gsply = _gsply()
     try:
-        return _gaussians(gsply.read_spz(path))
+        gaussians = _gaussians(gsply.read_spz(path))
     except Exception as error:  # damage can raise anything in the decoder
         raise QuerySplatError(f"{path}: damaged, or no .spz: {error}", "Export it again.") from error
+    return _finite(path, gaussians)
 
 
 def write_spz(path: Path, gaussians: Gaussians) -> int:
     """Write version 3, which all readers support; returns how many Gaussians are in the file (the finite ones)."""
     gsply = _gsply()
     rows = _finite_rows(gaussians)
+    if not len(rows):
+        raise NoGaussian(path)
     reach = float(np.abs(rows[:, :3]).max(initial=1e-30))
     bits = SPZ_BITS - 1 - max(0, math.ceil(math.log2(reach + 1e-30)))
     bands = (rows.shape[1] - 14) // 3
@@ -59,11 +62,17 @@ def read_sog(path: Path) -> Gaussians:
     """The Gaussians of a .sog file. Raises MissingPart without gsply's part for it, QuerySplatError when damaged."""
     gsply = _gsply()
     try:
-        return _gaussians(gsply.sogread(path))
+        gaussians = _gaussians(gsply.sogread(path))
     except ImportError as error:
         raise _missing("gsply[sogs]") from error
     except Exception as error:  # damage can raise anything in the decoder
         raise QuerySplatError(f"{path}: damaged, or no .sog: {error}", "Export it again.") from error
+    return _finite(path, gaussians)
+
+
+def check_spz() -> None:
+    """Raise MissingPart without what writes .spz."""
+    _gsply()
 
 
 def _gsply() -> Any:
@@ -75,6 +84,14 @@ def _gsply() -> Any:
 
 def _missing(part: str) -> MissingPart:
     return MissingPart(f"this format needs {part}", "pip install 'querysplat[formats]'")
+
+
+def _finite(path: Path, gaussians: Gaussians) -> Gaussians:
+    """The Gaussians with finite numbers. Raises QuerySplatError where there is none."""
+    gaussians = gaussians[gaussians.finite]
+    if not len(gaussians):
+        raise NoGaussian(path)
+    return gaussians
 
 
 def _finite_rows(gaussians: Gaussians) -> np.ndarray:

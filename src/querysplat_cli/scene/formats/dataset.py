@@ -1,16 +1,16 @@
 """Captured scenes in the forms of DL3DV, nerfstudio, COLMAP, our scene folder and plain photos, as folders or zips."""
 
-import json
 import shutil
 import zipfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.json_files import read_json
 from querysplat_cli.scene.cameras import PhotoCamera
+from querysplat_cli.scene.drafts import scratch_folder
 from querysplat_cli.scene.formats.colmap import MODEL_FOLDERS, read_colmap
 from querysplat_cli.scene.formats.transforms import is_rigid, read_transforms
 from querysplat_cli.scene.photos import SUFFIXES, natural_key
@@ -168,25 +168,33 @@ def _frame(index: int, name: str, folder: str | None, file: Traversable) -> Fram
 
 def _cameras(home: Traversable) -> tuple[dict[str, PhotoCamera], list[str]]:
     """The dataset's cameras by short name, in its order, and the paths that it gives for the pictures."""
-    with TemporaryDirectory() as scratch:
-        if (home / "transforms.json").is_file():
-            return _listed(_copied(home / "transforms.json", Path(scratch)))
-        for part in MODEL_FOLDERS:
-            model = _inside(home, part)
-            files = [model / file for file in MODEL_FILES if (model / file).is_file()] if model.is_dir() else []
-            if any(file.name.startswith("images.") for file in files):
-                for file in files:
-                    _copied(file, Path(scratch))
-                cameras = read_colmap(Path(scratch))
-                return cameras, list(cameras)
-        # Our scene folder's. The original 3DGS writes another kind of cameras.json next to a COLMAP model.
-        if (home / "cameras.json").is_file():
-            return _listed(_copied(home / "cameras.json", Path(scratch)))
+    with scratch_folder() as scratch:
+        try:
+            return _copied_cameras(home, scratch)
+        except QuerySplatError as error:
+            # The user knows the dataset, and not the copy in it.
+            raise QuerySplatError(error.message.replace(str(scratch), str(home)), error.hint, error.code) from error
+
+
+def _copied_cameras(home: Traversable, scratch: Path) -> tuple[dict[str, PhotoCamera], list[str]]:
+    if (home / "transforms.json").is_file():
+        return _listed(_copied(home / "transforms.json", scratch))
+    for part in MODEL_FOLDERS:
+        model = _inside(home, part)
+        files = [model / file for file in MODEL_FILES if (model / file).is_file()] if model.is_dir() else []
+        if any(file.name.startswith("images.") for file in files):
+            for file in files:
+                _copied(file, scratch)
+            cameras = read_colmap(scratch)
+            return cameras, list(cameras)
+    # Our scene folder's. The original 3DGS writes another kind of cameras.json next to a COLMAP model.
+    if (home / "cameras.json").is_file():
+        return _listed(_copied(home / "cameras.json", scratch))
     return {}, []
 
 
 def _listed(listing: Path) -> tuple[dict[str, PhotoCamera], list[str]]:
-    cameras, content = read_transforms(listing), json.loads(listing.read_bytes())
+    cameras, content = read_transforms(listing), read_json(listing)
     return cameras, [frame["file_path"] for frame in [*content["frames"], *content.get("heldout_frames", [])]]
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import torch
 from jaxtyping import Float
-from plyfile import PlyData, PlyElement, PlyParseError
+from plyfile import PlyData, PlyElement
 from torch import Tensor
 
 from querysplat_cli.runtime.errors import QuerySplatError
@@ -29,13 +29,23 @@ REST_COUNTS = {0: 0, 9: 1, 24: 2, 45: 3}
 """SH degree by the number of f_rest properties."""
 
 
+class NoGaussian(QuerySplatError):
+    """A file holds no Gaussian that can be drawn, or would hold none."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(f"{path}: no Gaussian with finite numbers", "Make or export the scene again.")
+
+
 def write_ply(path: Path, gaussians: Gaussians, comments: Sequence[str] = ()) -> int:
     """Write `gaussians` to `path`, whole or not at all; returns how many are in the file.
 
-    Rows with a NaN or an infinity are left out, so that number can be less than `len(gaussians)`.
+    Rows with a NaN or an infinity are left out, so that number can be less than `len(gaussians)`. Raises
+    QuerySplatError when no row is left.
     """
     rows = export_rows(gaussians)
     finite = rows[torch.isfinite(rows).all(1)]
+    if not len(finite):
+        raise NoGaussian(path)
     names = columns(gaussians.sh_degree)
     vertices = np.zeros(len(finite), [(name, "<f4") for name in names[:3] + NORMALS + names[3:]])
     for name, column in zip(names, finite.numpy().T, strict=True):
@@ -49,23 +59,34 @@ def write_ply(path: Path, gaussians: Gaussians, comments: Sequence[str] = ()) ->
 def read_ply(path: Path) -> Gaussians:
     """The Gaussians in any 3DGS .ply (SH degree 0 to 3, binary or ASCII), float32.
 
-    Saturated numbers are kept within float32: opacities below 1, scales finite. Rows with a NaN are left
-    out. Raises QuerySplatError when the file is no .ply, not one of Gaussians, or damaged.
+    Saturated numbers are kept within float32: opacities below 1, scales finite. Rows with a NaN, or with a number
+    beyond float32, are left out. Raises QuerySplatError when the file is no .ply, not one of Gaussians, or damaged, and
+    when no row is left.
     """
     vertices = _vertices(path)
     present = vertices.dtype.names or ()
     rest = sum(name.startswith("f_rest_") for name in present)
     missing = [name for name in columns(0) if name not in present]
+    if "packed_position" in present:
+        raise QuerySplatError(
+            f"{path}: a compressed .ply of PlayCanvas, which is not read", "Convert it with splat-transform."
+        )
     if missing:
         raise QuerySplatError(
             f"{path}: a .ply, but not one of Gaussians: it has no {', '.join(missing[:4])}",
             "Meshes and point clouds cannot be rendered; give a 3D Gaussian splatting .ply.",
         )
-    if rest not in REST_COUNTS:
-        raise QuerySplatError(f"{path}: {rest} f_rest properties fit no SH degree from 0 to 3", "Export it again.")
-    names = columns(REST_COUNTS[rest])
+    names = columns(REST_COUNTS.get(rest, 0))
+    if rest not in REST_COUNTS or not set(names) <= set(present):
+        raise QuerySplatError(f"{path}: its {rest} f_rest properties fit no SH degree from 0 to 3", "Export it again.")
+    if any(vertices.dtype[name].kind not in "fiu" for name in names):
+        raise QuerySplatError(f"{path}: some properties of its Gaussians are lists", "Export it again.")
     rows = torch.from_numpy(np.stack([vertices[name] for name in names], 1).astype(np.float64))
-    return _gaussians(rows[~rows.isnan().any(1)])
+    gaussians = _gaussians(rows[~rows.isnan().any(1)])
+    gaussians = gaussians[gaussians.finite]
+    if not len(gaussians):
+        raise NoGaussian(path)
+    return gaussians
 
 
 def columns(sh_degree: int) -> list[str]:
@@ -125,7 +146,7 @@ def _vertices(path: Path) -> np.ndarray:
         vertices = data["vertex"].data
     except KeyError:
         raise QuerySplatError(f"{path}: a .ply without vertices", "Give a 3D Gaussian splatting .ply.") from None
-    except (PlyParseError, UnicodeDecodeError, ValueError, MemoryError) as error:
+    except Exception as error:  # damage can raise anything in the parser
         raise QuerySplatError(f"{path}: damaged, or no .ply: {error}", "Export or download it again.") from error
     if surplus:
         raise QuerySplatError(f"{path}: holds more data than its header says", "Export or download it again.")

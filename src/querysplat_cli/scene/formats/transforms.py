@@ -14,10 +14,12 @@ import numpy as np
 import torch
 
 from querysplat_cli.runtime.errors import QuerySplatError
-from querysplat_cli.scene.cameras import Cameras, PhotoCamera
+from querysplat_cli.runtime.json_files import read_json, shown
+from querysplat_cli.scene.cameras import FARTHEST_CENTRE, LONGEST_SIDE, Cameras, PhotoCamera
 from querysplat_cli.scene.files import atomic_path
-from querysplat_cli.scene.photos import short_names
+from querysplat_cli.scene.photos import names_a_photo, short_names
 from querysplat_cli.scene.pictures import stored_name
+from querysplat_cli.scene.sim3 import Sim3
 from querysplat_cli.scene.views import Views
 
 OPENGL_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
@@ -49,17 +51,26 @@ def read_transforms(path: Path) -> dict[str, PhotoCamera]:
     return {name: _photo_camera(path, name, {**content, **frame}) for name, frame in zip(names, frames, strict=True)}
 
 
-def write_cameras(path: Path, cameras: Cameras, views: Views, *, heldout: tuple[Views, Cameras] | None = None) -> None:
+def write_cameras(
+    path: Path,
+    cameras: Cameras,
+    views: Views,
+    *,
+    heldout: tuple[Views, Cameras] | None = None,
+    frame: Sim3 | None = None,
+) -> None:
     """Write pinhole cameras of undistorted pictures; `read_cameras` gives the same back within 1e-6.
 
     The pictures are the undistorted ones in `images/`. Where a picture's file has another name than its photo, `photo`
     is the photo's name. Held-out frames are under `heldout_frames`. `canvas` is the (height, width) that all share.
+    `frame` maps the frame of the cameras to that of the file, which also keeps it, as `working_frame`.
     """
     content = {
         "camera_model": "PINHOLE",
         "canvas": [cameras.height, cameras.width],
-        "frames": _frames(cameras, views),
-        **({"heldout_frames": _frames(heldout[1], heldout[0])} if heldout else {}),
+        **({"working_frame": _as_entry(frame)} if frame else {}),
+        "frames": _frames(cameras, views, frame),
+        **({"heldout_frames": _frames(heldout[1], heldout[0], frame)} if heldout else {}),
     }
     with atomic_path(path) as draft:
         draft.write_text(json.dumps(content, indent=1) + "\n")
@@ -90,9 +101,46 @@ def read_cameras(path: Path) -> tuple[NamedCameras, NamedCameras | None]:
     `read_transforms` does, and for a matrix that is no rigid motion.
     """
     content = _load(path)
-    inputs = _named_cameras(path, content, content["frames"])
+    return _both(path, content, Sim3.identity())
+
+
+def read_working_cameras(path: Path) -> tuple[NamedCameras, NamedCameras | None, Sim3 | None]:
+    """The cameras of a cameras.json in the frame in which its scene was made, and the way from there to the file's.
+
+    That is None where the two frames are one. Raises as `read_cameras`.
+    """
+    content = _load(path)
+    frame = _working_frame(path, content.get("working_frame"))
+    return *_both(path, content, frame or Sim3.identity()), frame
+
+
+def working_frame(path: Path) -> Sim3 | None:
+    """The third part of what `read_working_cameras` gives."""
+    return _working_frame(path, _load(path).get("working_frame"))
+
+
+def _both(path: Path, content: dict[str, Any], frame: Sim3) -> tuple[NamedCameras, NamedCameras | None]:
+    inputs = _named_cameras(path, content, content["frames"], frame)
     heldout = content.get("heldout_frames")
-    return inputs, _named_cameras(path, content, heldout) if heldout else None
+    return inputs, _named_cameras(path, content, heldout, frame) if heldout else None
+
+
+def _as_entry(frame: Sim3) -> dict[str, Any]:
+    return {"scale": frame.scale, "rotation": frame.rotation.tolist(), "translation": frame.translation.tolist()}
+
+
+def _working_frame(path: Path, entry: Any) -> Sim3 | None:
+    if entry is None:
+        return None
+    try:
+        scale = float(entry["scale"])
+        rigid = np.eye(4)
+        rigid[:3, :3], rigid[:3, 3] = np.array(entry["rotation"], float), np.array(entry["translation"], float)
+        if not (1 / FARTHEST_CENTRE <= scale <= FARTHEST_CENTRE and is_rigid(rigid)):
+            raise ValueError("no similarity")
+    except (LookupError, TypeError, ValueError, OverflowError) as error:
+        raise QuerySplatError(f"{path}: its working_frame makes no sense: {error}", "Export the file again.") from None
+    return Sim3(scale, torch.from_numpy(rigid[:3, :3]), torch.from_numpy(rigid[:3, 3]))
 
 
 def opencv_from_opengl(c2w: np.ndarray) -> np.ndarray:
@@ -112,7 +160,9 @@ def _rigid_inverse(matrix: np.ndarray) -> np.ndarray:
     return inverse
 
 
-def _frames(cameras: Cameras, views: Views) -> list[dict[str, Any]]:
+def _frames(cameras: Cameras, views: Views, frame: Sim3 | None) -> list[dict[str, Any]]:
+    cameras = cameras.to(torch.float64)
+    cameras = cameras.transformed(frame) if frame else cameras
     return [
         {
             **_picture(name, stored_name(name)),
@@ -125,14 +175,17 @@ def _frames(cameras: Cameras, views: Views) -> list[dict[str, Any]]:
             "transform_matrix": opengl_from_opencv(w2c).tolist(),
         }
         for name, (height, width), K, w2c in zip(
-            views.names, views.sizes, cameras.K.double().numpy(), cameras.w2c.double().numpy(), strict=True
+            views.names, views.sizes, cameras.K.numpy(), cameras.w2c.numpy(), strict=True
         )
     ]
 
 
-def _named_cameras(path: Path, content: Mapping[str, Any], frames: Sequence[Mapping[str, Any]]) -> NamedCameras:
-    names = tuple(_photo(path, frame).removeprefix("./").removeprefix("images/") for frame in frames)
-    cameras = [_photo_camera(path, name, {**content, **frame}) for name, frame in zip(names, frames, strict=True)]
+def _named_cameras(
+    path: Path, content: Mapping[str, Any], frames: Sequence[Mapping[str, Any]], frame: Sim3
+) -> NamedCameras:
+    """The cameras in the frame that `frame` maps to the file's."""
+    names = tuple(_inside(_photo(path, entry)) for entry in frames)
+    cameras = [_photo_camera(path, name, {**content, **entry}) for name, entry in zip(names, frames, strict=True)]
     for name, camera in zip(names, cameras, strict=True):
         if not is_rigid(camera.w2c):
             raise QuerySplatError(f"{path}: the matrix of {name} is no rigid motion", "Remove that frame.")
@@ -141,9 +194,21 @@ def _named_cameras(path: Path, content: Mapping[str, Any], frames: Sequence[Mapp
     K[:, (0, 1), (0, 1)] = torch.tensor([camera.focal for camera in cameras], dtype=torch.float64)
     K[:, :2, 2] = torch.tensor([camera.principal for camera in cameras], dtype=torch.float64)
     K[:, 2, 2] = 1
-    height, width = content.get("canvas") or (max(size[0] for size in sizes), max(size[1] for size in sizes))
+    height, width = _canvas(path, content.get("canvas"), sizes)
     w2c = torch.from_numpy(np.stack([camera.w2c for camera in cameras]))
-    return NamedCameras(names, Cameras(w2c.float(), K.float(), int(height), int(width)), sizes)
+    found = Cameras(w2c, K, height, width).transformed(frame.inverse())
+    return NamedCameras(names, found.to(torch.float32), sizes)
+
+
+def _canvas(path: Path, stated: Any, sizes: Sequence[tuple[int, int]]) -> tuple[int, int]:
+    """(height, width) of the canvas: the stated one, or the smallest that holds pictures of these sizes."""
+    least = max(size[0] for size in sizes), max(size[1] for size in sizes)
+    if stated is None:
+        return least
+    whole = isinstance(stated, list) and len(stated) == 2 and all(type(side) is int for side in stated)
+    if not (whole and all(low <= side <= LONGEST_SIDE for low, side in zip(least, stated, strict=True))):
+        raise QuerySplatError(f"{path}: the canvas {shown(stated)} cannot hold its pictures", "Export the file again.")
+    return stated[0], stated[1]
 
 
 def is_rigid(w2c: np.ndarray) -> bool:
@@ -163,25 +228,45 @@ def _photo_camera(path: Path, name: str, frame: Mapping[str, Any]) -> PhotoCamer
             "Undistort the photos first, for instance with `colmap image_undistorter`.",
         )
     try:
-        width, height, focal = int(frame["w"]), int(frame["h"]), float(frame["fl_x"])
-        c2w = np.array(frame["transform_matrix"], dtype=np.float64)
+        width, height, focal = _whole(frame, "w"), _whole(frame, "h"), _number(frame, "fl_x")
+        rows = frame["transform_matrix"]
+        if not all(type(number) in (int, float) for row in rows for number in row):
+            raise ValueError("transform_matrix has other things than numbers")
+        c2w = np.array(rows, dtype=np.float64)
         if c2w.shape not in ((4, 4), (3, 4)):
             raise ValueError("transform_matrix is not 4 × 4")
-        if not (width > 0 and height > 0 and focal > 0):
-            raise ValueError("w, h and fl_x must be positive")
-        k1, k2, p1, p2 = (float(frame.get(key, 0)) for key in ("k1", "k2", "p1", "p2"))
-        return PhotoCamera(
-            w2c=opencv_from_opengl(np.vstack([c2w[:3], [0, 0, 0, 1]])),
-            focal=(focal, float(frame.get("fl_y", focal))),
-            principal=(float(frame.get("cx", width / 2)), float(frame.get("cy", height / 2))),
+        k1, k2, p1, p2 = (_number(frame, key, 0.0) for key in ("k1", "k2", "p1", "p2"))
+        with np.errstate(over="ignore", invalid="ignore"):
+            w2c = opencv_from_opengl(np.vstack([c2w[:3], [0, 0, 0, 1]]))
+        camera = PhotoCamera(
+            w2c=w2c,
+            focal=(focal, _number(frame, "fl_y", focal)),
+            principal=(_number(frame, "cx", width / 2), _number(frame, "cy", height / 2)),
             distortion=(k1, k2, p1, p2),
             height=height,
             width=width,
         )
+        if camera.fault():
+            raise ValueError(camera.fault())
+        return camera
     except KeyError as error:
         raise QuerySplatError(f"{path}: {name} has no {error}", "Every frame needs w, h, fl_x and a matrix.") from None
-    except (TypeError, ValueError) as error:
-        raise QuerySplatError(f"{path}: the camera of {name} makes no sense: {error}") from None
+    except (TypeError, ValueError, OverflowError) as error:
+        raise QuerySplatError(f"{path}: the camera of {name} makes no sense: {error}", "Export it again.") from None
+
+
+def _number(frame: Mapping[str, Any], key: str, default: float | None = None) -> float:
+    value = frame[key] if default is None else frame.get(key, default)
+    if type(value) not in (int, float):
+        raise ValueError(f"{key} is {shown(value)}, no number")
+    return float(value)
+
+
+def _whole(frame: Mapping[str, Any], key: str) -> int:
+    value = _number(frame, key)
+    if value != int(value):
+        raise ValueError(f"{key} is {shown(value)}, no whole number")
+    return int(value)
 
 
 def _picture(photo: str, file: str) -> dict[str, str]:
@@ -189,19 +274,26 @@ def _picture(photo: str, file: str) -> dict[str, str]:
 
 
 def _photo(path: Path, frame: Any) -> str:
-    try:
-        return str(frame.get("photo", frame["file_path"]))
-    except (AttributeError, TypeError, KeyError):
-        raise QuerySplatError(f"{path}: a frame has no file_path", "Export the file again.") from None
+    if not isinstance(frame, dict) or "file_path" not in frame:
+        raise QuerySplatError(f"{path}: a frame has no file_path", "Export the file again.")
+    name = frame.get("photo", frame["file_path"])
+    if not isinstance(name, str) or not names_a_photo(name):
+        raise QuerySplatError(f"{path}: {shown(name)} is no name of a photo", "Export the file again.")
+    return name
+
+
+def _inside(name: str) -> str:
+    """The path of a picture below the folder of the pictures, whatever folders the file names."""
+    parts = [part for part in PurePosixPath(name).parts if part not in ("/", "..")]
+    return "/".join(parts[1:] if parts[0] == "images" and parts[1:] else parts)
 
 
 def _load(path: Path) -> dict[str, Any]:
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise QuerySplatError(f"{path}: cannot be read as JSON: {error}", "Export the file again.") from None
+    content = read_json(path)
     if not isinstance(content, dict) or not isinstance(content.get("frames"), list) or not content["frames"]:
         raise QuerySplatError(
             f"{path}: no cameras in it (a list called `frames`)", "Give a file in nerfstudio's transforms.json form."
         )
+    if not isinstance(content.get("heldout_frames", []), list):
+        raise QuerySplatError(f"{path}: heldout_frames is no list", "Export the file again.")
     return content

@@ -1,0 +1,147 @@
+"""The report in a scene folder, checked before anything uses it."""
+
+import json
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Annotated, Any
+
+from annotated_types import Ge, Le
+from pydantic import TypeAdapter, ValidationError
+
+from querysplat_cli.runtime.choices import Space
+from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.json_files import read_json, shown
+
+MAKE_AGAIN = "Run `querysplat reconstruct` again."
+STRICT_TYPES = {"extra": "ignore", "strict": True}
+"""Other entries than those named here are kept, and not looked at."""
+Count = Annotated[int, Ge(0), Le(1_000_000_000)]
+
+
+@dataclass(frozen=True)
+class _Moved:
+    """How far refinement moved the cameras."""
+
+    __pydantic_config__ = STRICT_TYPES
+
+    degrees: float
+    shift: float
+    focal: float
+
+
+@dataclass(frozen=True)
+class _FullSize:
+    __pydantic_config__ = STRICT_TYPES
+
+    level: str
+    ended: str
+
+
+@dataclass(frozen=True)
+class _Exposure:
+    __pydantic_config__ = STRICT_TYPES
+
+    disagreement: float
+    corrected: bool
+
+
+@dataclass(frozen=True)
+class _Run:
+    """One run of test-time optimisation. The curve has [step, seconds, loss, PSNR, Gaussians] of each step."""
+
+    __pydantic_config__ = STRICT_TYPES
+
+    space: Space
+    steps: Count
+    seconds: float | None
+    loss_before: float
+    loss_after: float
+    cameras: _Moved | None
+    added: Count
+    undone: Count
+    interrupted: bool
+    curve: tuple[tuple[int, float, float, float, int], ...]
+    max_size: Count = 0
+
+
+@dataclass(frozen=True)
+class _LeftOut:
+    __pydantic_config__ = STRICT_TYPES
+
+    name: str
+    why: str
+
+
+@dataclass(frozen=True)
+class _Used:
+    __pydantic_config__ = STRICT_TYPES
+
+    used: tuple[str, ...]
+    left_out: tuple[_LeftOut, ...]
+
+
+@dataclass(frozen=True)
+class _Omission:
+    __pydantic_config__ = STRICT_TYPES
+
+    what: str
+    why: str
+    saved: str
+    bytes: int | None
+    seconds: float | None
+    psnr_lost: float | None
+
+
+@dataclass(frozen=True)
+class _Report:
+    """What a later run reads of a report. Other entries are kept as they are."""
+
+    __pydantic_config__ = STRICT_TYPES
+
+    ply: str
+    scene: str
+    views: _Used
+    gaussians: Count
+    seconds: dict[str, float]
+    quality: dict[str, Any]
+    left_out: tuple[_Omission, ...]
+    tto: tuple[_Run, ...]
+    settings: dict[str, bool | int | float | str | None]
+    peak_memory_gib: float
+    machine: str
+    memory_estimate_gib: float | None
+    full_size: _FullSize | None
+    exposure: _Exposure | None = None
+    unseen: dict[str, float] | None = None
+    backdrop: Count = 0
+    warnings: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
+
+
+KNOWN = frozenset(field.name for field in fields(_Report))
+SETTINGS = {"queries": (int, type(None)), "weights": (str, type(None)), "precision": (str,)}
+"""The settings of a report that a later run needs, with their types."""
+
+
+def read_report(path: Path) -> dict[str, Any]:
+    """The report, as JSON has it. Raises QuerySplatError when it is missing, damaged, or not that of a scene."""
+    report: dict[str, Any] = read_json(path, MAKE_AGAIN)
+    try:
+        TypeAdapter(_Report).validate_json(json.dumps(report))
+    except (ValidationError, RecursionError) as error:
+        why = "it is nested too deeply"
+        if isinstance(error, ValidationError):
+            first = error.errors()[0]
+            where = ".".join(map(str, first["loc"])) or "the report"
+            why = f"{where}: {first['msg']}, found {shown(first['input'])}"
+        raise QuerySplatError(f"{path} is damaged: {why}", MAKE_AGAIN) from error
+    if report.get("backdrop", 0) > report["gaussians"]:
+        raise QuerySplatError(f"{path} is damaged: its backdrop has more Gaussians than the scene", MAKE_AGAIN)
+    unknown = sorted(report.keys() - KNOWN)
+    if unknown:
+        raise QuerySplatError(f"{path} is damaged: it has an entry {shown(unknown[0])}", MAKE_AGAIN)
+    settings = report["settings"]
+    wrong = [name for name, kinds in SETTINGS.items() if type(settings.get(name)) not in kinds]
+    if wrong:
+        raise QuerySplatError(f"{path} is damaged: settings.{wrong[0]} is missing or of another type", MAKE_AGAIN)
+    return report

@@ -1,0 +1,49 @@
+"""Signals that end a command: SIGTERM and SIGHUP are interruptions as Ctrl-C is."""
+
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+ENDING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
+
+
+class _State:
+    """What arrived last, and whether it waits. One for the process, as handlers are."""
+
+    received: int | None = None
+    holding = 0
+    waiting = False
+
+
+def catch() -> None:
+    """Let every ending signal raise KeyboardInterrupt in the main thread. What is ignored (`nohup`) stays ignored."""
+    for number in ENDING:
+        if signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, interrupt)
+
+
+def interrupt(number: int, frame: object = None) -> None:
+    """A handler: raises KeyboardInterrupt, now or at the end of `held`."""
+    _State.received = number
+    if _State.holding:
+        _State.waiting = True
+    else:
+        raise KeyboardInterrupt
+
+
+@contextmanager
+def held() -> Iterator[None]:
+    """Inside, an ending signal waits. For steps that belong together and take no time, such as two renames."""
+    _State.holding += 1
+    try:
+        yield
+    finally:
+        _State.holding -= 1
+    if _State.waiting and not _State.holding:
+        _State.waiting = False
+        raise KeyboardInterrupt
+
+
+def exit_code() -> int:
+    """128 + the number of the signal that ended the command; that of Ctrl-C where none was caught."""
+    return 128 + (_State.received or signal.SIGINT)

@@ -1,0 +1,60 @@
+"""Standard output and standard error that may be closed, and readers that may go away."""
+
+import os
+import sys
+from contextlib import suppress
+from typing import Any
+
+
+class Tolerant:
+    """A text stream whose reader may go away (`| head -1`): the rest of the text is dropped, and the work goes on."""
+
+    def __init__(self, stream: Any) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        try:
+            return int(self._stream.write(text))
+        except BrokenPipeError:
+            self._drop()
+            return len(text)
+
+    def flush(self) -> None:
+        try:
+            self._stream.flush()
+        except BrokenPipeError:
+            self._drop()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def _drop(self) -> None:
+        # What the stream still holds goes to the null device, also when Python flushes it at the end.
+        with suppress(OSError):
+            null = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(null, self._stream.fileno())
+            os.close(null)
+
+
+def tolerate_closed_streams() -> None:
+    """Open the standard streams that are closed, on the null device, and let no stream end the command.
+
+    Otherwise the next file that is opened would get the number of the closed stream, and messages of native libraries
+    would go into it. Letters that a stream cannot show are written as escapes.
+    """
+    for number, name in enumerate(("stdin", "stdout", "stderr")):
+        try:
+            os.fstat(number)
+        except OSError:
+            opened = os.open(os.devnull, os.O_RDWR)
+            if opened != number:
+                os.dup2(opened, number)
+                os.close(opened)
+        stream = getattr(sys, name)
+        if stream is None:
+            stream = open(number, "w" if number else "r", closefd=False)  # noqa: SIM115 - it lives as long as Python
+            setattr(sys, name, stream)
+        if number:
+            if hasattr(stream, "reconfigure"):
+                stream.reconfigure(errors="backslashreplace")
+            setattr(sys, name, Tolerant(stream))

@@ -1,0 +1,103 @@
+"""Hidden folders for work in progress.
+
+Each is locked by its process, so that the next run can remove what a killed process left.
+"""
+
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+try:
+    import fcntl
+except ImportError:  # Windows has no such locks: nothing is swept there
+    fcntl = None  # type: ignore[assignment]
+
+DRAFTS = ".querysplat-"
+"""How the names of folders for drafts begin, beside the outputs."""
+SCRATCH = "querysplat-scratch-"
+"""How the names of temporary folders begin."""
+RANDOM_LETTERS = 8
+"""That follow, by `tempfile.mkdtemp`."""
+BEFORE = "before"
+"""The folder in a folder for drafts that has what a draft is about to replace."""
+
+
+@contextmanager
+def own_folder(place: Path, prefix: str = DRAFTS) -> Iterator[Path]:
+    """A new folder in `place`, which is removed at the end with all that it holds.
+
+    Folders that killed processes left there are removed first.
+    """
+    sweep(place, prefix)
+    folder, lock = _locked_folder(place, prefix)
+    try:
+        yield folder
+    finally:
+        _remove(folder)
+        if lock is not None:
+            os.close(lock)
+
+
+@contextmanager
+def scratch_folder() -> Iterator[Path]:
+    """A new folder for temporary files, in TMPDIR."""
+    with own_folder(Path(tempfile.gettempdir()), SCRATCH) as folder:
+        yield folder
+
+
+def sweep(place: Path, prefix: str) -> None:
+    """Remove the folders in `place` that processes of this user left when they were killed.
+
+    What such a process was about to replace returns to its name, if nothing has that name now.
+    """
+    with suppress(OSError):
+        for folder in place.glob(f"{prefix}{'?' * RANDOM_LETTERS}"):
+            lock = _lock(folder)
+            if lock is None:
+                continue
+            try:
+                _remove(folder)
+            finally:
+                os.close(lock)
+
+
+def _remove(folder: Path) -> None:
+    """Remove a folder of drafts, after what it was about to replace has its name back, or is replaced."""
+    before = folder / BEFORE
+    with suppress(OSError):
+        for path in before.iterdir() if before.is_dir() else ():
+            if not os.path.lexists(folder.parent / path.name):
+                os.rename(path, folder.parent / path.name)
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _locked_folder(place: Path, prefix: str) -> tuple[Path, int | None]:
+    while True:
+        folder = Path(tempfile.mkdtemp(prefix=prefix, dir=place))
+        lock = _lock(folder)
+        if fcntl is None or lock is not None or folder.is_dir():
+            return folder, lock
+        # Another process swept it before it was locked.
+
+
+def _lock(folder: Path) -> int | None:
+    """The lock of a folder, to be closed; None where a living process has it, or it is another user's."""
+    if fcntl is None:
+        return None
+    try:
+        if folder.is_symlink() or folder.stat().st_uid != os.geteuid():
+            return None
+        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    except OSError:
+        return None
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        if folder.stat().st_ino == os.fstat(handle).st_ino:
+            return handle
+    except OSError:
+        pass
+    os.close(handle)
+    return None

@@ -1,0 +1,64 @@
+"""What people read after `reconstruct` and `tto`."""
+
+from dataclasses import replace
+
+import pytest
+
+from querysplat_cli.cli.print_report import exit_if_interrupted, lines, print_report
+from querysplat_cli.cli.verb import Printing
+from querysplat_cli.reporting.report import Report
+from querysplat_cli.runtime.errors import QuerySplatError
+
+REPORT = Report(
+    ply="s.ply", scene="s", views={"used": ["a.png", "b.png"], "left_out": []}, gaussians=12345,
+    seconds={"photos": 0.1, "cameras": 3.0, "depth": 2.0, "tto": 9.0, "total": 14.1},
+    quality={"input": {"psnr": 24.0, "ssim": 0.7}, "heldout": None}, left_out=[], warnings=[],
+    tto=[{"interrupted": False}], settings={}, peak_memory_gib=0.5, machine="a machine",
+)  # fmt: skip
+
+
+def test_what_how_good_how_long_where_and_what_next() -> None:
+    said = list(lines(REPORT))
+    assert len(said) == 5
+    assert said[0] == "12,345 Gaussians from 2 photos"
+    assert said[1] == "PSNR 24.00 dB, SSIM 0.700 on the photos"
+    assert said[2] == "14.1 s (tto 9.0 s, cameras 3.0 s, depth 2.0 s), at most 0.50 GiB of memory"
+    assert said[3].startswith("s.ply; s/preview.png")
+    assert "querysplat tto s" in said[4]
+
+
+def test_left_out_photos_take_one_line_and_each_warning_one() -> None:
+    left_out = [{"name": f"{i}.png", "why": "it is blurred"} for i in range(9)]
+    report = replace(REPORT, views={"used": ["a.png"], "left_out": left_out}, warnings=["it is dark"])
+    said = list(lines(report))
+    assert said[:3] == [
+        "12,345 Gaussians from 1 photo", "left out: 0.png (it is blurred), and 8 more", "warning: it is dark",
+    ]  # fmt: skip
+    assert len(said) == 7
+
+
+def test_before_and_after() -> None:
+    heldout = {"psnr": 20.0, "ssim": 0.6}
+    quality = {**REPORT.quality, "heldout": heldout, "before": {"input": 23.0, "heldout": None}}
+    quality["full_size"] = {"max_size": 1600, "input": {"psnr": 26.0, "ssim": 0.8}, "heldout": None}
+    said = list(lines(replace(REPORT, quality=quality)))
+    assert said[1] == (
+        "PSNR 23.00 → 24.00 dB, SSIM 0.700 on the photos; PSNR 26.00 dB, SSIM 0.800 on the photos at 1600 px; "
+        "PSNR 20.00 dB, SSIM 0.600 on held-out photos"
+    )
+
+
+def test_names_are_no_markup(capsys: pytest.CaptureFixture[str]) -> None:
+    """rich would take [/b] for the end of bold text, and fail."""
+    left_out = [{"name": "[/b][red].png", "why": "it is blurred"}]
+    print_report(replace(REPORT, ply="[bold].ply", views={"used": [], "left_out": left_out}), Printing())
+    said = capsys.readouterr().err
+    assert "[/b][red].png" in said
+    assert "[bold].ply" in said
+
+
+def test_a_scene_that_was_saved_after_an_interruption_is_not_called_lost() -> None:
+    exit_if_interrupted(REPORT)
+    with pytest.raises(QuerySplatError, match="stopped early") as caught:
+        exit_if_interrupted(replace(REPORT, tto=[{"interrupted": True}]))
+    assert (caught.value.code, caught.value.hint) == (130, "The scene has what the optimisation had reached.")

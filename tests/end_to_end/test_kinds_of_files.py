@@ -1,0 +1,85 @@
+"""A scene can be written in each format that `convert` writes, and every verb takes it in that format."""
+
+import json
+import shutil
+from pathlib import Path
+
+import cv2
+import pytest
+from test_road import take_photos
+
+from querysplat_cli.cli import run
+from querysplat_cli.pipeline.gaussian_files import read_gaussians
+from querysplat_cli.runtime.errors import ExitCode, QuerySplatError
+from querysplat_cli.scene.cameras import PhotoCamera
+from querysplat_cli.scene.views import Photo
+
+pytest.importorskip("gsply")
+
+
+def test_a_scene_in_an_spz(tmp_path: Path) -> None:
+    photo = str(take_photos(tmp_path / "photos", 3, 1)[0])
+    made = ["reconstruct", photo, "--max-size", "96", "--tto", "0", "-q"]
+    for name in ("s.spz", "t.ply"):
+        assert run([*made, "-o", str(tmp_path / name)]) == ExitCode.DONE
+    assert not (tmp_path / "s.ply").exists()
+    one, two = (read_gaussians(tmp_path / name) for name in ("s.spz", "t.ply"))
+    assert len(one) == len(two)
+    assert (one.means - two.means).abs().max() < 1e-3  # y points down in both
+    for scene in ("s", "s.spz"):
+        assert run(["render", str(tmp_path / scene), "-o", str(tmp_path / "frames"), "--force", "-q"]) == ExitCode.DONE
+        assert [path.name for path in (tmp_path / "frames").iterdir()] == ["room3_0.png"]
+        assert run(["inspect", str(tmp_path / scene), "--force", "-q"]) == ExitCode.DONE
+        assert (tmp_path / "s-inspected").is_dir()
+    assert run(["tto", str(tmp_path / "s"), "--steps", "1", "--space", "gaussians", "-q"]) == ExitCode.DONE
+    report = json.loads((tmp_path / "s" / "report.json").read_text())
+    assert report["ply"] == str(tmp_path / "s.spz")
+    assert not (tmp_path / "s.ply").exists()
+
+
+def test_a_scene_given_by_a_dot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    photo = str(take_photos(tmp_path / "photos", 3, 1)[0])
+    assert run(["reconstruct", photo, "--max-size", "96", "--tto", "0", "-q", "-o", str(tmp_path / "s.ply")]) == 0
+    for verb in ("inspect", "render", "tto"):  # tto replaces the folder
+        monkeypatch.chdir(tmp_path / "s")
+        options = ["--steps", "0"] if verb == "tto" else []
+        assert run([verb, ".", "-q", *options]) == ExitCode.DONE, verb
+    names = sorted(path.name for path in tmp_path.iterdir())
+    assert names == ["photos", "s", "s-inspected", "s-renders", "s.ply"]
+    monkeypatch.chdir(tmp_path)
+    copied = shutil.copytree(tmp_path / "s", tmp_path / "copy")
+    shutil.copy(tmp_path / "s.ply", tmp_path / "copy.ply")
+    assert run(["tto", "copy/../copy", "--steps", "0", "-q"]) == ExitCode.DONE
+    assert json.loads((copied / "report.json").read_text())["ply"] == "copy/../copy.ply"
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted([*names, "copy", "copy.ply"])
+
+
+def test_colmap_gets_the_photos_of_a_scene(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Not its preview, and not the small pictures in its folder where the photos are still there."""
+    photos = take_photos(tmp_path / "photos", 3, 2)
+    made = ["reconstruct", *map(str, photos), "-o", str(tmp_path / "s.ply"), "--max-size", "96", "--tto", "0", "-q"]
+    assert run(made) == ExitCode.DONE
+    seen = []
+
+    def colmap(found: list[Photo], seed: int) -> dict[str, PhotoCamera]:
+        seen.append([(photo.name, photo.width) for photo in found])
+        raise QuerySplatError("enough")
+
+    monkeypatch.setattr("querysplat_cli.commands.poses.estimate_with_colmap", colmap)
+    width = cv2.imread(str(photos[0])).shape[1]
+    names = [photo.name for photo in photos]
+    for given in ("s", "s/cameras.json"):
+        assert run(["poses", str(tmp_path / given), "--colmap"]) == ExitCode.BAD_INPUT
+        assert seen.pop() == [(name, width) for name in names]
+    (tmp_path / "s" / "photos.json").unlink()
+    assert run(["poses", str(tmp_path / "s"), "--colmap"]) == ExitCode.BAD_INPUT
+    assert seen.pop() == [(name, 96) for name in names]
+    shutil.rmtree(tmp_path / "s" / "images")
+    (tmp_path / "s" / "preview.png").unlink()
+    capsys.readouterr()
+    assert run(["poses", str(tmp_path / "s" / "cameras.json"), "--colmap"]) == ExitCode.BAD_INPUT
+    message = capsys.readouterr().err
+    assert "--colmap needs the photos of" in message
+    assert "Put the photos into" in message
