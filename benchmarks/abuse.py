@@ -146,7 +146,9 @@ def _process(case: Any, work: Path, temporary: Path, log: Path) -> int:
             path.chmod(place["mode"])
 
     def prepare() -> None:
+        # `nohup`, and a shell that starts this in the background, let them be ignored.
         signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
         for name, limit in place.get("limits", {}).items():
             resource.setrlimit(getattr(resource, name), (limit, limit))
         if "cores" in place:

@@ -1,7 +1,9 @@
 """The command line from outside: its messages and exit codes."""
 
+import signal
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import cv2
@@ -9,6 +11,7 @@ import numpy as np
 import pytest
 
 from querysplat_cli.cli import run
+from querysplat_cli.runtime import signals
 from querysplat_cli.runtime.errors import ExitCode, ImpossibleScene, MissingPart
 
 
@@ -227,3 +230,29 @@ def test_too_little_memory_is_a_missing_part(
     picture = photo(tmp_path / "p.png")
     assert run(["reconstruct", str(picture), "-o", str(tmp_path / "s.ply"), "-q"]) == ExitCode.MISSING_PART
     assert "out of memory" in one_error(capsys)
+
+
+def test_a_current_folder_that_is_gone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    (tmp_path / "gone").rmdir()
+    assert run(["weights"]) == ExitCode.BAD_INPUT
+    assert "the current folder was removed" in one_error(capsys)
+
+
+def test_an_error_that_an_interruption_became_is_no_bug(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """numpy, interrupted while it is imported, raises an ImportError."""
+
+    def interrupted(*arguments: object, **options: object) -> None:
+        with suppress(KeyboardInterrupt):
+            signals.interrupt(signal.SIGTERM)
+        raise ImportError("cannot import name")
+
+    monkeypatch.setattr("querysplat_cli.pipeline.reconstruct.load_photos", interrupted)
+    monkeypatch.setattr(signals._State, "received", None)
+    assert run(["reconstruct", str(photo(tmp_path / "p.png")), "-o", str(tmp_path / "s.ply"), "-q"]) == 143
+    assert "stopped" in one_error(capsys)

@@ -1,5 +1,6 @@
 """The command line: one small file per verb, imported without torch or pycolmap."""
 
+import os
 import sys
 import traceback
 from typing import Any
@@ -24,6 +25,7 @@ def main() -> None:
 def run(arguments: list[str]) -> int:
     """Run one command, and return its exit code. An error becomes two lines on standard error."""
     try:
+        _check_current_folder()
         code = app(arguments or ["--help"], prog_name="querysplat", standalone_mode=False)
         if not code:
             return ExitCode.DONE
@@ -39,6 +41,8 @@ def run(arguments: list[str]) -> int:
         _print_error(str(error), "Check the path, its permissions and the free space.")
         return ExitCode.BAD_INPUT
     except Exception as error:
+        if signals.caught():  # libraries that are interrupted while they are imported raise errors of their own
+            return _stopped()
         if is_out_of_memory(error):
             why = str(error).splitlines()[0] if str(error) else "no more can be had"
             _print_error(f"out of memory: {why}", "Use smaller pictures, fewer photos, or a larger machine.")
@@ -46,8 +50,20 @@ def run(arguments: list[str]) -> int:
         traceback.print_exc()
         _print_error("this is a bug in querysplat", "Please report it with the traceback above.")
         return ExitCode.BUG
+    return _stopped()
+
+
+def _stopped() -> int:
     _print_error("stopped", "Nothing half-written was left behind.")
     return signals.exit_code()
+
+
+def _check_current_folder() -> None:
+    """Raise QuerySplatError where the current folder was removed: MKL ends the process with words of its own."""
+    try:
+        os.getcwd()
+    except OSError:
+        raise QuerySplatError("the current folder was removed", "Change to one that is there, with `cd`.") from None
 
 
 def _forget_handled_interrupt() -> None:

@@ -44,6 +44,11 @@ def held() -> Iterator[None]:
         raise KeyboardInterrupt
 
 
+def caught() -> bool:
+    """Whether an ending signal has arrived."""
+    return _State.received is not None
+
+
 def exit_code() -> int:
     """128 + the number of the signal that ended the command; that of Ctrl-C where none was caught."""
     return 128 + (_State.received or signal.SIGINT)

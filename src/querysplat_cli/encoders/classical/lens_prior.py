@@ -9,9 +9,12 @@ from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
 from querysplat_cli.scene.cameras import PhotoCamera
 
 
-def lens_prior(sizes: Sequence[tuple[int, int]], stated: Sequence[float | None]) -> LensPrior:
+def lens_prior(
+    sizes: Sequence[tuple[int, int]], stated: Sequence[float | None], *, two_photos: bool = False
+) -> LensPrior:
     """The prior of lenses whose photos have these (height, width), with EXIF's focal lengths in pixels, or None."""
     policy = CAMERA_POLICY
+    weight = policy.prior_weight_two if two_photos else policy.prior_weight
     mean, sigma = [], []
     for (height, width), focal in zip(sizes, stated, strict=True):
         longer = max(height, width)
@@ -19,7 +22,7 @@ def lens_prior(sizes: Sequence[tuple[int, int]], stated: Sequence[float | None])
         spread = policy.stated_focal_spread if focal else policy.usual_focal_spread
         shift = policy.principal_spread * longer
         sigma.append([spread, shift, shift, *policy.distortion_spread])
-    return LensPrior(np.array(mean), np.array(sigma), policy.prior_weight)
+    return LensPrior(np.array(mean), np.array(sigma), weight)
 
 
 def as_photo_camera(pose: np.ndarray, lens: np.ndarray, size: tuple[int, int]) -> PhotoCamera:

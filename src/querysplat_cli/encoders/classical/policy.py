@@ -116,10 +116,12 @@ class CameraPolicy:
     # Bundle adjustment.
     adjustment_loss_scale: float = 0.5
     """Reprojection error in pixels beyond which the Cauchy loss gives a feature less and less weight."""
-    prior_weight: float = 1.0
+    prior_weight: float = 0.25
     """What a lens parameter costs that lies one standard deviation from its prior's mean, in pixels squared. An
     observation costs its squared error."""
-    independent_observations: int = 2000
+    prior_weight_two: float = 1.0
+    """The same for two photos, where a wrong match on the right line cannot be told from a right one."""
+    independent_observations: int = 1000
     """More observations than this weigh as much as so many: their errors are partly shared, and do not average out."""
     adjusted_observations: int = 8000
     """Cameras and lenses follow from about so many observations at most, those of the longest tracks of each photo."""

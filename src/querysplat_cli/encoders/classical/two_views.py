@@ -37,7 +37,7 @@ def map_two_photos(matches: Matches) -> SparseModel | None:
     pair = matches.pairs[0]
     shared = matches.sizes[0] == matches.sizes[1] and matches.focals[0] == matches.focals[1]
     lenses = np.array([0, 0] if shared else [0, 1])
-    prior = lens_prior(matches.sizes[: lenses.max() + 1], matches.focals[: lenses.max() + 1])
+    prior = lens_prior(matches.sizes[: lenses.max() + 1], matches.focals[: lenses.max() + 1], two_photos=True)
     stated = all(matches.focals)
     candidates = [
         _adjusted(pair, start, prior, lenses, matches.sizes)
