@@ -31,8 +31,8 @@ class TtoPolicy:
     With so few photos, most of the space between them is seen by one photo or by none. Five photos of kermit already
     lose by these two."""
     dropout: float = 0.08
-    """Share of the Gaussians that the last step leaves out between so few photos. Held out at 224 pixels over six cases
-    of three photos (fox, dtu106, kermit), this gains 0.1 dB on the mean."""
+    """Share of the Gaussians that the last step leaves out between so few photos. Held out at 224 pixels, six cases
+    of three photos (fox, dtu106, kermit) gain 0.03 dB and 0.003 of SSIM on the mean."""
     passes: int = 40
     """How often an automatic plan renders each of a few photos at most. More passes only fit the photos themselves."""
     fewest_steps: int = 30
