@@ -33,18 +33,19 @@ import torch
 from common.output import machine
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.splat.compiled_blending import HIGH, WIDE
+from querysplat_cli.splat.compiled_blending import GROUPS, LANES, PAIRED, SLACK
+from querysplat_cli.splat.compiled_tiles import HIGH, WIDE
 from querysplat_cli.splat.render import render
 from splat_kernel import ROOT, Scale, Timing, add_scale_options, both, in_tree, measure, random_scene, scale_of, timing
 
 TURNS = 5
 """Runs of either revision in a comparison."""
-OPERATIONS = {"forward": 26, "backward": 43}
+OPERATIONS = {"forward": 29, "backward": 47}
 """Vector instructions for one pixel and Gaussian, counted in `compiled_blending.py`.
 
-α takes 15: 2 multiply-adds, 2 bounds, 6 for the polynomial, 3 squarings, 2 for the cut-off. Transmittance and the stop
-take 7 forward and 8 backward, the four sums 4. Backward adds 5 for the slope of the value, 1 for what lies behind, 7
-for the slope of σ, and 7 for the seven sums."""
+α takes 18: 5 for the quadratic form, 2 bounds, 6 for the polynomial, 3 squarings, 2 for the cut-off. Transmittance and
+the stop take 7 forward and 8 backward, the four sums 4. Backward adds 5 for the slope of the value, 1 for what lies
+behind, 7 for the slope of σ, and 8 for the seven sums."""
 PIECE = 64
 """Side of the piece that the reference renders, in pixels."""
 FIRST_CALL = """
@@ -102,16 +103,30 @@ def work(gaussians: Gaussians, cameras: Cameras) -> tuple[int, int]:
     tiles_x = -(-cameras.width // WIDE)
     for view in blended.views:  # type: ignore[union-attr]
         lengths = torch.from_numpy(view.starts).diff()
-        top = torch.arange(len(lengths)).repeat_interleave(lengths) // tiles_x * HIGH
+        tile = torch.arange(len(lengths)).repeat_interleave(lengths)
         rows = torch.from_numpy(view.rows)[torch.from_numpy(view.lists).long()]
-        from_top = rows[:, 1] - top - 0.5
-        first = (from_top - rows[:, 11]).ceil().clamp_min(0)
-        last = ((from_top + rows[:, 11]).floor() + 1).clamp_max(HIGH)
-        lanes += int((last - first).clamp_min(0).sum()) * WIDE
+        lanes += LANES * int(_groups(rows, tile % tiles_x * WIDE, tile // tiles_x * HIGH).sum())
         a, c, opacity = (torch.from_numpy(view.rows)[:, column] for column in (2, 4, 5))
         seen = torch.from_numpy(view.rows)[:, 10] > 0
         evaluations += int((2 * math.pi * (255 * opacity).log() / (a * c))[seen].sum())
     return lanes, evaluations
+
+
+def _groups(rows: torch.Tensor, left: torch.Tensor, top: torch.Tensor) -> torch.Tensor:
+    """How many groups of rows of its tile each Gaussian meets, as the kernel finds them."""
+    a, b, q, half = (rows[:, column] for column in (2, 3, 4, 11))
+    low = left + 0.5 - rows[:, 0]
+    square = b * b + q * q
+    reaches = []
+    for sign in (1, -1):
+        furthest = -sign * b / a * half
+        x = furthest.clamp(low, low + WIDE - 1)
+        chord = ((q * half).square() * square - (a * q * x).square()).clamp_min(0).sqrt() / square
+        reaches.append(torch.where(x == furthest, half, chord - sign * a * b / square * x) + SLACK * (1 + half))
+    under = rows[:, 1] - top - 0.5
+    first = ((under - reaches[1]).ceil() / PAIRED).floor().clamp(0, GROUPS)
+    last = ((under + reaches[0]) / PAIRED).floor() + 1
+    return last.clamp_max(GROUPS).maximum(first) - first
 
 
 def first_call(cache: str) -> float:

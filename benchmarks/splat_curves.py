@@ -31,8 +31,8 @@ WHOLE = Scale()
 GAUSSIANS = (1000, 3000, 10_000, 30_000, 100_000, 300_000, 1_000_000)
 SIZES = (64, 128, 256, 512, 1024, 2048)
 VIEWS = (1, 2, 4, 8, 16)
-TILES = ((8, 8), (8, 16), (8, 32), (16, 8), (16, 16), (16, 32), (16, 64), (32, 16))
-TILE_LINE = "WIDE, HIGH = 16, 32"
+TILES = ((8, 8), (8, 16), (8, 32), (8, 64), (16, 8), (16, 16), (16, 32), (16, 64))
+TILE_LINE = "WIDE, HIGH = 8, 32"
 LIMITS = {
     "alpha_min": (1 / 32, 1 / 64, 1 / 128, 1 / 255, 1 / 400),
     "transmittance_min": (0.1, 0.03, 0.01, 1e-3, 1e-4, 1e-5),
@@ -63,7 +63,7 @@ def with_tile(wide: int, high: int) -> Iterator[Path]:
     with tempfile.TemporaryDirectory() as folder:
         tree = Path(folder)
         shutil.copytree(ROOT / "src", tree / "src", ignore=shutil.ignore_patterns("__pycache__"))
-        file = tree / "src" / "querysplat_cli" / "splat" / "compiled_blending.py"
+        file = tree / "src" / "querysplat_cli" / "splat" / "compiled_tiles.py"
         text = file.read_text()
         assert TILE_LINE in text
         file.write_text(text.replace(TILE_LINE, f"WIDE, HIGH = {wide}, {high}"))

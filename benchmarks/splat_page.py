@@ -140,8 +140,8 @@ def standing(rows: list[Row]) -> str:
         f"The floor counts {splat.OPERATIONS['forward']} vector instructions forward and "
         f"{splat.OPERATIONS['backward']} backward for each pixel and Gaussian with α ≥ 1/255, at the "
         f"{piece['multiply_adds_per_second'] / 1e9:.0f} billion multiply-adds a second that the machine reaches. The "
-        f"kernel computes {piece['lanes'] / piece['evaluations']:.1f} pairs for each that counts, since rows are 16 "
-        f"wide. The rest of the time goes to projection, to lists of the tiles' Gaussians, and to memory. On "
+        f"kernel computes {piece['lanes'] / piece['evaluations']:.1f} pairs for each that counts, since it "
+        f"blends 8 × 2 at a time. The rest of the time goes to projection, to the tiles' lists, and to memory. On "
         f"{piece['piece']['gaussians']:,} Gaussians at {piece['piece']['size']}² the kernel is {ratio:.0f} times as "
         f"fast as the plain torch reference."
     )

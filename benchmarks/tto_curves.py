@@ -102,7 +102,7 @@ def curves(model: QuerySplat, sample: Sample, steps: int | None) -> dict[str, li
         model, posed(sample), sample.geometry, queries=None, soft_query_limit=TTO_POLICY.queries, target="kv"
     )
     assert prepared.anchors is not None
-    start = Start(prepared.variables.map(torch.Tensor.float), prepared.anchors)
+    start = Start(prepared.variables.map(torch.Tensor.float), prepared.anchors, finest=sample.cameras)
     count = prepared.anchors.opacities.numel()
     kept = target_count(count, "auto", sample.cameras)
     found = {}

@@ -24,8 +24,11 @@ UNLIMITED = 10**9
 
 
 def settings(**changes: Any) -> ReconstructSettings:
-    """Those of `reconstruct` by default, with `changes`; nothing is read or written by their paths."""
-    return replace(ReconstructSettings((), Path(), seed=SEED), **changes)
+    """Those of `reconstruct` by default, with `changes`; nothing is read or written by their paths.
+
+    There is no backdrop, so that scenes can be compared with others that come from the optimiser alone.
+    """
+    return replace(ReconstructSettings((), Path(), seed=SEED, backdrop=False), **changes)
 
 
 def build(model: QuerySplat, sample: Sample, **changes: Any) -> BuiltScene:
@@ -44,7 +47,7 @@ def optimised_again(model: QuerySplat, scene: BuiltScene, prune: Amount, **chang
     run, _ = scene.adapted.runs[0]
     return optimise_memories(
         model,
-        start_of(scene),
+        replace(start_of(scene), finest=scene.posed.cameras),
         RenderingLoss.for_solid_scenes(views, scene.posed.cameras, torch.Generator().manual_seed(SEED)),
         replace(run.settings, **changes),
         generator=torch.Generator().manual_seed(SEED),

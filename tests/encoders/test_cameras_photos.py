@@ -10,6 +10,7 @@ import torch
 
 from querysplat_cli.encoders.base import CameraRequest, PosedViews
 from querysplat_cli.encoders.classical.cameras import estimate_cameras
+from querysplat_cli.scene.photos import find_photos, load_photos
 from querysplat_cli.scene.sim3 import align_cameras
 from querysplat_cli.scene.views import Photo
 
@@ -57,3 +58,17 @@ def test_fox_has_the_cameras_of_its_transforms(real_photos: Path, count: int, de
     centres = torch.from_numpy(c2w[:, :3, 3])
     assert float(torch.rad2deg(2 * torch.asin(turn.flatten(1).norm(dim=1) / 8**0.5)).max()) < degrees
     assert float(((cameras.centres - centres).norm(dim=1) / torch.pdist(centres).max()).max()) < extent
+
+
+@pytest.mark.slow
+def test_a_drone_that_looks_straight_down_keeps_the_focal_length_that_exif_states(real_photos: Path) -> None:
+    """From above a plain nothing else determines it: without a prior it was found 30 % longer."""
+    taken, _ = load_photos(find_photos([real_photos / "highres" / "brighton"]))
+    found = place(taken)
+    assert len(found.views) == len(taken)
+    assert not found.warnings
+    assert found.photo_cameras is not None
+    for photo, camera in zip(taken, found.photo_cameras, strict=True):
+        assert photo.focal is not None
+        stated = photo.focal / max(photo.pixels.shape)
+        assert camera.focal[0] / max(camera.height, camera.width) == pytest.approx(stated, rel=0.05)

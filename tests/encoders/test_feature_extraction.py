@@ -6,7 +6,7 @@ from synthetic import FOCAL, WIDTH, arc, photographs, room
 
 from querysplat_cli.encoders.base import CameraRequest
 from querysplat_cli.encoders.classical.cameras import estimate_cameras
-from querysplat_cli.encoders.classical.features import choose_effort, spread_features
+from querysplat_cli.encoders.classical.features import are_large, spread_features
 from querysplat_cli.encoders.classical.matches import matched
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
 from querysplat_cli.scene.views import Photo
@@ -50,12 +50,11 @@ def test_affine_features_are_sorted_by_their_scale() -> None:
     assert spread_features(shapes, 1).tolist() == [1]
 
 
-@pytest.mark.parametrize("thorough", [False, True])
-def test_only_large_photos_have_a_limit(large: list[Photo], *, thorough: bool) -> None:
+def test_most_photos_decide_whether_they_are_large(large: list[Photo]) -> None:
     small = [Photo(photo.name, photo.path, photo.pixels[:100, :100], None) for photo in large]
-    assert choose_effort(large, thorough=thorough).most_features
-    assert choose_effort(small, thorough=thorough).most_features is None
-    assert choose_effort([*large[:2], *small[:3]], thorough=thorough).most_features is None
+    assert are_large(large)
+    assert not are_large(small)
+    assert not are_large([*large[:2], *small[:3]])
 
 
 def test_large_photos_are_placed_from_few_features(large: list[Photo]) -> None:

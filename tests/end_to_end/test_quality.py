@@ -1,4 +1,4 @@
-"""`--quality high`, for photos and for a stored scene, through the command line."""
+"""`--quality`, for photos and for a stored scene, through the command line."""
 
 import json
 import shutil
@@ -15,9 +15,17 @@ from querysplat_cli.scene.formats.ply import read_ply
 from querysplat_cli.training.photographer import cast, walk
 from querysplat_cli.training.rooms import make_room
 from querysplat_cli.tto import full_size_plan
+from querysplat_cli.tto.full_size_policy import LevelPolicy
 
 SMALL = ["--max-size", "160", "--tto", "4", "--quiet"]
-QUICK = replace(full_size_plan.FULL_SIZE_POLICY, high_size=320, seconds=(0.8, 0.0))
+QUICK = replace(
+    full_size_plan.FULL_SIZE_POLICY,
+    levels={
+        "standard": LevelPolicy(320, 70_000, (0.5, 0.0), 0.5),
+        "high": LevelPolicy(320, 200_000, (0.8, 0.0), 0.8),
+    },
+    fewest_passes=0.2,
+)
 
 
 @pytest.fixture(autouse=True)
@@ -65,7 +73,7 @@ def test_a_finished_scene_is_taken_further(scene: Path, capsys: pytest.CaptureFi
     report = taken_further(scene, capsys)
     assert report["full_size"]["level"] == "high"
     assert report["full_size"]["ended"] == "every planned step was taken"
-    assert report["gaussians"] == report["full_size"]["gaussians"] == len(read_ply(scene))
+    assert report["gaussians"] == report["full_size"]["gaussians"] + report["backdrop"] == len(read_ply(scene))
     assert [run["space"] for run in report["tto"]] == ["features", "gaussians"]
     assert report["tto"][1]["max_size"] == report["quality"]["full_size"]["max_size"] == 320
     assert report["tto"][1]["loss_after"] < report["tto"][1]["loss_before"]
@@ -123,12 +131,37 @@ def test_reconstruct_goes_on_to_the_large_photos(
     assert report["gaussians"] == len(read_ply(tmp_path / "a.ply"))
 
 
-def test_draft_and_standard_leave_the_large_photos_alone(
-    photos: Path, standard: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_the_default_goes_on_in_gaussian_space(
+    photos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    command = ["reconstruct", str(photos), "-o", str(tmp_path / "a.ply"), "--quality", "draft", "--json", *SMALL]
-    assert run([*command, "--tto", "0"]) == 0
+    """The plan of the first run is automatic. The second scene, which is only scored, is made in the same way."""
+    command = ["reconstruct", str(photos), "-o", str(tmp_path / "a.ply"), "--max-size", "160", "--json", "--quiet"]
+    assert run([*command, "--holdout-every", "4"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["full_size"]["level"] == report["settings"]["quality"] == "standard"
+    assert [each["space"] for each in report["tto"]] == ["features", "gaussians"]
+    assert report["tto"][1]["max_size"] == report["quality"]["full_size"]["max_size"] == 320
+    assert report["gaussians"] == len(read_ply(tmp_path / "a.ply"))
+    assert {"joint", "isolated"} <= report["quality"]["heldout"].keys()
+
+
+def test_photos_no_larger_than_the_working_pictures_are_scored_once(
+    photos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["reconstruct", str(photos), "-o", str(tmp_path / "a.ply"), "--json", "--quiet", "--max-views", "2"]
+    assert run(command) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["tto"][1]["max_size"] == 448
+    assert "full_size" not in report["quality"]
+
+
+@pytest.mark.parametrize("options", [["--quality", "draft"], ["--tto", "4"], ["--keep-everything", "--max-views", "2"]])
+def test_draft_and_given_steps_stay_in_feature_space(
+    options: list[str], photos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command = ["reconstruct", str(photos), "-o", str(tmp_path / "a.ply"), "--max-size", "160", "--json", "--quiet"]
+    assert run([*command, *options]) == 0
     report = json.loads(capsys.readouterr().out)
     assert report["full_size"] is None
     assert "full_size" not in report["quality"]
-    assert json.loads((standard.with_suffix("") / "report.json").read_text())["full_size"] is None
+    assert [each["space"] for each in report["tto"]] == ["features"]

@@ -106,7 +106,8 @@ def test_what_is_reported(scene: tuple[Path, dict[str, Any]]) -> None:
     pruned = next(part for part in report["left_out"] if part["what"] == "Gaussians")
     assert 0 <= pruned["psnr_lost"] <= 16 * PRUNE_POLICY.psnr_per_step
     gone, everything = (int(number.replace(",", "")) for number in pruned["saved"].split(" of "))
-    assert report["gaussians"] == everything - gone == everything // 2
+    assert report["gaussians"] - report["backdrop"] == everything - gone == everything // 2
+    assert report["backdrop"] > 100
 
 
 def test_the_score_is_that_of_the_files(scene: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
@@ -141,14 +142,15 @@ def test_a_scene_is_pruned_to_a_number(
     source, before = scene
     ply = Path(shutil.copy(source, tmp_path / "scene.ply"))
     shutil.copytree(source.with_suffix(""), ply.with_suffix(""))
-    target = before["gaussians"] // 2
+    target = (before["gaussians"] - before["backdrop"]) // 2
     assert run(["tto", str(ply), "--steps", "0", "--prune", str(target), "--json", "-q"]) == 0
     after = json.loads(capsys.readouterr().out)
-    assert after["gaussians"] == target == len(read_ply(ply))
+    assert after["gaussians"] == target + after["backdrop"] == len(read_ply(ply))
     lost = [part["psnr_lost"] for part in after["left_out"] if part["what"] == "Gaussians"][-1]
     assert lost > 0
     assert run(["tto", str(ply), "--steps", "2", "--json", "-q"]) == 0
-    assert json.loads(capsys.readouterr().out)["gaussians"] == target
+    again = json.loads(capsys.readouterr().out)
+    assert again["gaussians"] == target + again["backdrop"]
     assert run(["inspect", str(ply.with_suffix("")), "-o", str(tmp_path / "inspected"), "-q"]) == 0
 
 
@@ -158,16 +160,26 @@ def test_gaussians_are_split_up_to_a_number(
     source, before = scene
     ply = Path(shutil.copy(source, tmp_path / "scene.ply"))
     shutil.copytree(source.with_suffix(""), ply.with_suffix(""))
-    target = before["gaussians"] + 100
+    count = before["gaussians"] - before["backdrop"]
+    target = count + 100
     command = ["tto", str(ply), "--steps", "12", "--densify"]
     assert run([*command, str(target)]) == ExitCode.BAD_INPUT
     assert "Use --space gaussians" in capsys.readouterr().err
-    assert run([*command, str(before["gaussians"]), "--space", "gaussians"]) == ExitCode.BAD_INPUT
+    assert run([*command, str(count), "--space", "gaussians"]) == ExitCode.BAD_INPUT
     assert run([*command, str(target), "--space", "gaussians", "--json", "-q"]) == 0
     after = json.loads(capsys.readouterr().out)
-    assert after["gaussians"] == target == len(read_ply(ply))
+    assert after["gaussians"] == target + after["backdrop"] == len(read_ply(ply))
     assert after["tto"][-1]["added"] == 100
     assert after["quality"]["input"]["psnr"] > before["quality"]["input"]["psnr"]
+
+
+def test_a_scene_can_do_without_a_backdrop(room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Also after it was optimised further."""
+    ply = tmp_path / "a.ply"
+    assert run(["reconstruct", str(room), "-o", str(ply), "--no-backdrop", "--json", *SMALL, "--tto", "2"]) == 0
+    assert json.loads(capsys.readouterr().out)["backdrop"] == 0
+    assert run(["tto", str(ply), "--steps", "2", "--json", "-q"]) == 0
+    assert json.loads(capsys.readouterr().out)["backdrop"] == 0
 
 
 def test_everything_can_be_kept(

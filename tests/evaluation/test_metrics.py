@@ -45,3 +45,11 @@ def test_ssim_is_the_stored_figure(golden: Path) -> None:
     tensors = load_file(golden / "ssim.safetensors")
     for a, b, expected in zip(tensors["a"], tensors["b"], np.asarray(tensors["metric_skimage"]), strict=True):
         assert compare(a.float(), b.float(), None).ssim == pytest.approx(float(expected), abs=1e-6)
+
+
+def test_colour_correction_stands_beside_the_plain_scores() -> None:
+    truth = torch.rand(3, 24, 24, generator=torch.Generator().manual_seed(0))
+    scores = compare((truth * 0.6 + 0.1).clamp(0, 1), truth, None)
+    assert scores.psnr < 20
+    assert scores.psnr_cc == EVALUATION_POLICY.psnr_limit
+    assert scores.ssim_cc == pytest.approx(1, abs=1e-5)

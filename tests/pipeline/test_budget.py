@@ -1,5 +1,7 @@
 """How a time budget is divided."""
 
+from dataclasses import replace
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -37,9 +39,9 @@ def test_two_scenes_share_what_is_left_where_it_is_enough() -> None:
     assert optimising_seconds(spent(50.0, of=40.0), 15.0, 100_000, 1) == (0.0, False)
 
 
-def test_a_time_budget_plans_the_most_steps_that_improve_a_scene() -> None:
-    (run,) = plan_tto(None, views=5, gaussians=1000, seconds=3.0)
-    assert run.settings.steps == 300
+def test_a_time_limit_leaves_the_number_of_steps() -> None:
+    (free,), (run,) = (plan_tto(None, views=5, gaussians=1000, seconds=seconds) for seconds in (None, 3.0))
+    assert run.settings.steps == free.settings.steps
     assert run.settings.seconds == 3.0
     features, gaussians = plan_tto(None, views=5, gaussians=1000, seconds=3.0, space="both")
     assert features.settings.seconds == gaussians.settings.seconds == 1.5
@@ -51,10 +53,15 @@ def test_steps_that_decode_nothing_are_cheaper_and_so_more() -> None:
     assert 1.5 * decoded.settings.steps < direct.settings.steps < 2 * decoded.settings.steps
 
 
-def test_large_photos_get_the_time_that_is_left() -> None:
-    """Of 240 seconds 100 are over. A second scene would take as long as this one, which began after 40."""
-    alone = BudgetShare(spent(100.0, of=240.0), 1, 40.0).full_size_seconds(0)
-    assert alone == pytest.approx(0.8 * (140 - 1.5))
-    one_of_two = BudgetShare(spent(100.0, of=240.0), 2, 40.0).full_size_seconds(0)
-    assert one_of_two == pytest.approx(0.8 * (80 - 1.5))
-    assert BudgetShare(spent(100.0, of=115.0), 1, 40.0).full_size_seconds(0) is None
+def test_large_photos_get_the_time_that_optimisation_in_feature_space_leaves() -> None:
+    """Of 240 seconds 100 are over when the optimisation of this scene begins, and 120 when it goes on."""
+    now = 100.0
+    share = BudgetShare(Budget(240.0, lambda: now), 1, 60.0)
+    alone, one_of_two = share.optimising(0), replace(share, scenes=2).optimising(0)
+    assert (alone.seconds, alone.for_more) == (140 - 1.5, True)
+    assert (one_of_two.seconds, one_of_two.for_more) == ((140 - 1.5 - 40) / 2, True)
+    now = 120.0
+    assert alone.full_size_seconds() == pytest.approx(0.8 * (120 - 1.5))
+    assert one_of_two.full_size_seconds() == pytest.approx(0.8 * 29.25)
+    now = 236.0
+    assert alone.full_size_seconds() is None

@@ -11,7 +11,7 @@ import torch
 from querysplat_cli.encoders.base import Geometry, PosedViews
 from querysplat_cli.model.checkpoints import load
 from querysplat_cli.model.querysplat import QuerySplat
-from querysplat_cli.pipeline.build import build_scene, encode_and_build
+from querysplat_cli.pipeline.build import Allowance, build_scene, encode_and_build
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.runtime.progress import Progress, Stages
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera
@@ -95,7 +95,7 @@ def test_a_scene_needs_no_encoder(model: QuerySplat) -> None:
     assert [len(result.history) for _, result in scene.adapted.runs] == [3]
     assert scene.posed is posed
     encoder = GivenGeometry(geometry)
-    encoded = encode_and_build(posed, encoder, model, SETTINGS, Stages(), last=True)
+    encoded = encode_and_build(posed, encoder, model, SETTINGS, Stages(), Allowance(last=True))
     assert encoder.asked == [("a", "b", "c"), ("freed",)]
     pairs = zip(tensors(scene.adapted.gaussians), tensors(encoded.adapted.gaussians), strict=True)
     assert all(one.equal(other) for one, other in pairs)

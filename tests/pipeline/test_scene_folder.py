@@ -22,6 +22,7 @@ from querysplat_cli.queries.prepare import MemoryMap
 from querysplat_cli.reporting.report import Report
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera
+from querysplat_cli.scene.exposures import Exposures
 from querysplat_cli.scene.formats.dataset import find_scenes
 from querysplat_cli.scene.formats.ply import read_ply
 from querysplat_cli.scene.formats.transforms import read_transforms
@@ -67,7 +68,9 @@ def stored() -> tuple[StoredScene, Gaussians]:
     )
     lens = PhotoCamera(np.eye(4), (40.0, 41.0), (18.0, 12.0), (0.1, 0.0, 0.0, 0.0), HEIGHT, WIDTH)
     photos = {name: PhotoFile.of(name, Path("/photos") / name, lens) for name in ("a.png", "d.png")}
-    return StoredScene(inputs, cameras, heldout, memories, anchors, "compact", photos=photos), gaussians
+    exposures = Exposures(Exposures.identity(3).matrices * torch.tensor([0.9, 1.0, 1.1])[:, None, None])
+    scene = StoredScene(inputs, cameras, heldout, memories, anchors, "compact", photos=photos, exposures=exposures)
+    return scene, gaussians
 
 
 def a_report(**changes: Any) -> dict[str, Any]:

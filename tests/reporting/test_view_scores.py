@@ -9,6 +9,8 @@ from querysplat_cli.reporting.view_scores import score
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.views import Views
+from querysplat_cli.splat.colour_correction import colour_corrected
+from querysplat_cli.splat.render import render
 
 
 @pytest.mark.parametrize(("background", "decibels"), [(0.0, 6.0206), (0.25, 12.0412), (1.0, 6.0206)])
@@ -24,3 +26,37 @@ def test_what_no_gaussian_covers_is_the_background(background: float, decibels: 
     assert found.psnr == pytest.approx(decibels, abs=1e-3)
     assert found.background == background
     assert found.psnr_grey == math.inf
+
+
+def test_corrected_scores_leave_exposure_out() -> None:
+    """A photo is the render with another exposure in its left half, and with a second one in its right half."""
+    camera = Cameras(torch.eye(4)[None], torch.tensor([[[20.0, 0, 10], [0, 20, 8], [0, 0, 1]]]), height=16, width=20)
+    generator = torch.Generator().manual_seed(0)
+    means = torch.rand(60, 3, generator=generator) * torch.tensor([1.0, 0.8, 0.1]) - torch.tensor([0.5, 0.4, -1.0])
+    some = Gaussians(
+        means, torch.eye(4)[:1].repeat(60, 1), torch.full((60, 3), 0.1), torch.full((60,), 0.9),
+        torch.rand(60, 1, 3, generator=generator) - 0.5,
+    )  # fmt: skip
+    with torch.no_grad():
+        drawn = render(some, camera).colour[0].clamp(0, 1)
+    mixed = torch.tensor([[0.7, 0.1, 0], [0, 0.6, 0.1], [0.1, 0, 0.8]])
+    same = torch.einsum("ij,jhw->ihw", mixed, drawn) + 0.05
+    halves = same.clone()
+    halves[:, :, 10:] += 0.1
+    found = {
+        name: score(some, Views(photo[None], torch.ones(1, 16, 20, dtype=torch.bool), ("a.png",), ((16, 20),)), camera)
+        for name, photo in (("same", same), ("halves", halves))
+    }
+    assert found["same"].psnr < 25
+    assert found["same"].psnr_cc > 50
+    assert found["same"].ssim_cc > 0.999
+    assert found["same"].psnr_half > 50
+    assert found["halves"].psnr_half == pytest.approx(20, abs=0.1)
+    assert 20 < found["halves"].psnr_cc < 40
+    assert found["halves"].summary().keys() == {"psnr", "ssim", "psnr_grey", "psnr_cc", "ssim_cc", "psnr_half"}
+
+
+def test_a_picture_of_one_colour_can_be_corrected() -> None:
+    grey, mask = torch.full((3, 8, 8), 0.3), torch.ones(8, 8, dtype=torch.bool)
+    found = colour_corrected(grey, torch.full((3, 8, 8), 0.7), mask)
+    torch.testing.assert_close(found, torch.full((3, 8, 8), 0.7), atol=1e-4, rtol=0)

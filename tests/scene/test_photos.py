@@ -185,12 +185,22 @@ def test_large_photos_are_reduced_by_area(tmp_path: Path, suffix: str) -> None:
             },
             20 * 10 / 2,
         ),
+        # The density along the shorter side alone, in inches.
+        (
+            {
+                ExifTags.Base.FocalLength: 12.7,
+                ExifTags.Base.FocalPlaneYResolution: 200.0,
+                ExifTags.Base.FocalPlaneResolutionUnit: 2,
+                ExifTags.Base.ExifImageHeight: 96,
+            },
+            100.0,
+        ),
         ({ExifTags.Base.FocalLengthIn35mmFilm: 0}, None),
         ({ExifTags.Base.FocalLengthIn35mmFilm: 60000}, None),
         ({ExifTags.Base.FocalLength: 20.0}, None),
         ({}, None),
     ],
-    ids=["35 mm film", "sensor", "zero", "nonsense", "no sensor", "none"],
+    ids=["35 mm film", "sensor", "one side", "zero", "nonsense", "no sensor", "none"],
 )
 def test_focal_length_in_pixels(tmp_path: Path, tags: dict[int, object], focal: float | None) -> None:
     path = save(tmp_path / "a.jpg", exif=exif(tags, orientation=6))

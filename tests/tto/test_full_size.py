@@ -7,6 +7,7 @@ import torch
 from tto_scenes import wall
 
 from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.exposures import Exposures
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.render import render
@@ -116,7 +117,7 @@ def test_gradients_are_over_changing_backgrounds_and_losses_over_grey() -> None:
 def test_the_plan_goes_from_coarse_to_fine() -> None:
     plan = plan_full_size("high", LARGE, 50_000)
     assert [each.max_size for each in plan.stages] == [800, 1600]
-    assert 50_000 < plan.stages[0].gaussians < plan.stages[1].gaussians == FULL_SIZE_POLICY.high_gaussians
+    assert 50_000 < plan.stages[0].gaussians < plan.stages[1].gaussians == FULL_SIZE_POLICY.levels["high"].gaussians
     assert all(each.settings.seconds is None for each in plan.stages)
     assert plan.round is None
     assert 300 < plan.seconds < 600
@@ -137,7 +138,7 @@ def test_photos_without_more_pixels_are_shown_less_often() -> None:
         return sum(each.settings.steps for each in plan_full_size("high", photos, 30_000).stages) / count
 
     assert passes(448) == passes(300) == FULL_SIZE_POLICY.passes
-    assert passes(448) < passes(560) <= FULL_SIZE_POLICY.most_passes
+    assert passes(448) < passes(640) <= FULL_SIZE_POLICY.most_passes
 
 
 @pytest.mark.parametrize("level", ["high", "max"])
@@ -155,8 +156,25 @@ def test_max_uses_the_whole_photos_and_goes_on_in_rounds() -> None:
     assert largest.seconds > 2 * high.seconds
 
 
+def test_standard_shows_each_photo_often_enough_in_its_seconds() -> None:
+    """More photos become smaller, until they are as small as the working pictures."""
+    plans = [plan_full_size("standard", replace(LARGE, count=count), 40_000) for count in (6, 12, 24, 200)]
+    sizes = [plan.stages[-1].max_size for plan in plans]
+    assert sizes == sorted(sizes, reverse=True)
+    assert sizes[0] <= FULL_SIZE_POLICY.levels["standard"].size
+    assert sizes[-1] == LARGE.working
+    assert all(plan.seconds <= FULL_SIZE_POLICY.levels["standard"].most_seconds for plan in plans)
+    for count, plan in zip((6, 12), plans, strict=False):
+        assert sum(each.settings.steps for each in plan.stages) >= FULL_SIZE_POLICY.fewest_passes * count
+
+
+def test_photos_hardly_larger_than_the_working_pictures_are_used_at_that_size() -> None:
+    (only,) = plan_full_size("high", replace(LARGE, height=360, width=480), 40_000).stages
+    assert only.max_size == LARGE.working
+
+
 def test_a_short_time_makes_the_photos_smaller_but_never_smaller_than_the_scene() -> None:
-    sizes = [plan_full_size("high", LARGE, 50_000, seconds=s).stages[-1].max_size for s in (1.0, 100.0, 200.0, 2000.0)]
+    sizes = [plan_full_size("high", LARGE, 50_000, seconds=s).stages[-1].max_size for s in (1.0, 90.0, 120.0, 2000.0)]
     assert sizes[0] == LARGE.working
     assert sizes == sorted(sizes)
     assert sizes[1] < sizes[2] < sizes[3] == 1600
@@ -166,3 +184,20 @@ def test_a_given_time_ends_the_stages_by_the_clock() -> None:
     plan = plan_full_size("high", LARGE, 50_000, seconds=100.0)
     assert sum(each.settings.seconds or 0 for each in plan.stages) == pytest.approx(100)
     assert optimised(FullSizePlan((stage(36, 20, 10_000, seconds=0.2),), 0.2)).ended == "the time was over"
+
+
+def test_colour_transforms_go_through_all_stages() -> None:
+    """Photos 1 and 3 are darker. Transforms find that out, and the scene keeps the colours of the mean photo."""
+    gains = torch.tensor([1.0, 0.7, 1.0, 0.7])
+
+    def dimmed(size: int) -> tuple[Views, Cameras]:
+        views, where = views_at(size)
+        return replace(views, images=(views.images * gains[:, None, None, None]).to(torch.uint8)), where
+
+    start = Exposures.identity(4)
+    found = optimise_full_size(coarse(), dimmed, TWO_STAGES, seed=0, exposures=start).exposures
+    assert found
+    torch.testing.assert_close(found.matrices.mean(0), start.matrices[0])
+    brightness = found.matrices[:, :, :3].sum(2).mean(1) + 2 * found.matrices[:, :, 3].mean(1)
+    torch.testing.assert_close(brightness.float(), gains / gains.mean(), atol=0.06, rtol=0)
+    assert optimised(TWO_STAGES).exposures is None

@@ -89,9 +89,9 @@ class CaseRunner:
         costs = {stage: Cost(spent, cost.peak_gib) for stage, spent in stages.seconds.items()}
         # The stage was nearly free when an earlier row had asked the same.
         geometry = encoder.estimate_geometry(scene.posed, seed=settings.seed, progress=_silent)
-        if scene.adapted.interrupted:
+        if scene.interrupted:
             raise KeyboardInterrupt
-        return scene.adapted.gaussians, costs | {"depth": encoder.cost_of(geometry)}, geometry.warnings
+        return scene.gaussians, costs | {"depth": encoder.cost_of(geometry)}, geometry.warnings
 
     def _free_targets(
         self, encoder: MemoisedEncoder, posed: PosedViews, settings: ReconstructSettings

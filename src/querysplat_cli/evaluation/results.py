@@ -25,7 +25,7 @@ import numpy as np
 import torch
 
 from querysplat_cli.evaluation.judge import RowResult, ViewScore
-from querysplat_cli.evaluation.metrics import METRICS
+from querysplat_cli.evaluation.metrics import CORRECTED, METRICS
 from querysplat_cli.evaluation.splits import GROUPS, Split
 from querysplat_cli.reporting.report import machine
 from querysplat_cli.runtime import json_files
@@ -177,7 +177,7 @@ def write_json(path: Path, content: Any) -> None:
 
 
 def _mean(views: Sequence[ViewScore]) -> dict[str, float | None]:
-    return {metric: mean(getattr(view.scores, metric) for view in views) for metric in METRICS}
+    return {metric: mean(getattr(view.scores, metric) for view in views) for metric in (*METRICS, *CORRECTED)}
 
 
 def mean(values: Iterable[float | None]) -> float | None:

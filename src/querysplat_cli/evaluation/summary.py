@@ -9,16 +9,17 @@ from pathlib import Path
 from typing import Any
 
 from querysplat_cli.evaluation.generate import SCALES
-from querysplat_cli.evaluation.metrics import METRICS
+from querysplat_cli.evaluation.metrics import CORRECTED, METRICS
 from querysplat_cli.evaluation.results import RowFolder, mean, read_json, row_folders, write_json
 from querysplat_cli.evaluation.splits import GROUPS
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.files import atomic_path
 
 SUMMARY_COLUMNS = (
-    "row", "split", "views", "scale", "group", *METRICS, "scored", "asked", "cases", "failed",
+    "row", "split", "views", "scale", "group", *METRICS, *CORRECTED, "scored", "asked", "cases", "failed",
     "seconds_median", "seconds_low", "seconds_high", "gaussians_median", "peak_memory_gib",
 )  # fmt: skip
+SCORES = (*METRICS, *CORRECTED)
 TITLES = {"input": "input views", "interp": "interpolation", "extrap": "extrapolation"}
 SCORE_DIGITS = {"psnr": 2, "ssim": 3, "lpips": 3}
 
@@ -59,7 +60,7 @@ def summarise_row(row_folder: RowFolder) -> dict[str, Any]:
 def _row(row_folder: RowFolder) -> dict[str, Any]:
     config = read_json(row_folder.path / "run_config.json")
     split = config["split"]
-    scores: dict[str, dict[str, list[float]]] = {group: {metric: [] for metric in METRICS} for group in GROUPS}
+    scores: dict[str, dict[str, list[float]]] = {group: {metric: [] for metric in SCORES} for group in GROUPS}
     asked, timings, failures, cases = dict.fromkeys(GROUPS, 0), [], [], 0
     for folder in sorted(entry for entry in row_folder.path.iterdir() if entry.is_dir() and entry.name[0] != "."):
         if (folder / "failure.json").is_file():
@@ -74,8 +75,8 @@ def _row(row_folder: RowFolder) -> dict[str, Any]:
         for group, views in metrics["per_view"].items():
             asked[group] += len(views) + len(metrics["missing"].get(group, {}))
             for view in views:
-                for metric in METRICS:
-                    if view[metric] is not None:
+                for metric in SCORES:
+                    if view.get(metric) is not None:  # results of older versions have no corrected scores
                         scores[group][metric].append(view[metric])
     seconds = [timing["seconds"]["total"] for timing in timings if len(timing["seconds"]) > 1]
     low, middle, high = spread(seconds)
@@ -96,7 +97,7 @@ def _row(row_folder: RowFolder) -> dict[str, Any]:
         {
             **common,
             "group": group,
-            **{metric: mean(scores[group][metric]) for metric in METRICS},
+            **{metric: mean(scores[group][metric]) for metric in SCORES},
             "scored": len(scores[group]["psnr"]),
             "asked": asked[group],
         }
@@ -117,7 +118,7 @@ def averages(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
             "views": views,
             "group": group,
             "splits": sum(part["scored"] > 0 for part in parts),
-            **{metric: mean(part[metric] for part in parts) for metric in METRICS},
+            **{metric: mean(part[metric] for part in parts) for metric in SCORES},
             **{key: sum(part[key] for part in parts) for key in ("scored", "asked", "cases", "failed")},
             "seconds_median": mean(part["seconds_median"] for part in parts),
             "gaussians_median": mean(part["gaussians_median"] for part in parts),

@@ -32,16 +32,28 @@ class BudgetShare:
     scenes: int
     began: float
 
-    def optimising_seconds(self, gaussians: int) -> tuple[float, bool]:
-        """Seconds for the optimisation that begins now, and whether nothing has to be left out for lack of time."""
-        encoding = self.budget.elapsed() - self.began
-        seconds, more = optimising_seconds(self.budget, encoding, gaussians, self.scenes)
-        return seconds, more or self.scenes == 1
+    def optimising(self, gaussians: int) -> "OptimisingTime":
+        """The time of the optimisation that begins now."""
+        now = self.budget.elapsed()
+        seconds, more = optimising_seconds(self.budget, now - self.began, gaussians, self.scenes)
+        return OptimisingTime(self.budget, seconds, now, more or self.scenes == 1)
 
-    def full_size_seconds(self, gaussians: int) -> float | None:
-        """Seconds to go on with large photos after that optimisation; None where too few are left."""
-        another = self.budget.elapsed() - self.began if self.scenes > 1 else 0.0
-        left = PIPELINE_POLICY.full_size_share * (self.budget.left - another - _writing_seconds(gaussians))
+
+@dataclass(frozen=True)
+class OptimisingTime:
+    """`seconds` for the optimisation of one scene, which began after `began` seconds of the budget.
+
+    for_more: whether no other scene has to be left out for lack of time.
+    """
+
+    budget: Budget
+    seconds: float
+    began: float
+    for_more: bool
+
+    def full_size_seconds(self) -> float | None:
+        """Seconds to go on with large photos, from now; None where too few are left."""
+        left = PIPELINE_POLICY.full_size_share * (self.began + self.seconds - self.budget.elapsed())
         return left if left >= PIPELINE_POLICY.least_full_size_seconds else None
 
 

@@ -1,13 +1,16 @@
 """One scene from photos with cameras: near-duplicates left out, depth, queries, optimisation."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import torch
 
 from querysplat_cli.encoders.base import Encoder, Geometry, PosedViews
 from querysplat_cli.encoders.holdout import PosedSplit, select_views
 from querysplat_cli.model.querysplat import QuerySplat
-from querysplat_cli.pipeline.budget import BudgetShare
+from querysplat_cli.pipeline.budget import BudgetShare, OptimisingTime
+from querysplat_cli.pipeline.full_size import FullSize, LargePhotos, take_to_full_size
 from querysplat_cli.pipeline.optimise import optimise_start
 from querysplat_cli.pipeline.policy import PIPELINE_POLICY
 from querysplat_cli.pipeline.settings import ReconstructSettings
@@ -16,9 +19,13 @@ from querysplat_cli.prune.views import near_duplicates
 from querysplat_cli.queries.prepare import PreparedQueries, prepare
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.exposures import Exposures
+from querysplat_cli.scene.gaussians import Gaussians, joined
+from querysplat_cli.scene.photo_files import PhotoFile, photo_files
 from querysplat_cli.scene.views import LeftOut, Views
 from querysplat_cli.tto.adapt import Adapted
 from querysplat_cli.tto.cameras import refinable, with_refined_focal
+from querysplat_cli.tto.exposure_fit import PhotoColours, compare_photos
 from querysplat_cli.tto.features import Start
 from querysplat_cli.tto.options import OptimiseOptions
 from querysplat_cli.tto.plan import TtoRun, plan_release, plan_tto
@@ -31,16 +38,45 @@ class BuiltScene:
 
     posed: the input views that the scene was made from, with their cameras before optimisation, which may have
         corrected them.
+    adapted: after the runs on the working pictures.
+    files: the photos of the input views, where they can be found again.
+    full_size: after those on the photos; None where there were none.
+    backdrop: Gaussians behind everything (`queries/backdrop.py`); None where there are none.
     duplicates: views that were left out of the scene.
     time_for_more: whether the budget has room for another scene.
+    colours: how far the photos agree in colour; None where that was not measured.
     """
 
     posed: PosedViews
     geometry: Geometry
     prepared: PreparedQueries
     adapted: Adapted
+    files: tuple[PhotoFile, ...] = ()
+    full_size: FullSize | None = None
+    backdrop: Gaussians | None = None
     duplicates: tuple[LeftOut, ...] = ()
     time_for_more: bool = True
+    colours: PhotoColours | None = None
+
+    @property
+    def gaussians(self) -> Gaussians:
+        """The scene as it is written; the backdrop comes last."""
+        found = self.full_size or self.adapted
+        return joined(found.gaussians, self.backdrop) if self.backdrop else found.gaussians
+
+    @property
+    def exposures(self) -> Exposures | None:
+        """The colour transforms of the input photos; None where they show the scene's own colours."""
+        return (self.full_size or self.adapted).exposures
+
+    @property
+    def interrupted(self) -> bool:
+        return self.adapted.interrupted or bool(self.full_size and self.full_size.interrupted)
+
+    @property
+    def inputs(self) -> LargePhotos:
+        """The photos that the scene was made from, with their cameras after optimisation."""
+        return LargePhotos(self.posed.views, self.adapted.cameras, self.files, self.adapted.exposures)
 
     def heldout(self, cameras: PosedSplit) -> tuple[Views, Cameras] | None:
         """The held-out views of the pass that the scene was made from, with cameras corrected as the inputs' were."""
@@ -50,28 +86,37 @@ class BuiltScene:
         return views, with_refined_focal(theirs, self.posed.cameras, self.adapted.cameras)
 
 
+@dataclass(frozen=True)
+class Allowance:
+    """What the making of one scene may use.
+
+    share: its time; None sets no limit.
+    paths: the files of the photos by name, for an optimisation on larger pictures than the working ones.
+    last: the encoder cannot be used any more afterwards: its weights make room for the decoders.
+    """
+
+    share: BudgetShare | None = None
+    paths: Mapping[str, Path] = field(default_factory=dict)
+    last: bool = False
+
+
 def encode_and_build(
     posed: PosedViews,
     encoder: Encoder,
     model: QuerySplat,
     settings: ReconstructSettings,
     stages: Stages,
-    *,
-    last: bool = False,
-    share: BudgetShare | None = None,
+    allowance: Allowance = Allowance(),
 ) -> BuiltScene:
-    """`build_scene` without near-duplicate views, with the geometry that the encoder estimates.
-
-    The encoder cannot be used any more after the `last` scene: its weights make room for the decoders.
-    """
+    """`build_scene` without near-duplicate views, with the geometry that the encoder estimates."""
     posed, duplicates = (posed, ()) if settings.keep_everything else _distinct(posed)
     with stages("depth") as progress:
         geometry = encoder.estimate_geometry(posed, seed=settings.seed, progress=progress)
-    if last:
+    if allowance.last:
         encoder.free()
-    prepared = _prepared(posed, geometry, model, settings, stages)
+    prepared, colours = _prepared(posed, geometry, model, settings, stages)
     geometry = replace(geometry, features=())  # they are large, and optimisation needs the memory
-    scene = _optimised(posed, geometry, prepared, model, settings, stages, share)
+    scene = _finished(posed, geometry, prepared, colours, model, settings, stages, allowance)
     return replace(scene, duplicates=duplicates)
 
 
@@ -84,45 +129,120 @@ def build_scene(
 ) -> BuiltScene:
     """Queries, memories and test-time optimisation: a scene from given cameras and geometry."""
     stages = stages or Stages()
-    prepared = _prepared(posed, geometry, model, settings, stages)
-    return _optimised(posed, replace(geometry, features=()), prepared, model, settings, stages)
+    prepared, colours = _prepared(posed, geometry, model, settings, stages)
+    geometry = replace(geometry, features=())
+    return _finished(posed, geometry, prepared, colours, model, settings, stages, Allowance())
 
 
 def _prepared(
     posed: PosedViews, geometry: Geometry, model: QuerySplat, settings: ReconstructSettings, stages: Stages
-) -> PreparedQueries:
+) -> tuple[PreparedQueries, PhotoColours | None]:
+    """Where photos disagree in colour, queries are made of their colours without the differences."""
     with stages("queries"):
-        return prepare(
+        colours = _compared(posed, geometry, model, settings)
+        exposures = _transforms(colours)
+        alike = replace(posed, views=exposures.removed_from(posed.views)) if exposures else posed
+        prepared = prepare(
             model,
-            posed,
+            alike,
             geometry,
             queries=settings.queries,
             soft_query_limit=None if settings.keep_everything or settings.tto == 0 else TTO_POLICY.queries,
             target=settings.tto_target,
             keep_all=settings.keep_everything,
         )
+    return prepared, colours
+
+
+def _finished(
+    posed: PosedViews,
+    geometry: Geometry,
+    prepared: PreparedQueries,
+    colours: PhotoColours | None,
+    model: QuerySplat,
+    settings: ReconstructSettings,
+    stages: Stages,
+    allowance: Allowance,
+) -> BuiltScene:
+    """The scene after its optimisation."""
+    adapted, time = _optimised(posed, prepared, model, settings, stages, allowance.share, _transforms(colours))
+    files = photo_files(posed.views.names, posed.photo_cameras, allowance.paths) if allowance.paths else ()
+    more = time is None or time.for_more
+    scene = BuiltScene(posed, geometry, prepared, adapted, files, colours=colours, time_for_more=more)
+    scene = _taken_further(scene, next(model.parameters()).device, settings, stages, time)
+    if not settings.backdrop or prepared.anchors is None:
+        return scene
+    return replace(scene, backdrop=scene.inputs.backdrop(scene.gaussians))
+
+
+def _compared(
+    posed: PosedViews, geometry: Geometry, model: QuerySplat, settings: ReconstructSettings
+) -> PhotoColours | None:
+    """How far the photos agree in colour. Official models are optimised as in the release, without transforms."""
+    if settings.exposure == "off" or model.config.queries == "learned" or geometry.depth is None:
+        return None
+    return compare_photos(posed.views, posed.cameras, geometry) if len(posed.views) > 1 else None
+
+
+def _transforms(colours: PhotoColours | None) -> Exposures | None:
+    """The colour transforms of photos that disagree."""
+    return colours.exposures if colours and not colours.agree else None
 
 
 def _optimised(
     posed: PosedViews,
-    geometry: Geometry,
     prepared: PreparedQueries,
     model: QuerySplat,
     settings: ReconstructSettings,
     stages: Stages,
-    share: BudgetShare | None = None,
-) -> BuiltScene:
-    """The optimisation takes as much of the time `share` as leaves enough for the other scenes of the same budget."""
+    share: BudgetShare | None,
+    exposures: Exposures | None,
+) -> tuple[Adapted, OptimisingTime | None]:
+    """The optimised scene, and the time that the budget has for it.
+
+    The optimisation takes as much of the time `share` as leaves enough for the other scenes of the same budget.
+    """
     with stages("tto") as progress:
         options = _options(settings, posed)
         count = _gaussian_count(prepared, model)
-        seconds, time_for_more = share.optimising_seconds(count) if share else (None, True)
-        plan = _plan(prepared, count, posed.cameras, options, seconds)
+        time = share.optimising(count) if share else None
+        plan = _plan(prepared, count, posed.cameras, options, time.seconds if time else None)
         optimised = any(run.settings.steps for run in plan)
         variables = prepared.variables.map(torch.Tensor.float) if optimised else prepared.variables
         start = Start(variables, prepared.anchors)
-        adapted = optimise_start(model, start, (posed.views, posed.cameras), plan, options, progress)
-    return BuiltScene(posed, geometry, prepared, adapted, time_for_more=time_for_more)
+        photos = posed.views, posed.cameras
+        return optimise_start(model, start, photos, plan, options, progress, exposures), time
+
+
+def _taken_further(
+    scene: BuiltScene,
+    device: torch.device,
+    settings: ReconstructSettings,
+    stages: Stages,
+    time: OptimisingTime | None,
+) -> BuiltScene:
+    """The scene after its optimisation in Gaussian space, where the settings and the time ask for that.
+
+    Scenes of official models have none unless it is asked for, as in the release.
+    """
+    level, seconds = settings.full_size, time.full_size_seconds() if time else None
+    if scene.interrupted or level is None or (time and seconds is None):
+        return scene
+    if scene.prepared.anchors is None and not settings.one_scene:
+        return scene
+    if time and level == "standard":
+        level = "high"  # the time decides, not the level
+    with stages("full size") as progress:
+        found = take_to_full_size(
+            scene.inputs,
+            scene.adapted.gaussians,
+            level,
+            seed=settings.seed,
+            device=device,
+            progress=progress,
+            seconds=seconds,
+        )
+    return replace(scene, full_size=found)
 
 
 def _options(settings: ReconstructSettings, posed: PosedViews) -> OptimiseOptions:

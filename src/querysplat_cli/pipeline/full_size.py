@@ -1,4 +1,4 @@
-"""A scene that was made of small pictures is optimised further on its photos at a large size."""
+"""A scene that was made of small pictures is optimised further in Gaussian space, on its photos at a larger size."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -7,13 +7,15 @@ from typing import Any
 import torch
 
 from querysplat_cli.pipeline.scene_folder import StoredScene
+from querysplat_cli.queries.backdrop import backdrop
 from querysplat_cli.reporting.report import quality_entry, tto_entries
 from querysplat_cli.reporting.view_scores import score
 from querysplat_cli.runtime.choices import FullSizeLevel
 from querysplat_cli.runtime.device import to_device
 from querysplat_cli.runtime.errors import QuerySplatError
-from querysplat_cli.runtime.progress import Stages
+from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.exposures import Exposures
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.photo_files import PhotoFile, check_photo_files, large_views
 from querysplat_cli.scene.views import Views
@@ -25,65 +27,116 @@ from querysplat_cli.tto.plan import TtoRun
 
 
 @dataclass(frozen=True)
+class LargePhotos:
+    """Views of a scene at the sizes that their photos have.
+
+    `files` are the photos of `views`; without them, the pictures are as large as `views`. `exposures` are the colour
+    transforms of the photos, where the scene has any.
+    """
+
+    views: Views
+    cameras: Cameras
+    files: Sequence[PhotoFile] = ()
+    exposures: Exposures | None = None
+
+    @property
+    def working(self) -> int:
+        """The longer side of the working pictures, in pixels."""
+        return max(max(size) for size in self.views.sizes)
+
+    def summary(self) -> Photos:
+        """What the plan counts. Raises QuerySplatError when photos are gone."""
+        check_photo_files(self.files)
+        sizes = [file.full_size() for file in self.files] or self.views.sizes
+        height, width = max(sizes, key=lambda size: size[0] * size[1])
+        return Photos(len(self.views), height, width, self.working)
+
+    def at(self, size: int) -> tuple[Views, Cameras]:
+        """Pictures of at most `size` pixels, and their cameras."""
+        if size <= self.working or not self.files:
+            return self.views, self.cameras
+        return large_views(self.files, self.views, self.cameras, size)
+
+    def backdrop(self, gaussians: Gaussians) -> Gaussians:
+        """What stands behind `gaussians` (`queries/backdrop.py`), in the scene's own colours."""
+        views = self.exposures.removed_from(self.views) if self.exposures else self.views
+        return backdrop(gaussians, views, self.cameras)
+
+
+@dataclass(frozen=True)
 class FullSize:
     """A scene after its optimisation on large photos, and its entries in the report.
 
-    quality: PSNR and SSIM at the large size, of the inputs and of the held-out views.
+    size: the longer side of the largest pictures, in pixels.
     runs: one entry for each stage and round, as for other runs.
     summary: the level, the plan, and why the optimisation ended.
+    exposures: the colour transforms of the input photos, where the scene had any.
     """
 
     gaussians: Gaussians
-    quality: dict[str, Any]
+    size: int
     runs: list[dict[str, Any]]
     summary: dict[str, Any]
+    interrupted: bool
+    exposures: Exposures | None = None
 
 
 def take_to_full_size(
-    scene: StoredScene,
+    photos: LargePhotos,
     gaussians: Gaussians,
     level: FullSizeLevel,
     *,
     seed: int,
     device: torch.device,
-    stages: Stages,
+    progress: Progress,
     seconds: float | None = None,
 ) -> FullSize:
-    """Optimise `gaussians` on the photos of `scene`, and score the result at the large size.
+    """Optimise `gaussians` on `photos`.
 
     With `seconds` the clock ends the steps, and decides how large the photos are. Raises QuerySplatError when photos
     are gone.
     """
-    files = files_of(scene, scene.views)
-    held = files_of(scene, scene.heldout[0]) if scene.heldout else []
-    check_photo_files([*files, *held])
-    with stages("full size") as progress:
-        height, width = max((file.full_size() for file in files), key=lambda size: size[0] * size[1])
-        working = max(scene.cameras.height, scene.cameras.width)
-        plan = plan_full_size(level, Photos(len(files), height, width, working), len(gaussians), seconds=seconds)
-        total = sum(stage.settings.steps for stage in plan.stages)
-        taken = 0
+    plan = plan_full_size(level, photos.summary(), len(gaussians), seconds=seconds)
+    total = sum(stage.settings.steps for stage in plan.stages)
+    taken = 0
 
-        def show(stage: FullSizeStage, step: TtoStep) -> None:
-            nonlocal taken
-            taken += 1
-            text = f"{stage.max_size} px: loss {step.loss:.4f}, {step.psnr:.2f} dB, {step.gaussians:,} Gaussians"
-            progress(text, min(1.0, taken / total))
+    def show(stage: FullSizeStage, step: TtoStep) -> None:
+        nonlocal taken
+        taken += 1
+        text = f"{stage.max_size} px: loss {step.loss:.4f}, {step.psnr:.2f} dB, {step.gaussians:,} Gaussians"
+        progress(text, min(1.0, taken / total))
 
-        def views_at(size: int) -> tuple[Views, Cameras]:
-            return to_device(large_views(files, scene.views, scene.cameras, size), device)
+    def views_at(size: int) -> tuple[Views, Cameras]:
+        return to_device(photos.at(size), device)
 
-        result = optimise_full_size(to_device(gaussians, device), views_at, plan, seed=seed, progress=show)
-    better = to_device(result.gaussians, torch.device("cpu"))
-    size = result.runs[-1][0].max_size
-    with stages("full size score"):
-        quality: dict[str, Any] = {"max_size": size, "background": MID_GREY, "input": None, "heldout": None}
-        groups = {"input": (files, scene.views, scene.cameras)}
-        if scene.heldout:
-            groups["heldout"] = (held, *scene.heldout)
-        for name, group in groups.items():
-            quality[name] = _scored(better, *group, size)
-    return FullSize(better, quality, _entries(result), _summary(level, plan, result, len(better)))
+    start = to_device(gaussians, device)
+    result = optimise_full_size(start, views_at, plan, seed=seed, exposures=photos.exposures, progress=show)
+    return FullSize(
+        to_device(result.gaussians, torch.device("cpu")),
+        result.runs[-1][0].max_size,
+        _entries(result),
+        _summary(level, plan, result),
+        result.interrupted,
+        result.exposures,
+    )
+
+
+def full_size_quality(
+    gaussians: Gaussians, size: int, inputs: LargePhotos, heldout: LargePhotos | None
+) -> dict[str, Any]:
+    """The entry `quality.full_size` of the report: PSNR and SSIM over grey, at a longer side of `size` pixels."""
+    quality: dict[str, Any] = {"max_size": size, "background": MID_GREY}
+    for name, photos in {"input": inputs, "heldout": heldout}.items():
+        quality[name] = photos and quality_entry(score(gaussians, *photos.at(size), MID_GREY))
+    return quality
+
+
+def stored_photos(scene: StoredScene) -> tuple[LargePhotos, LargePhotos | None]:
+    """Input and held-out photos of a stored scene. Raises QuerySplatError when photos are gone."""
+    inputs = LargePhotos(scene.views, scene.cameras, files_of(scene, scene.views), scene.exposures)
+    heldout = scene.heldout and LargePhotos(*scene.heldout, files_of(scene, scene.heldout[0]))
+    check_photo_files([*inputs.files, *(heldout.files if heldout else ())])
+    return inputs, heldout
 
 
 def files_of(scene: StoredScene, views: Views) -> list[PhotoFile]:
@@ -97,23 +150,17 @@ def files_of(scene: StoredScene, views: Views) -> list[PhotoFile]:
     return [scene.photos[name] for name in views.names]
 
 
-def _scored(
-    gaussians: Gaussians, files: Sequence[PhotoFile], views: Views, cameras: Cameras, size: int
-) -> dict[str, Any]:
-    return quality_entry(score(gaussians, *large_views(files, views, cameras, size), MID_GREY))
-
-
 def _entries(result: FullSizeResult) -> list[dict[str, Any]]:
     runs = [(TtoRun("gaussians", stage.settings), run) for stage, run in result.runs]
     sizes = [stage.max_size for stage, _ in result.runs]
     return [{**entry, "max_size": size} for entry, size in zip(tto_entries(runs), sizes, strict=True)]
 
 
-def _summary(level: FullSizeLevel, plan: FullSizePlan, result: FullSizeResult, count: int) -> dict[str, Any]:
+def _summary(level: FullSizeLevel, plan: FullSizePlan, result: FullSizeResult) -> dict[str, Any]:
     return {
         "level": level,
         "ended": result.ended,
-        "gaussians": count,
+        "gaussians": len(result.gaussians),
         "planned_seconds": round(plan.seconds, 1),
         "stages": [asdict(stage) for stage in plan.stages],
         "most_rounds": plan.most_rounds,

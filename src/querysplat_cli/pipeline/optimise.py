@@ -11,8 +11,11 @@ from querysplat_cli.prune.bands import without_idle_bands
 from querysplat_cli.runtime.device import to_device
 from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.exposures import Exposures
 from querysplat_cli.scene.views import Views
+from querysplat_cli.splat.smoothing import bounded
 from querysplat_cli.tto.adapt import Adapted, adapt
+from querysplat_cli.tto.exposure_refit import RefittedExposures
 from querysplat_cli.tto.features import Start
 from querysplat_cli.tto.options import OptimiseOptions, TtoStep
 from querysplat_cli.tto.plan import TtoRun
@@ -27,26 +30,42 @@ def optimise_start(
     plan: Sequence[TtoRun],
     options: OptimiseOptions,
     progress: Progress,
+    exposures: Exposures | None = None,
 ) -> Adapted:
     """Carry out `plan` on the device of the model, and leave out SH bands that change nothing; the result on the CPU.
 
-    Scenes of official models keep all bands, and all Gaussians unless a number is asked for, and are optimised over
-    black, as in the release.
+    Its Gaussians are nowhere thinner than the pixels of the finest photo that sees them. Scenes of official models have
+    no such bound, keep all bands, and all Gaussians unless a number is asked for, and are optimised over black, as in
+    the release. `exposures` are the colour transforms of the photos to start with.
     """
     if options.keep_all or start.anchors is None:
         options = replace(options, keep_all=True, prune="off" if options.prune == "auto" else options.prune)
     device = next(model.parameters()).device
-    views, cameras = to_device(photos, device)
+    start, (views, cameras) = to_device((start, photos), device)
     if start.anchors is None:
         target = RenderingLoss(views, cameras)
     else:
-        target = RenderingLoss.for_solid_scenes(views, cameras, torch.Generator().manual_seed(options.seed))
-    adapted = adapt(model, to_device(start, device), target, plan, options, _shown(plan, progress))
+        backgrounds = torch.Generator().manual_seed(options.seed)
+        refitted = RefittedExposures(exposures) if exposures else None
+        target = RenderingLoss.for_solid_scenes(views, cameras, backgrounds, refitted)
+        target = replace(target, finest=_enlarged(cameras, options.finest_size))
+        if options.smooth or any(run.settings.steps for run in plan):
+            start = replace(start, finest=target.finest)
+    adapted = adapt(model, start, target, plan, options, _shown(plan, progress))
+    if target.finest is not None:
+        finest = _enlarged(adapted.cameras, options.finest_size)
+        adapted = replace(adapted, gaussians=bounded(adapted.gaussians, finest))
     if not options.keep_all:
         last, tested = replace(target, cameras=adapted.cameras), tested_views(len(target.views))
         fewer, idle = without_idle_bands(adapted.gaussians, lambda some: last.psnr(some, tested))
         adapted = replace(adapted, gaussians=fewer, idle_bands=idle)
     return to_device(adapted, torch.device("cpu"))
+
+
+def _enlarged(cameras: Cameras, longer_side: int | None) -> Cameras:
+    """`cameras` whose pictures have that longer side; the same ones for None."""
+    factor = 1.0 if longer_side is None else longer_side / max(cameras.height, cameras.width)
+    return cameras.resized(round(factor * cameras.height), round(factor * cameras.width))
 
 
 def _shown(plan: Sequence[TtoRun], progress: Progress) -> Callable[[TtoStep], None]:

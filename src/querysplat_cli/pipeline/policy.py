@@ -35,7 +35,7 @@ class PipelinePolicy:
     full_size_share: float = 0.8
     """Share of the time left after the optimisation on working pictures that steps on large photos may take. The rest
     is for reading and scoring the photos at that size."""
-    least_full_size_seconds: float = 15.0
+    least_full_size_seconds: float = 4.0
     """With less time, the scene is not taken to large photos."""
 
 

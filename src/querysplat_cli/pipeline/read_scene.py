@@ -16,6 +16,7 @@ from querysplat_cli.pipeline.stored_tensors import DamagedTensors, checked
 from querysplat_cli.reporting.stored_report import read_report
 from querysplat_cli.runtime.checkpoint_files import read_tensors
 from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.scene.exposures import read_exposures
 from querysplat_cli.scene.formats.transforms import NamedCameras, read_working_cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.photo_files import read_photo_files
@@ -57,7 +58,9 @@ def read_scene(path: Path) -> tuple[StoredScene, dict[str, Any]]:
     except (OSError, DamagedTensors, cv2.error, Image.DecompressionBombError) as error:
         raise QuerySplatError(f"{folder} is damaged: {error}", MAKE_AGAIN) from error
     parts = stored.memories, stored.anchors, metadata["model"], stored.map, stored.kept
-    return StoredScene(views, inputs.cameras, held, *parts, photos, frame), report
+    exposures = read_exposures(folder / "exposures.json", inputs.names)
+    rest = photos, frame, report.get("backdrop", 0), exposures
+    return StoredScene(views, inputs.cameras, held, *parts, *rest), report
 
 
 def read_scene_gaussians(path: Path, scene: StoredScene) -> Gaussians:

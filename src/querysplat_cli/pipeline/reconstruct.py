@@ -1,7 +1,9 @@
 """`reconstruct`: photos in, a scene out."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
 
 import torch
 
@@ -10,9 +12,9 @@ from querysplat_cli.encoders.holdout import HoldoutCameras, PosedSplit, estimate
 from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.model.checkpoints import load
 from querysplat_cli.model.querysplat import QuerySplat
-from querysplat_cli.pipeline.budget import Budget, BudgetShare, working_size
-from querysplat_cli.pipeline.build import BuiltScene, encode_and_build
-from querysplat_cli.pipeline.full_size import FullSize, take_to_full_size
+from querysplat_cli.pipeline.budget import Budget, working_size
+from querysplat_cli.pipeline.build import Allowance, BuiltScene, encode_and_build
+from querysplat_cli.pipeline.full_size import LargePhotos, full_size_quality
 from querysplat_cli.pipeline.gaussian_files import check_target, folder_of_scene
 from querysplat_cli.pipeline.given_frame import given_frame
 from querysplat_cli.pipeline.memory import MemoryNeeds, within_memory
@@ -22,6 +24,7 @@ from querysplat_cli.prune.resolution import Blurred, blurred
 from querysplat_cli.reporting import omissions
 from querysplat_cli.reporting.report import (
     Report,
+    exposure_entry,
     heldout_entry,
     machine,
     quality_entry,
@@ -29,6 +32,7 @@ from querysplat_cli.reporting.report import (
     tto_entries,
     views_entry,
 )
+from querysplat_cli.reporting.unseen import Unseen, unseen
 from querysplat_cli.reporting.view_scores import Quality, score
 from querysplat_cli.runtime.choices import HoldoutProtocol
 from querysplat_cli.runtime.device import find_device, free_bytes, peak_gib
@@ -58,13 +62,23 @@ class _Inputs:
     finest: Blurred | None
     bytes_expected: int | None
 
+    @property
+    def paths(self) -> dict[str, Path]:
+        """The files of the photos by name."""
+        return {photo.name: photo.path for photo in self.photos}
+
 
 @dataclass(frozen=True)
 class _Scores:
-    """Of the inputs, and of the held-out views by the source of their cameras (None: not scored)."""
+    """Of the inputs, of the held-out views by the source of their cameras (None: not scored), and what no photo saw.
+
+    large: at the size of the large photos, if there were any.
+    """
 
     inputs: Quality
     heldout: dict[HoldoutProtocol, Quality | None]
+    large: dict[str, Any] | None
+    unseen: Unseen | None
 
 
 def reconstruct(settings: ReconstructSettings, stages: Stages | None = None) -> Report:
@@ -100,31 +114,19 @@ def load_parts(settings: ReconstructSettings, device: torch.device) -> tuple[Que
 def _reconstruct(settings: ReconstructSettings, device: torch.device, stages: Stages) -> Report:
     inputs = _read_inputs(settings, device, stages)
     passes = _find_cameras(inputs, settings, stages)
-    if settings.full_size and passes.chosen.inputs.photo_cameras is None:
+    if settings.one_scene and passes.chosen.inputs.photo_cameras is None:
         raise QuerySplatError(
             f"--quality {settings.quality}: this encoder cuts the photos, and large ones would not fit its cameras",
             "Use --encoder classical, or --quality standard.",
         )
-    level = settings.full_size
-    scenes = 2 if passes.other and passes.other.heldout and not level else 1
+    scenes = 2 if passes.other and passes.other.heldout and not settings.one_scene else 1
     share = inputs.budget.share(scenes) if inputs.budget else None
-    scene = encode_and_build(
-        passes.chosen.inputs,
-        inputs.encoder,
-        inputs.model,
-        settings,
-        stages,
-        last=passes.other is None or level is not None,
-        share=share,
-    )
-    large = _at_full_size(inputs, passes, scene, settings, share, stages)
-    if large:
-        scene = replace(scene, adapted=replace(scene.adapted, gaussians=large.gaussians))
+    allowance = Allowance(share, inputs.paths, last=passes.other is None or settings.one_scene)
+    scene = encode_and_build(passes.chosen.inputs, inputs.encoder, inputs.model, settings, stages, allowance)
     scores = _score(inputs, passes, scene, settings, stages)
     with stages("write"):
-        report = _with_full_size(_report(inputs, passes, scene, scores, settings, stages), large)
-        stored = _stored(inputs, passes, scene, settings)
-        write_scene(settings.ply, stored, scene.adapted.gaussians, report.as_dict())
+        report = _report(inputs, passes, scene, scores, settings, stages)
+        write_scene(settings.ply, _stored(inputs, passes, scene, settings), scene.gaussians, report.as_dict())
     return report
 
 
@@ -174,21 +176,34 @@ def _score(
 ) -> _Scores:
     """Scores of the scene, and of a second one with the other pass's cameras where there is time for it."""
     with stages("score"):
-        quality = score(scene.adapted.gaussians, scene.posed.views, scene.adapted.cameras)
+        quality = score(scene.gaussians, scene.posed.views, scene.adapted.cameras)
+        film = unseen(scene.gaussians, scene.adapted.cameras)
         heldout = {passes.chosen.protocol: _score_heldout(scene, passes.chosen)}
+    large = _score_large(inputs, passes.chosen, scene, stages)
     other = passes.other
-    if other and other.heldout and not settings.full_size and scene.time_for_more and not scene.adapted.interrupted:
+    if other and other.heldout and not settings.one_scene and scene.time_for_more and not scene.interrupted:
         with stages(f"{other.protocol} score"):
-            share = inputs.budget.share() if inputs.budget else None
-            second = encode_and_build(other.inputs, inputs.encoder, inputs.model, settings, Stages(), share=share)
-            if not second.adapted.interrupted:
+            rest = Allowance(inputs.budget.share() if inputs.budget else None, inputs.paths)
+            second = encode_and_build(other.inputs, inputs.encoder, inputs.model, settings, Stages(), rest)
+            if not second.interrupted:
                 heldout[other.protocol] = _score_heldout(second, other)
-    return _Scores(quality, heldout)
+    return _Scores(quality, heldout, large, film)
 
 
 def _score_heldout(scene: BuiltScene, cameras: PosedSplit) -> Quality | None:
     heldout = scene.heldout(cameras)
-    return score(scene.adapted.gaussians, *heldout) if heldout else None
+    return score(scene.gaussians, *heldout) if heldout else None
+
+
+def _score_large(inputs: _Inputs, cameras: PosedSplit, scene: BuiltScene, stages: Stages) -> dict[str, Any] | None:
+    """Scores at the size of the large photos, where the scene was optimised on photos larger than the working ones."""
+    if scene.full_size is None or scene.full_size.size <= scene.inputs.working:
+        return None
+    with stages("full size score"):
+        heldout = scene.heldout(cameras)
+        files = photo_files(heldout[0].names, cameras.heldout_photo_cameras, inputs.paths) if heldout else ()
+        others = heldout and LargePhotos(*heldout, files)
+        return full_size_quality(scene.gaussians, scene.full_size.size, scene.inputs, others)
 
 
 def _report(
@@ -199,26 +214,31 @@ def _report(
     settings: ReconstructSettings,
     stages: Stages,
 ) -> Report:
-    expected = inputs.bytes_expected
+    expected, further = inputs.bytes_expected, scene.full_size
     return Report(
         ply=str(settings.ply),
         scene=str(folder_of_scene(settings.ply)),
         views=views_entry(scene.posed.views.names, (*inputs.left_out, *passes.left_out, *scene.duplicates)),
-        gaussians=len(scene.adapted.gaussians),
+        gaussians=len(scene.gaussians),
         seconds=seconds_entry(stages.seconds),
         quality={
             "input": quality_entry(scores.inputs),
             "heldout": heldout_entry(passes.chosen.protocol, scores.heldout, passes.difference),
+            **({"full_size": scores.large} if scores.large else {}),
         },
         left_out=[asdict(omission) for omission in _omissions(settings, scene, inputs.finest)],
         warnings=[*passes.warnings, *scene.geometry.warnings],
-        tto=tto_entries(scene.adapted.runs),
+        tto=[*tto_entries(scene.adapted.runs), *(further.runs if further else [])],
         settings={
             key: value if isinstance(value, int | None) else str(value) for key, value in asdict(settings).items()
         },
         peak_memory_gib=round(peak_gib(), 2),
         machine=machine(),
         memory_estimate_gib=expected and round(expected / 2**30, 2),
+        full_size=further.summary if further else None,
+        exposure=exposure_entry(scene.colours),
+        unseen=scores.unseen.entry() if scores.unseen else None,
+        backdrop=len(scene.backdrop) if scene.backdrop else 0,
     )
 
 
@@ -232,51 +252,17 @@ def _omissions(settings: ReconstructSettings, scene: BuiltScene, finest: Blurred
         found.append(omissions.resolution(finest))
     if settings.poses:
         found.append(omissions.sfm(settings.poses))
-    if settings.full_size and settings.holdout_every:
+    if settings.one_scene and settings.holdout_every:
         found.append(omissions.second_score(settings.quality))
     elif not scene.time_for_more:
         found.append(omissions.SECOND_SCORE)
     return found
 
 
-def _at_full_size(
-    inputs: _Inputs,
-    passes: HoldoutCameras,
-    scene: BuiltScene,
-    settings: ReconstructSettings,
-    share: BudgetShare | None,
-    stages: Stages,
-) -> FullSize | None:
-    """The scene after its optimisation on large photos, where --quality asks for that or --budget has time for it."""
-    asked = settings.full_size
-    spare = share and settings.tto is None and not settings.keep_everything and scene.posed.photo_cameras
-    seconds = share.full_size_seconds(len(scene.adapted.gaussians)) if share else None
-    if scene.adapted.interrupted or not (asked or spare) or (share and seconds is None):
-        return None
-    return take_to_full_size(
-        _stored(inputs, passes, scene, settings),
-        scene.adapted.gaussians,
-        asked or "high",
-        seed=settings.seed,
-        device=next(inputs.model.parameters()).device,
-        stages=stages,
-        seconds=seconds,
-    )
-
-
-def _with_full_size(report: Report, large: FullSize | None) -> Report:
-    if large is None:
-        return report
-    quality = {**report.quality, "full_size": large.quality}
-    return replace(report, quality=quality, tto=[*report.tto, *large.runs], full_size=large.summary)
-
-
 def _stored(inputs: _Inputs, passes: HoldoutCameras, scene: BuiltScene, settings: ReconstructSettings) -> StoredScene:
-    paths = {photo.name: photo.path for photo in inputs.photos}
-    files = photo_files(scene.posed.views.names, scene.posed.photo_cameras, paths)
-    heldout = scene.heldout(passes.chosen)
+    heldout, files = scene.heldout(passes.chosen), scene.files
     if heldout:
-        files += photo_files(heldout[0].names, passes.chosen.heldout_photo_cameras, paths)
+        files += photo_files(heldout[0].names, passes.chosen.heldout_photo_cameras, inputs.paths)
     return StoredScene(
         scene.posed.views,
         scene.adapted.cameras,
@@ -288,4 +274,6 @@ def _stored(inputs: _Inputs, passes: HoldoutCameras, scene: BuiltScene, settings
         scene.adapted.kept,
         {file.name: file for file in files},
         given_frame(passes.chosen.inputs, inputs.known),
+        len(scene.backdrop) if scene.backdrop else 0,
+        scene.exposures,
     )

@@ -8,7 +8,7 @@ import torch
 
 from querysplat_cli.model.checkpoints import load
 from querysplat_cli.model.querysplat import QuerySplat
-from querysplat_cli.pipeline.full_size import take_to_full_size
+from querysplat_cli.pipeline.full_size import LargePhotos, full_size_quality, stored_photos, take_to_full_size
 from querysplat_cli.pipeline.gaussian_files import file_of_scene, folder_of_scene
 from querysplat_cli.pipeline.optimise import optimise_start
 from querysplat_cli.pipeline.read_scene import check_model, read_scene, read_scene_gaussians
@@ -17,6 +17,7 @@ from querysplat_cli.pipeline.settings import ResumeSettings
 from querysplat_cli.prune.gaussians import target_count
 from querysplat_cli.reporting import omissions
 from querysplat_cli.reporting.report import Report, machine, quality_entry, seconds_entry, tto_entries
+from querysplat_cli.reporting.unseen import unseen
 from querysplat_cli.reporting.view_scores import score
 from querysplat_cli.runtime.choices import FullSizeLevel, Space
 from querysplat_cli.runtime.device import find_device, peak_gib
@@ -24,7 +25,7 @@ from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.precision import check_precision
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.files import with_name
-from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.gaussians import Gaussians, joined
 from querysplat_cli.tto.adapt import Adapted
 from querysplat_cli.tto.cameras import with_refined_focal
 from querysplat_cli.tto.features import Start
@@ -46,39 +47,59 @@ def optimise_scene(settings: ResumeSettings, stages: Stages | None = None) -> Re
         _check_plain(settings)
         return _at_full_size(settings, settings.quality, stages)
     with stages("read"):
-        scene, before = read_scene(path)
+        scene, before = _read(settings)
         model = load_again(scene, before["settings"], settings.weights, find_device(settings.device))
         spaces = [run["space"] for run in before["tto"] if run["steps"]]
         space = options.space or (spaces[-1] if spaces else "features")
         apart = "gaussians" in spaces
-        _check(path, options, space, before["gaussians"], apart=apart)
-        gaussians = read_scene_gaussians(path, scene) if apart else None
+        count = before["gaussians"] - scene.backdrop
+        _check(path, options, space, count, apart=apart)
+        gaussians = _without_backdrop(path, scene) if apart else None
     with stages("tto") as progress:
-        plan = _plan(scene, before["gaussians"], options, space, resumed=space in spaces)
+        options = replace(
+            options,
+            finest_size=_finest_size(scene, before),
+            smooth=bool(spaces) and "backdrop" in before,  # scenes of earlier versions were not smoothed
+        )
+        plan = _plan(scene, count, options, space, resumed=space in spaces)
         start = Start(scene.memories, scene.anchors, gaussians, None if apart else scene.kept)
-        adapted = optimise_start(model, start, (scene.views, scene.cameras), plan, options, progress)
-        stored = _with(scene, adapted)
+        photos = scene.views, scene.cameras
+        adapted = optimise_start(model, start, photos, plan, options, progress, scene.exposures)
+        stored, gaussians = _behind(_with(scene, adapted), adapted.gaussians)
     runs, left_out = tto_entries(adapted.runs), omissions.taken_further(before["left_out"], adapted)
-    return _write_back(path, stored, adapted.gaussians, before, stages, tto=runs, left_out=left_out)
+    return _write_back(path, stored, gaussians, before, stages, tto=runs, left_out=left_out)
 
 
 def _at_full_size(settings: ResumeSettings, level: FullSizeLevel, stages: Stages) -> Report:
     """Optimise the Gaussians of the stored scene on its large photos, and write it back."""
     path, device = settings.scene, find_device(settings.device)
     with stages("read"):
-        scene, before = read_scene(path)
-        gaussians = read_scene_gaussians(path, scene)
-    found = take_to_full_size(scene, gaussians, level, seed=settings.seed, device=device, stages=stages)
+        scene, before = _read(settings)
+        gaussians = _without_backdrop(path, scene)
+    inputs, heldout = stored_photos(scene)
+    with stages("full size") as progress:
+        found = take_to_full_size(inputs, gaussians, level, seed=settings.seed, device=device, progress=progress)
+    stored, gaussians = _behind(replace(scene, exposures=found.exposures), found.gaussians)
+    with stages("full size score"):
+        quality = full_size_quality(gaussians, found.size, inputs, heldout)
     return _write_back(
         path,
-        scene,
-        found.gaussians,
+        stored,
+        gaussians,
         before,
         stages,
-        quality={"full_size": found.quality},
+        quality={"full_size": quality},
         tto=found.runs,
         full_size=found.summary,
     )
+
+
+def _behind(scene: StoredScene, gaussians: Gaussians) -> tuple[StoredScene, Gaussians]:
+    """The scene and its Gaussians, with a new backdrop if it had one."""
+    if not scene.backdrop:
+        return scene, gaussians
+    behind = LargePhotos(scene.views, scene.cameras, exposures=scene.exposures).backdrop(gaussians)
+    return replace(scene, backdrop=len(behind)), joined(gaussians, behind)
 
 
 def _write_back(
@@ -101,6 +122,7 @@ def _write_back(
             name: quality_entry(score(gaussians, *group)) if group else None
             for name, group in (("input", (scene.views, scene.cameras)), ("heldout", scene.heldout))
         }
+        film = unseen(gaussians, scene.cameras)
     with stages("write"):
         report = replace(
             Report.from_dict(before),
@@ -112,10 +134,25 @@ def _write_back(
             tto=[*before["tto"], *tto],
             peak_memory_gib=round(peak_gib(), 2),
             machine=machine(),
+            unseen=film.entry() if film else None,
+            backdrop=scene.backdrop,
             **changes,
         )
         write_scene(file_of_scene(path), scene, gaussians, report.as_dict())
     return report
+
+
+def _read(settings: ResumeSettings) -> tuple[StoredScene, dict[str, Any]]:
+    """The stored scene, without colour transforms where --exposure is off, and its report."""
+    scene, before = read_scene(settings.scene)
+    if settings.exposure == "off" and scene.exposures:
+        return replace(scene, exposures=None), {**before, "exposure": {**before["exposure"], "corrected": False}}
+    return scene, before
+
+
+def _without_backdrop(path: Path, scene: StoredScene) -> Gaussians:
+    whole = read_scene_gaussians(path, scene)
+    return whole[: len(whole) - scene.backdrop]
 
 
 def _psnr(quality: dict[str, Any]) -> dict[str, float | None]:
@@ -149,6 +186,12 @@ def _options(settings: ResumeSettings) -> OptimiseOptions:
     )
 
 
+def _finest_size(scene: StoredScene, before: dict[str, Any]) -> int | None:
+    """The longer side of the large photos that the scene was optimised on; None where it was not."""
+    largest = max((run.get("max_size", 0) for run in before["tto"]), default=0)
+    return largest if largest > max(scene.cameras.height, scene.cameras.width) else None
+
+
 def load_again(scene: StoredScene, settings: dict[str, Any], weights: Path | None, device: torch.device) -> QuerySplat:
     """The model of a stored scene, from the settings in its report. Raises QuerySplatError where it fits no more."""
     stored = settings.get("weights")
@@ -165,7 +208,7 @@ def _check(path: Path, options: OptimiseOptions, space: Space, count: int, *, ap
     if apart and space != "gaussians":
         raise QuerySplatError(
             f"the Gaussians of {path} were optimised themselves, and its memories would undo that",
-            "Use --space gaussians, or make the scene again.",
+            "Use --space gaussians, or make the scene again with --quality draft.",
         )
     if options.densify_to is None:
         return
@@ -200,4 +243,11 @@ def _with(scene: StoredScene, adapted: Adapted) -> StoredScene:
     heldout = scene.heldout
     if heldout:
         heldout = heldout[0], with_refined_focal(heldout[1], scene.cameras, adapted.cameras)
-    return replace(scene, cameras=adapted.cameras, heldout=heldout, memories=adapted.memories, kept=adapted.kept)
+    return replace(
+        scene,
+        cameras=adapted.cameras,
+        heldout=heldout,
+        memories=adapted.memories,
+        kept=adapted.kept,
+        exposures=adapted.exposures,
+    )

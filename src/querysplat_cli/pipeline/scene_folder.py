@@ -5,6 +5,7 @@ scene/
   cameras.json             nerfstudio form; held-out views under "heldout_frames"; in the frame of given cameras
   images/                  the undistorted photos that the cameras belong to
   photos.json              where the photos themselves lie, and their lenses, if the encoder knows these
+  exposures.json           the colour transforms of the input photos, if these differ in exposure
   memories.safetensors     memories, anchors, masks and depth, and the model that they belong to
   report.json
   preview.png
@@ -32,6 +33,7 @@ from querysplat_cli.reporting.convergence_plot import write_curve
 from querysplat_cli.reporting.preview import write_preview
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.exposures import Exposures, write_exposures
 from querysplat_cli.scene.files import atomic_together
 from querysplat_cli.scene.formats.transforms import write_cameras
 from querysplat_cli.scene.gaussians import Gaussians
@@ -52,7 +54,9 @@ class StoredScene:
     """A scene that can be optimised further.
 
     `model` is the preset or checkpoint that decodes the memories. `kept` marks the decoded Gaussians that belong to
-    the scene (None: all). `photos` are the files of input and held-out photos by name; it may lack some.
+    the scene (None: all). `photos` are the files of input and held-out photos by name; it may lack some. The last
+    Gaussians, as many as `backdrop` says, are the backdrop. `exposures` are the colour transforms of the input views
+    (None: they show the scene's own colours).
 
     Everything here is in the frame in which the scene was made. `frame` maps it to that of the files, where the user
     gave cameras.
@@ -68,6 +72,8 @@ class StoredScene:
     kept: Bool[Tensor, "n"] | None = None
     photos: dict[str, PhotoFile] = dataclasses.field(default_factory=dict)
     frame: Sim3 | None = None
+    backdrop: int = 0
+    exposures: Exposures | None = None
 
     @property
     def groups(self) -> dict[str, tuple[Views, Cameras]]:
@@ -98,6 +104,8 @@ def write_scene(target: Path, scene: StoredScene, gaussians: Gaussians, report: 
         write_cameras(draft / "cameras.json", scene.cameras, scene.views, heldout=scene.heldout, frame=scene.frame)
         if scene.photos:
             write_photo_files(draft / "photos.json", list(scene.photos.values()))
+        if scene.exposures:
+            write_exposures(draft / "exposures.json", scene.views.names, scene.exposures)
         masks = torch.cat([views.masks for views, _ in scene.groups.values()])
         tensors = flattened(StoredTensors(masks, scene.memories, scene.anchors, scene.kept, scene.map))
         # Not by `save_file`, which makes files that only their owner may read.

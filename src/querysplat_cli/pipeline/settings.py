@@ -6,7 +6,15 @@ from typing import Annotated
 
 from annotated_types import Ge, Le
 
-from querysplat_cli.runtime.choices import Fit, FullSizeLevel, HoldoutProtocol, Quality, Space, Target
+from querysplat_cli.runtime.choices import (
+    ExposureCorrection,
+    Fit,
+    FullSizeLevel,
+    HoldoutProtocol,
+    Quality,
+    Space,
+    Target,
+)
 from querysplat_cli.runtime.options import (
     Device,
     Force,
@@ -52,8 +60,9 @@ class ReconstructSettings:
     quality: Annotated[
         Quality,
         Option(
-            "How far to go: optimise on small pictures only (draft, standard), then on the photos at up to 1600 pixels "
-            "(high, about 10 minutes for 20 photos), or at their own size for as long as it pays (max)."
+            "How far to go: optimise in feature space on small pictures only (draft), then in Gaussian space on the "
+            "photos at up to 900 pixels (standard), 1600 pixels (high, about 10 minutes for 20 photos), or their own "
+            "size for as long as it pays (max)."
         ),
     ] = "standard"
     tto: Annotated[
@@ -117,6 +126,14 @@ class ReconstructSettings:
     seed: Seed = 42
     force: Force = False
     prune: Prune = "auto"
+    backdrop: Annotated[
+        bool,
+        Option(
+            "Put far Gaussians in blurred colours of the photos behind everything, so that no hole shows the viewer's "
+            "background.",
+            ("--backdrop/--no-backdrop",),
+        ),
+    ] = True
     keep_everything: Annotated[
         bool, Option("Leave nothing out: no pruning, all photos, every query. For comparisons.")
     ] = False
@@ -135,10 +152,25 @@ class ReconstructSettings:
         replace(REFINE_CAMERAS, default="where the cameras fit badly"),
     ] = None
 
+    exposure: Annotated[
+        ExposureCorrection,
+        Option(
+            "Give each photo a colour transform where exposure or white balance changes from photo to photo. off: the "
+            "scene has to show the colours of every photo itself."
+        ),
+    ] = "auto"
+
     @property
     def full_size(self) -> FullSizeLevel | None:
-        """The quality, where it goes on with large photos."""
-        return self.quality if self.quality in ("high", "max") else None
+        """The quality, where it goes on in Gaussian space: high and max always, standard with an automatic plan."""
+        if self.quality == "draft" or (self.quality == "standard" and (self.tto is not None or self.keep_everything)):
+            return None
+        return self.quality
+
+    @property
+    def one_scene(self) -> bool:
+        """Whether the quality takes so long that no second scene is made only to be scored."""
+        return self.quality in ("high", "max")
 
 
 @dataclass(frozen=True)
@@ -149,8 +181,8 @@ class ResumeSettings:
     quality: Annotated[
         FullSizeLevel | None,
         Option(
-            "Optimise the Gaussians on the photos at up to 1600 pixels (high) or at their own size (max). The photos "
-            "must still be where they were.",
+            "Optimise the Gaussians on the photos at up to 900 pixels (standard), 1600 pixels (high) or their own size "
+            "(max). The photos must still be where they were.",
             default="the small pictures only",
         ),
     ] = None
@@ -183,3 +215,9 @@ class ResumeSettings:
     weights: MovedWeights = None
     device: Device = "auto"
     seed: Seed = 42
+    exposure: Annotated[
+        ExposureCorrection,
+        Option(
+            "Go on with the colour transforms of the photos, if the scene has any. off: leave them out from now on.",
+        ),
+    ] = "auto"

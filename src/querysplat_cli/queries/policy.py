@@ -31,6 +31,24 @@ class QueryPolicy:
     photos are extended at all was decided on fortress."""
     border_coarser: int = 4
     """Cells beyond the borders are this many times as large as those of the photos."""
+    backdrop_directions: int = 4000
+    """Places on the whole sphere of the backdrop. This and the other fields of the backdrop were chosen on fortress,
+    dtu106, kermit and fox."""
+    backdrop_margin: float = 0.5
+    """The backdrop reaches beyond the photos by this share of their longer side."""
+    backdrop_distance: tuple[float, float] = (4.0, 20.0)
+    """The radius of the sphere: so many times the distance within which 99 % of the Gaussians lie, and at least so many
+    times that of the farthest camera."""
+    backdrop_farthest: float = 60.0
+    """The largest radius that these two may ask for, in scene units. Splatters cut off what is too far away."""
+    backdrop_cells: int = 8
+    """Cells along the shorter side of a photo, in which its colours are blurred."""
+    backdrop_depths: tuple[float, float] = (0.4, 1.3)
+    """Relative to the photo's median depth: nearer and farther pixels count as if they were here."""
+    backdrop_fade: float = 0.15
+    """Beyond the border of a photo, its colours lose their influence over this share of the longer side."""
+    backdrop_opacity: float = 0.99
+    """Of each Gaussian of the backdrop."""
     fill: float = 0.7
     """Standard deviation of a prior Gaussian in units of its cell: neighbours just close the surface."""
     thickness: float = 0.2

@@ -17,6 +17,7 @@ from querysplat_cli.runtime.choices import HoldoutProtocol
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.rotations import rotation_angles
 from querysplat_cli.scene.views import LeftOut
+from querysplat_cli.tto.exposure_fit import PhotoColours
 from querysplat_cli.tto.optimise import TtoResult
 from querysplat_cli.tto.plan import TtoRun
 
@@ -26,7 +27,10 @@ class Report:
     """One run. The fields are the JSON object's, described in docs/cli.md.
 
     `left_out` lists what was left out of the scene or of the work; each entry is an `Omission`. `warnings` are
-    sentences on why the scene may be wrong. `full_size` describes the optimisation on large photos, if there was one.
+    sentences on why the scene may be wrong. `full_size` describes the optimisation on large photos, if there was
+    one. `exposure` says how far the photos agree in colour, where that was measured. `backdrop` counts the Gaussians of
+    the backdrop, the last ones of the file. `unseen` is how much of a film around the scene no photo saw (None where
+    there is no film).
     """
 
     ply: str
@@ -43,6 +47,9 @@ class Report:
     machine: str
     memory_estimate_gib: float | None = None
     full_size: dict[str, Any] | None = None
+    exposure: dict[str, Any] | None = None
+    unseen: dict[str, float] | None = None
+    backdrop: int = 0
 
     @property
     def interrupted(self) -> bool:
@@ -90,6 +97,13 @@ def heldout_entry(
         "pixels": None if difference.pixels is None else round(difference.pixels, 3),
     }
     return {**quality_entry(kept), "cameras": chosen, **brief, "pose_difference": apart}
+
+
+def exposure_entry(colours: PhotoColours | None) -> dict[str, Any] | None:
+    """The difference between neighbouring photos, in shares of a channel's range, and whether it is corrected."""
+    if colours is None:
+        return None
+    return {"disagreement": round(colours.disagreement, 4), "corrected": not colours.agree}
 
 
 def tto_entries(runs: Sequence[tuple[TtoRun, TtoResult]]) -> list[dict[str, Any]]:

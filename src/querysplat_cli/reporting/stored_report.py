@@ -38,6 +38,14 @@ class _FullSize:
 
 
 @dataclass(frozen=True)
+class _Exposure:
+    __pydantic_config__ = STRICT_TYPES
+
+    disagreement: float
+    corrected: bool
+
+
+@dataclass(frozen=True)
 class _Run:
     """One run of test-time optimisation. The curve has [step, seconds, loss, PSNR, Gaussians] of each step."""
 
@@ -103,6 +111,9 @@ class _Report:
     machine: str
     memory_estimate_gib: float | None
     full_size: _FullSize | None
+    exposure: _Exposure | None = None
+    unseen: dict[str, float] | None = None
+    backdrop: Count = 0
     warnings: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
 
@@ -124,6 +135,8 @@ def read_report(path: Path) -> dict[str, Any]:
             where = ".".join(map(str, first["loc"])) or "the report"
             why = f"{where}: {first['msg']}, found {shown(first['input'])}"
         raise QuerySplatError(f"{path} is damaged: {why}", MAKE_AGAIN) from error
+    if report.get("backdrop", 0) > report["gaussians"]:
+        raise QuerySplatError(f"{path} is damaged: its backdrop has more Gaussians than the scene", MAKE_AGAIN)
     unknown = sorted(report.keys() - KNOWN)
     if unknown:
         raise QuerySplatError(f"{path} is damaged: it has an entry {shown(unknown[0])}", MAKE_AGAIN)

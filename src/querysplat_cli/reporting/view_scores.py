@@ -3,13 +3,19 @@
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
 
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.views import Views
+from querysplat_cli.splat.colour_correction import colour_corrected, left_half
 from querysplat_cli.splat.conventions import MID_GREY
 from querysplat_cli.splat.render import render
 from querysplat_cli.splat.similarity import psnr, ssim_metric
+
+DIGITS = {"psnr": 3, "ssim": 4, "psnr_grey": 3, "psnr_cc": 3, "ssim_cc": 4, "psnr_half": 3}
+"""The scores of a view, and how many digits of them a summary shows."""
 
 
 @dataclass(frozen=True)
@@ -18,16 +24,23 @@ class Quality:
 
     Renders are clipped to [0, 1]. Only pixels inside the views' masks count. `background` is the grey level behind the
     scene. `psnr_grey` is the PSNR over mid-grey: where it is lower than that over black, the scene is see-through.
+
+    The other scores leave the exposure of the photo out. `psnr_cc` and `ssim_cc` are of the renders over `background`
+    after the affine colour transform that fits the photo best. `psnr_half` is that of the right half of the picture,
+    after the transform that fits its left half best (as Inria's code scores scenes with exposure correction).
     """
 
     psnr: float
     ssim: float
     psnr_grey: float
+    psnr_cc: float
+    ssim_cc: float
+    psnr_half: float
     background: float
     views: dict[str, dict[str, float]]
 
     def summary(self) -> dict[str, float]:
-        return {"psnr": round(self.psnr, 3), "ssim": round(self.ssim, 4), "psnr_grey": round(self.psnr_grey, 3)}
+        return {name: round(getattr(self, name), digits) for name, digits in DIGITS.items()}
 
 
 def score(gaussians: Gaussians, views: Views, cameras: Cameras, background: float = 0.0) -> Quality:
@@ -47,6 +60,19 @@ def score(gaussians: Gaussians, views: Views, cameras: Cameras, background: floa
                 "psnr": float(psnr(picture, photo, mask)),
                 "ssim": float(ssim_metric(torch.where(mask, picture, photo), photo)),
                 "psnr_grey": float(psnr(over[MID_GREY], photo, mask)),
+                **_corrected_scores(picture, photo, mask),
             }
-    mean = {key: sum(row[key] for row in rows.values()) / len(rows) for key in ("psnr", "ssim", "psnr_grey")}
+    mean = {key: sum(row[key] for row in rows.values()) / len(rows) for key in DIGITS}
     return Quality(**mean, background=background, views=rows)
+
+
+def _corrected_scores(
+    picture: Float[Tensor, "3 height width"], photo: Float[Tensor, "3 height width"], mask: Bool[Tensor, "height width"]
+) -> dict[str, float]:
+    corrected, left = colour_corrected(picture, photo, mask), left_half(mask)
+    right = mask & ~left
+    return {
+        "psnr_cc": psnr(corrected, photo, mask),
+        "ssim_cc": ssim_metric(torch.where(mask, corrected, photo), photo),
+        "psnr_half": psnr(colour_corrected(picture, photo, left), photo, right if right.any() else mask),
+    }

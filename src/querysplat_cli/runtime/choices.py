@@ -17,11 +17,14 @@ Amount = Literal["auto", "off"] | int
 """How many Gaussians pruning keeps: as many as are needed, all, or at most this number."""
 
 Quality = Literal["draft", "standard", "high", "max"]
-"""How far a scene is optimised: on small pictures only (draft and standard), or then on the photos at up to 1,600
-pixels (high) or as large as they are (max)."""
+"""How far a scene is optimised: in feature space on small pictures only (draft), or then in Gaussian space on the
+photos at up to 900 pixels (standard), 1,600 pixels (high) or as large as they are (max)."""
 
-FullSizeLevel = Literal["high", "max"]
-"""The qualities that go on with large photos."""
+FullSizeLevel = Literal["standard", "high", "max"]
+"""The qualities that go on in Gaussian space."""
+
+ExposureCorrection = Literal["auto", "off"]
+"""Whether each photo has a colour transform. auto: where photos show the same surfaces in different colours."""
 
 Fit = Literal["crop", "pad"]
 """How a photo fits a network. crop: the largest centred square. pad: the whole photo, on a canvas as wide as the widest

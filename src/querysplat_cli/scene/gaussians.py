@@ -1,7 +1,7 @@
 """A scene: a set of 3D Gaussians."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import torch
 from jaxtyping import Bool, Float
@@ -59,3 +59,10 @@ class Gaussians(TensorDataclass):
 
     def to(self, target: torch.dtype | torch.device | str) -> "Gaussians":
         return self.map(lambda field: field.to(target))
+
+
+def joined(*parts: Gaussians) -> Gaussians:
+    """All Gaussians of `parts`, which have SH of the same degree."""
+    return Gaussians(
+        **{each.name: torch.cat([getattr(part, each.name) for part in parts]) for each in fields(Gaussians)}
+    )

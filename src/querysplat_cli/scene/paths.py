@@ -9,6 +9,7 @@ from torch import Tensor
 
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.gaussians import Gaussians
 
 RING_GAP = 2.1
 """The inputs surround their middle when no gap between their directions is wider than this, in radians."""
@@ -50,6 +51,11 @@ def orbit(cameras: Cameras, middle: Float[Tensor, "3"], frames: int) -> Cameras:
     level = np.cos(path_azimuth)[:, None] * forward + np.sin(path_azimuth)[:, None] * side
     places = target + radius * (np.cos(path_elevation) * level + np.sin(path_elevation) * up)
     return look_at(places, target, up, cameras)
+
+
+def opaque_centres(gaussians: Gaussians) -> Float[Tensor, "n 3"]:
+    """Centres of the Gaussians that are at least half opaque, or of the most opaque. Films look at their median."""
+    return gaussians.means[gaussians.opacities >= min(0.5, float(gaussians.opacities.max()))]
 
 
 def surround(points: Float[Tensor, "n 3"], frames: int, height: int, width: int) -> Cameras:

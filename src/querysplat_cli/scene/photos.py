@@ -215,7 +215,7 @@ def _focal(image: Image.Image) -> float | None:
     width, height = image.size
     try:
         exif = image.getexif().get_ifd(ExifTags.IFD.Exif)
-        focal = _focal_from_film(exif, width, height) or _focal_from_sensor(exif, width)
+        focal = _focal_from_film(exif, width, height) or _focal_from_sensor(exif, width, height)
     except (ValueError, TypeError, ZeroDivisionError, KeyError, SyntaxError, OSError):
         return None
     low, high = SENSIBLE_FOCAL
@@ -227,15 +227,22 @@ def _focal_from_film(exif: dict[int, Any], width: int, height: int) -> float | N
     return film * float(np.hypot(width, height)) / FULL_FRAME_DIAGONAL if film else None
 
 
-def _focal_from_sensor(exif: dict[int, Any], width: int) -> float | None:
-    """Focal length times the sensor's pixels per millimetre; the file may have been reduced after it was taken."""
+def _focal_from_sensor(exif: dict[int, Any], width: int, height: int) -> float | None:
+    """Focal length times the sensor's pixels per millimetre; the file may have been reduced after it was taken.
+
+    Some cameras state the density along one side only.
+    """
     millimetres = float(exif.get(ExifTags.Base.FocalLength, 0))
-    density = float(exif.get(ExifTags.Base.FocalPlaneXResolution, 0))
-    if not (millimetres and density):
-        return None
     unit = MILLIMETRES[int(exif.get(ExifTags.Base.FocalPlaneResolutionUnit, 2))]
-    full_width = float(exif.get(ExifTags.Base.ExifImageWidth, 0)) or width
-    return millimetres * density / unit * width / full_width
+    sides = (
+        (ExifTags.Base.FocalPlaneXResolution, ExifTags.Base.ExifImageWidth, width),
+        (ExifTags.Base.FocalPlaneYResolution, ExifTags.Base.ExifImageHeight, height),
+    )
+    for density_tag, full_tag, pixels in sides:
+        density = float(exif.get(density_tag, 0))
+        if millimetres and density:
+            return millimetres * density / unit * pixels / (float(exif.get(full_tag, 0)) or pixels)
+    return None
 
 
 def _register_heif() -> None:

@@ -1,17 +1,14 @@
 """Blending and its derivative, compiled.
 
-Tiles are blended independently, one Gaussian after the other, WIDE pixels of a row at a time. The inner loops over `c`
-have constant length and no branches, and become a few vector instructions.
+Tiles are blended independently, one Gaussian after the other, LANES pixels at a time: the WIDE pixels of PAIRED rows.
+The inner loops over `c` have constant length and no branches, and become a few vector instructions.
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
 import numba as nb
 import numpy as np
-from llvmlite import ir
-from numba.core import cgutils, types
-from numba.extending import intrinsic
-from numba.np.arrayobj import make_array
 
+from querysplat_cli.splat.compiled_memory import prefetch, scratch
 from querysplat_cli.splat.compiled_projection import (
     BLUE,
     DEPTH,
@@ -32,15 +29,24 @@ from querysplat_cli.splat.compiled_projection import (
 from querysplat_cli.splat.compiled_tiles import HALF, HIGH, WIDE, ZERO
 
 PIXELS = WIDE * HIGH
+PAIRED = 2
+"""Rows of a tile that are blended together."""
+GROUPS = HIGH // PAIRED
+"""Groups of so many rows in a tile."""
+LANES = WIDE * PAIRED
+"""Pixels of one group."""
 BLENDED_PLANES = 5
 """The values that are blended: red, green, blue, 1 (for alpha) and z."""
 PLANE_PIXELS = BLENDED_PLANES * PIXELS
 SUMS = 7
-"""The sums of the backward pass over a column: −∂loss/∂σ times 1, dy, dy²; red, green, blue, z."""
-COLUMN_SUMS = SUMS * WIDE
+"""The sums of the backward pass over a lane: −∂loss/∂σ times 1, dy, dy²;
+red, green, blue, z."""
+LANE_SUMS = SUMS * LANES
 
-AHEAD = 4
-"""Gaussians between asking for a row and using it."""
+BATCH = 16
+"""Gaussians between asking for a row and using it, and between two looks at what is still open."""
+SLACK = np.float32(1e-3)
+"""Pixels, and share of the height, that rounding may cut off an ellipse at most."""
 QUARTER = np.float32(0.25)
 EIGHTH = np.float32(0.125)
 ONE = np.float32(1)
@@ -51,41 +57,10 @@ E0, E1, E2, E3, E4, E5 = (
 )
 
 
-@intrinsic(prefer_literal=True)
-def _scratch(typing, size):
-    """`size` float32 on the stack, which LLVM can keep in registers; it cannot do that to a numpy array."""
-
-    def generate(context, builder, signature, arguments):
-        place = cgutils.alloca_once(builder, ir.FloatType(), size=ir.Constant(ir.IntType(64), size.literal_value))
-        place.align = 64
-        return place
-
-    return types.CPointer(types.float32)(size), generate
-
-
-@intrinsic
-def _prefetch(typing, array, row):
-    """Ask for a row of a 2D float32 array ahead of its use."""
-
-    def generate(context, builder, signature, arguments):
-        place = make_array(signature.args[0])(context, builder, arguments[0])
-        columns = builder.extract_value(place.shape, 1)
-        first = builder.gep(place.data, [builder.mul(arguments[1], columns)])
-        number, byte = ir.IntType(32), ir.IntType(8).as_pointer()
-        kind = ir.FunctionType(ir.VoidType(), [byte, number, number, number])
-        fetch = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0")
-        last = builder.gep(first, [builder.sub(columns, ir.Constant(columns.type, 1))])
-        for address in (first, last):
-            builder.call(fetch, [builder.bitcast(address, byte), number(0), number(3), number(1)])
-        return context.get_dummy_value()
-
-    return types.void(array, types.intp), generate
-
-
 @nb.njit(error_model="numpy", fastmath={"contract"}, inline="always")
-def _alpha(across, s, alpha_max, alpha_min):
-    """α of one pixel, min(cap, exp(−across² − s)) or 0; forward and backward share it to the last bit."""
-    s = min(across * across + s, LIMIT)
+def _alpha(across, up, lost, alpha_max, alpha_min):
+    """α of one pixel, min(cap, exp(−8(across² + up² + lost))) or 0; the same bits forward and backward."""
+    s = min(across * across + (up * up + lost), LIMIT)
     t = s * s
     e = (E0 + s * E1) + t * ((E2 + s * E3) + t * (E4 + s * E5))
     e *= e
@@ -99,130 +74,134 @@ def _alpha(across, s, alpha_max, alpha_min):
 def _blend_tile(rows, members, left, top, width, height, limits, planes):
     alpha_max, alpha_min, least = limits[0], limits[1], limits[2]
     # How much light still comes through each pixel; negative once the pixel has stopped.
-    through = nb.carray(_scratch(PIXELS), (HIGH, WIDE))
-    red = nb.carray(_scratch(PIXELS), (HIGH, WIDE))
-    green = nb.carray(_scratch(PIXELS), (HIGH, WIDE))
-    blue = nb.carray(_scratch(PIXELS), (HIGH, WIDE))
-    depth = nb.carray(_scratch(PIXELS), (HIGH, WIDE))
-    start = nb.carray(_scratch(HIGH), HIGH)
-    s = nb.carray(_scratch(HIGH), HIGH)
-    used = min(HIGH, height - top)
-    for r in range(HIGH):
-        for c in range(WIDE):
-            through[r, c] = ONE if left + c < width else -ONE
-            red[r, c] = ZERO
-            green[r, c] = ZERO
-            blue[r, c] = ZERO
-            depth[r, c] = ZERO
-    for k in range(len(members)):
-        _prefetch(rows, members[min(k + AHEAD, len(members) - 1)])
-        row = rows[members[k]]
-        a, b, q = QUARTER * row[A], QUARTER * row[B], QUARTER * row[C]
-        offset = a * (np.float32(left) + HALF - row[X])
-        lost = EIGHTH * row[LOST]
-        below = np.float32(top) + HALF - row[Y]
-        first, last = _rows_met(row, top, used)
-        for r in range(HIGH):
-            y = np.float32(r) + below
-            start[r] = offset + b * y
-            s[r] = (q * y) * (q * y) + lost
-        for r in range(first, last):
-            for c in range(WIDE):
-                alpha = _alpha(start[r] + a * np.float32(c), s[r], alpha_max, alpha_min)
-                t = through[r, c]
-                before = max(t, ZERO)
-                weight = before * alpha
-                after = before - weight
-                goes_on = after > least
-                weight = weight if goes_on else ZERO
-                through[r, c] = after if goes_on else -abs(t)
-                red[r, c] += weight * row[RED]
-                green[r, c] += weight * row[GREEN]
-                blue[r, c] += weight * row[BLUE]
-                depth[r, c] += weight * row[DEPTH]
-        if k % 16 == 15 and not _any_open(through):
+    through = nb.carray(scratch(PIXELS), (GROUPS, LANES))
+    red = nb.carray(scratch(PIXELS), (GROUPS, LANES))
+    green = nb.carray(scratch(PIXELS), (GROUPS, LANES))
+    blue = nb.carray(scratch(PIXELS), (GROUPS, LANES))
+    depth = nb.carray(scratch(PIXELS), (GROUPS, LANES))
+    ys = nb.carray(scratch(PIXELS), (GROUPS, LANES))  # of each pixel, from the tile's first row
+    begins = nb.carray(scratch(BATCH), BATCH)
+    ends = nb.carray(scratch(BATCH), BATCH)
+    for g in range(GROUPS):
+        for c in range(LANES):
+            ys[g, c] = np.float32(PAIRED * g + c // WIDE)
+            inside = left + c % WIDE < width and top + PAIRED * g + c // WIDE < height
+            through[g, c] = ONE if inside else -ONE
+            red[g, c] = ZERO
+            green[g, c] = ZERO
+            blue[g, c] = ZERO
+            depth[g, c] = ZERO
+    for batch in range(0, len(members), BATCH):
+        _groups_met(rows, members, batch, left, top, begins, ends)
+        for k in range(batch, min(batch + BATCH, len(members))):
+            prefetch(rows, members[min(k + BATCH, len(members) - 1)])
+            row = rows[members[k]]
+            a, b, q = QUARTER * row[A], QUARTER * row[B], QUARTER * row[C]
+            lost = EIGHTH * row[LOST]
+            below = np.float32(top) + HALF - row[Y]
+            offset = a * (np.float32(left) + HALF - row[X])
+            for g in range(np.uint64(begins[k - batch]), np.uint64(ends[k - batch])):
+                for c in range(LANES):
+                    y = below + ys[g, c]
+                    across = (offset + a * np.float32(c % WIDE)) + b * y
+                    alpha = _alpha(across, q * y, lost, alpha_max, alpha_min)
+                    t = through[g, c]
+                    before = max(t, ZERO)
+                    weight = before * alpha
+                    after = before - weight
+                    goes_on = after > least
+                    weight = weight if goes_on else ZERO
+                    through[g, c] = after if goes_on else -abs(t)
+                    red[g, c] += weight * row[RED]
+                    green[g, c] += weight * row[GREEN]
+                    blue[g, c] += weight * row[BLUE]
+                    depth[g, c] += weight * row[DEPTH]
+        if not _any_open(through):
             break
-    for r in range(used):
-        for c in range(min(WIDE, width - left)):
-            planes[0, top + r, left + c] = red[r, c]
-            planes[1, top + r, left + c] = green[r, c]
-            planes[2, top + r, left + c] = blue[r, c]
-            planes[3, top + r, left + c] = ONE - abs(through[r, c])
-            planes[4, top + r, left + c] = depth[r, c]
+    for r in range(min(HIGH, height - top)):
+        for x in range(min(WIDE, width - left)):
+            g, c = r // PAIRED, (r % PAIRED) * WIDE + x
+            planes[0, top + r, left + x] = red[g, c]
+            planes[1, top + r, left + x] = green[g, c]
+            planes[2, top + r, left + x] = blue[g, c]
+            planes[3, top + r, left + x] = ONE - abs(through[g, c])
+            planes[4, top + r, left + x] = depth[g, c]
 
 
 @nb.njit(cache=True, error_model="numpy", fastmath={"contract"}, forceinline=True)
 def _blend_tile_backward(rows, members, left, top, width, height, limits, planes, given, out):
     alpha_max, alpha_min, least = limits[0], limits[1], limits[2]
-    through = nb.carray(_scratch(PIXELS), (HIGH, WIDE))
-    behind = nb.carray(_scratch(PIXELS), (HIGH, WIDE))
-    g = nb.carray(_scratch(PLANE_PIXELS), (BLENDED_PLANES, HIGH, WIDE))
-    lanes = nb.carray(_scratch(COLUMN_SUMS), (SUMS, WIDE))
-    dy = nb.carray(_scratch(HIGH), HIGH)
-    start = nb.carray(_scratch(HIGH), HIGH)
-    s = nb.carray(_scratch(HIGH), HIGH)
-    used = min(HIGH, height - top)
-    for r in range(HIGH):
-        for c in range(WIDE):
-            inside = r < used and left + c < width
-            through[r, c] = ONE if inside else -ONE
-            behind[r, c] = ZERO
+    through = nb.carray(scratch(PIXELS), (GROUPS, LANES))
+    behind = nb.carray(scratch(PIXELS), (GROUPS, LANES))
+    slopes = nb.carray(scratch(PLANE_PIXELS), (BLENDED_PLANES, GROUPS, LANES))
+    lanes = nb.carray(scratch(LANE_SUMS), (SUMS, LANES))
+    ys = nb.carray(scratch(PIXELS), (GROUPS, LANES))  # of each pixel, from the tile's first row
+    begins = nb.carray(scratch(BATCH), BATCH)
+    ends = nb.carray(scratch(BATCH), BATCH)
+    for g in range(GROUPS):
+        for c in range(LANES):
+            ys[g, c] = np.float32(PAIRED * g + c // WIDE)
+            through[g, c] = -ONE
+            behind[g, c] = ZERO
             for plane in range(BLENDED_PLANES):
-                g[plane, r, c] = given[plane, top + r, left + c] if inside else ZERO
-                behind[r, c] += g[plane, r, c] * planes[plane, top + r, left + c] if inside else ZERO
-    for k in range(len(members)):
-        _prefetch(rows, members[min(k + AHEAD, len(members) - 1)])
-        _prefetch(out, members[min(k + AHEAD, len(members) - 1)])
-        row = rows[members[k]]
-        a, b, q = QUARTER * row[A], QUARTER * row[B], QUARTER * row[C]
-        offset = a * (np.float32(left) + HALF - row[X])
-        lost = EIGHTH * row[LOST]
-        below = np.float32(top) + HALF - row[Y]
-        first, last = _rows_met(row, top, used)
-        lanes[:, :] = ZERO
-        for r in range(HIGH):
-            y = np.float32(r) + below
-            dy[r] = y
-            start[r] = offset + b * y
-            s[r] = (q * y) * (q * y) + lost
-        for r in range(first, last):
-            for c in range(WIDE):
-                alpha = _alpha(start[r] + a * np.float32(c), s[r], alpha_max, alpha_min)
-                t = through[r, c]
-                before = max(t, ZERO)
-                weight = before * alpha
-                after = before - weight
-                goes_on = after > least
-                weight = weight if goes_on else ZERO
-                alpha = alpha if goes_on else ZERO
-                through[r, c] = after if goes_on else -abs(t)
-                value = g[0, r, c] * row[RED] + g[1, r, c] * row[GREEN] + g[2, r, c] * row[BLUE]
-                value += g[3, r, c] + g[4, r, c] * row[DEPTH]
-                rest = behind[r, c] - weight * value
-                behind[r, c] = rest
-                # −∂loss/∂σ; none through the cap.
-                slope = weight * value - rest * (alpha / (ONE - alpha))
-                slope = slope if alpha < alpha_max else ZERO
-                lanes[0, c] += slope
-                lanes[1, c] += slope * dy[r]
-                lanes[2, c] += slope * (dy[r] * dy[r])
-                lanes[3, c] += weight * g[0, r, c]
-                lanes[4, c] += weight * g[1, r, c]
-                lanes[5, c] += weight * g[2, r, c]
-                lanes[6, c] += weight * g[4, r, c]
-        if first < last:
+                slopes[plane, g, c] = ZERO
+    for r in range(min(HIGH, height - top)):
+        for x in range(min(WIDE, width - left)):
+            g, c = r // PAIRED, (r % PAIRED) * WIDE + x
+            through[g, c] = ONE
+            for plane in range(BLENDED_PLANES):
+                slopes[plane, g, c] = given[plane, top + r, left + x]
+                behind[g, c] += given[plane, top + r, left + x] * planes[plane, top + r, left + x]
+    for batch in range(0, len(members), BATCH):
+        _groups_met(rows, members, batch, left, top, begins, ends)
+        for k in range(batch, min(batch + BATCH, len(members))):
+            prefetch(rows, members[min(k + BATCH, len(members) - 1)])
+            prefetch(out, members[min(k + BATCH, len(members) - 1)])
+            row = rows[members[k]]
+            a, b, q = QUARTER * row[A], QUARTER * row[B], QUARTER * row[C]
+            lost = EIGHTH * row[LOST]
+            below = np.float32(top) + HALF - row[Y]
+            offset = a * (np.float32(left) + HALF - row[X])
+            lanes[:, :] = ZERO
+            for g in range(np.uint64(begins[k - batch]), np.uint64(ends[k - batch])):
+                for c in range(LANES):
+                    y = below + ys[g, c]
+                    across = (offset + a * np.float32(c % WIDE)) + b * y
+                    alpha = _alpha(across, q * y, lost, alpha_max, alpha_min)
+                    t = through[g, c]
+                    before = max(t, ZERO)
+                    weight = before * alpha
+                    after = before - weight
+                    goes_on = after > least
+                    weight = weight if goes_on else ZERO
+                    alpha = alpha if goes_on else ZERO
+                    through[g, c] = after if goes_on else -abs(t)
+                    value = slopes[0, g, c] * row[RED] + slopes[1, g, c] * row[GREEN] + slopes[2, g, c] * row[BLUE]
+                    value += slopes[3, g, c] + slopes[4, g, c] * row[DEPTH]
+                    rest = behind[g, c] - weight * value
+                    behind[g, c] = rest
+                    # −∂loss/∂σ; none through the cap.
+                    slope = weight * value - rest * (alpha / (ONE - alpha))
+                    slope = slope if alpha < alpha_max else ZERO
+                    lanes[0, c] += slope
+                    lanes[1, c] += slope * y
+                    lanes[2, c] += slope * y * y
+                    lanes[3, c] += weight * slopes[0, g, c]
+                    lanes[4, c] += weight * slopes[1, g, c]
+                    lanes[5, c] += weight * slopes[2, g, c]
+                    lanes[6, c] += weight * slopes[4, g, c]
             _add_moments(lanes, np.float32(left) + HALF - row[X], row, out[members[k]])
-        if k % 16 == 15 and not _any_open(through):
+        if not _any_open(through):
             break
 
 
 @nb.njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc"}, forceinline=True)
 def _add_moments(lanes, dx, row, out):
-    """Add the gradient of one projected row, from the column sums of −∂loss/∂σ and of the blended values."""
+    """Add the gradient of one projected row, from the sums of −∂loss/∂σ and of the blended values over each lane."""
     m, mx, my, mxx, mxy, myy = ZERO, ZERO, ZERO, ZERO, ZERO, ZERO
     red, green, blue, depth = ZERO, ZERO, ZERO, ZERO
-    for c in range(WIDE):
-        x = dx + np.float32(c)
+    for c in range(LANES):
+        x = dx + np.float32(c % WIDE)
         m += lanes[0, c]
         mx += lanes[0, c] * x
         mxx += lanes[0, c] * x * x
@@ -246,22 +225,41 @@ def _add_moments(lanes, dx, row, out):
     out[DEPTH] += depth
 
 
-@nb.njit(error_model="numpy", inline="always")
-def _rows_met(row, top, used):
-    """Rows of the tile whose pixel centres the Gaussian's extent reaches."""
-    middle = row[Y] - np.float32(top) - HALF
-    first = max(ZERO, np.ceil(middle - row[HALF_HEIGHT]))
-    last = min(np.float32(used), np.floor(middle + row[HALF_HEIGHT]) + ONE)
-    return int(first), int(last)
+@nb.njit(cache=True, error_model="numpy", fastmath={"contract"}, forceinline=True)
+def _groups_met(rows, members, batch, left, top, begins, ends):
+    """The groups of rows of a tile that the ellipses α ≥ alpha_min of a batch of Gaussians meet."""
+    for k in range(BATCH):
+        row = rows[members[min(batch + k, len(members) - 1)]]
+        a, b, q, half = row[A], row[B], row[C], row[HALF_HEIGHT]
+        low = np.float32(left) + HALF - row[X]
+        high = low + np.float32(WIDE - 1)
+        under = row[Y] - np.float32(top) - HALF
+        # The ellipse is (a·x + b·y)² + (q·y)² ≤ (q·half)².
+        part = ONE / (b * b + q * q)
+        tilt, reach, steep = -a * b * part, q * q * half * half, a * a * q * q * part
+        lowest = -b / a * half
+        x = min(max(lowest, low), high)
+        down = half if x == lowest else np.sqrt(max(ZERO, (reach - steep * x * x) * part)) + tilt * x
+        x = min(max(-lowest, low), high)
+        up = half if x == -lowest else np.sqrt(max(ZERO, (reach - steep * x * x) * part)) - tilt * x
+        slack = SLACK + SLACK * half
+        first = min(max(np.floor(np.ceil(under - up - slack) * HALF), ZERO), np.float32(GROUPS))
+        begins[k] = first
+        ends[k] = min(max(np.floor((under + down + slack) * HALF) + ONE, first), np.float32(GROUPS))
 
 
-@nb.njit(cache=True, error_model="numpy", fastmath=True, forceinline=True)
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
 def _any_open(through):
-    most = -ONE
-    for r in range(HIGH):
-        for c in range(WIDE):
-            most = max(most, through[r, c])
-    return most > 0
+    most = nb.carray(scratch(LANES), LANES)
+    for c in range(LANES):
+        most[c] = -ONE
+    for g in range(GROUPS):
+        for c in range(LANES):
+            most[c] = most[c] if most[c] > through[g, c] else through[g, c]
+    found = -ONE
+    for c in range(LANES):
+        found = max(found, most[c])
+    return found > 0
 
 
 @nb.njit(cache=True, error_model="numpy", parallel=True)

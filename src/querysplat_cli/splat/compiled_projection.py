@@ -69,6 +69,31 @@ def fill_basis(basis, bands, x, y, z):
         basis[15] = A36 * x * (x * x - 3 * y * y)
 
 
+@nb.njit(cache=True, error_model="numpy")
+def fill_slopes(slope, bands, x, y, z):
+    """slope[band, axis] = ∂basis/∂direction."""
+    slope[:, :] = 0.0
+    if bands > 1:
+        slope[1, 1], slope[2, 2], slope[3, 0] = -SH_1, SH_1, -SH_1
+    if bands > 4:
+        slope[4, 0], slope[4, 1] = A20 * y, A20 * x
+        slope[5, 1], slope[5, 2] = A21 * z, A21 * y
+        slope[6, 0], slope[6, 1], slope[6, 2] = -2 * A22 * x, -2 * A22 * y, 4 * A22 * z
+        slope[7, 0], slope[7, 2] = A23 * z, A23 * x
+        slope[8, 0], slope[8, 1] = 2 * A24 * x, -2 * A24 * y
+    if bands > 9:
+        slope[9, 0], slope[9, 1] = A30 * 6 * x * y, A30 * 3 * (x * x - y * y)
+        slope[10, 0], slope[10, 1], slope[10, 2] = A31 * y * z, A31 * x * z, A31 * x * y
+        slope[11, 0], slope[11, 2] = -2 * A32 * x * y, 8 * A32 * y * z
+        slope[11, 1] = A32 * (4 * z * z - x * x - 3 * y * y)
+        slope[12, 0], slope[12, 1] = -6 * A33 * x * z, -6 * A33 * y * z
+        slope[12, 2] = A33 * (6 * z * z - 3 * x * x - 3 * y * y)
+        slope[13, 0] = A34 * (4 * z * z - 3 * x * x - y * y)
+        slope[13, 1], slope[13, 2] = -2 * A34 * x * y, 8 * A34 * x * z
+        slope[14, 0], slope[14, 1], slope[14, 2] = 2 * A35 * x * z, -2 * A35 * y * z, A35 * (x * x - y * y)
+        slope[15, 0], slope[15, 1] = A36 * 3 * (x * x - y * y), -6 * A36 * x * y
+
+
 @nb.njit(cache=True, error_model="numpy", parallel=True)
 def project_view(means, quats, scales, opacities, sh, view, limits, rows, depths):
     """Fill rows [n, ROW_COLUMNS] for one view, and depths [n]: ∞ for what is not visible."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from querysplat_cli.splat.compiled_projection import HALF_HEIGHT, HALF_WIDTH, LOST, A, B, C, X, Y
 
-WIDE, HIGH = 16, 32
+WIDE, HIGH = 8, 32
 HALF = np.float32(0.5)
 ZERO = np.float32(0)
 

@@ -48,7 +48,7 @@ def blend(
             f'Take alpha_min ≥ {LOWEST_ALPHA_MIN}, or backend="reference".',
         )
     fields = (gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.sh)
-    planes = _Blend.apply(
+    colour, alpha, depth = _Blend.apply(
         *(field.float().contiguous() for field in fields),
         cameras.w2c,
         cameras.K,
@@ -56,7 +56,7 @@ def blend(
         cameras.width,
         settings,
     )
-    return planes[:, :3], planes[:, 3], planes[:, 4]
+    return colour, alpha, depth
 
 
 @dataclass(frozen=True)
@@ -83,25 +83,32 @@ class _Blend(torch.autograd.Function):
         height: int,
         width: int,
         settings: RenderSettings,
-    ) -> Tensor:
+    ) -> tuple[Tensor, Tensor, Tensor]:
         arrays = [tensor.detach().numpy() for tensor in (means, quats, scales, opacities, sh)]
         planes = np.empty((len(w2c), BLENDED_PLANES, height, width), np.float32)
         rows = _camera_rows(Cameras(w2c.detach().double(), K.detach().double(), height, width))
         views = [_forward_view(arrays, camera, settings, planes[v]) for v, camera in enumerate(rows)]
         result = torch.from_numpy(planes)
-        ctx.save_for_backward(means, quats, scales, opacities, sh, w2c, result)
-        ctx.views, ctx.settings = views, settings
-        return result
+        ctx.save_for_backward(means, quats, scales, opacities, sh, w2c)
+        ctx.views, ctx.settings, ctx.planes = views, settings, planes
+        ctx.set_materialize_grads(False)
+        return result[:, :3], result[:, 3], result[:, 4]
 
     @staticmethod
-    def backward(ctx: Any, given: Tensor) -> tuple[Tensor | None, ...]:
-        *tensors, w2c, result = ctx.saved_tensors
+    def backward(
+        ctx: Any, of_colour: Tensor | None, of_alpha: Tensor | None, of_depth: Tensor | None
+    ) -> tuple[Tensor | None, ...]:
+        *tensors, w2c = ctx.saved_tensors
         arrays = [tensor.detach().numpy() for tensor in tensors]
         gradients = [np.zeros_like(array) for array in arrays]
         tasks = numba.get_num_threads()
         parts = np.empty((tasks, len(arrays[0]), GRADIENT_COLUMNS), np.float32)
         of_views = np.zeros((len(ctx.views), -(-len(arrays[0]) // GAUSSIANS_AT_ONCE), VIEW_COLUMNS))
-        slopes, planes = given.contiguous().numpy(), result.numpy()
+        planes = ctx.planes
+        slopes = np.zeros_like(planes)
+        for part, given in ((slopes[:, :3], of_colour), (slopes[:, 3], of_alpha), (slopes[:, 4], of_depth)):
+            if given is not None:
+                part[:] = given.numpy()
         tiles_x = -(-planes.shape[3] // WIDE)
         for v, view in enumerate(ctx.views):
             parts[:] = 0

@@ -12,6 +12,7 @@ from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.prune.bands import IdleBands
 from querysplat_cli.prune.gaussians import Pruned
 from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.exposures import Exposures
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.tto.features import Start, gaussians_of, optimise_memories
 from querysplat_cli.tto.gaussians import optimise_gaussians
@@ -27,7 +28,8 @@ class Adapted:
     """A scene after optimisation.
 
     Where the Gaussians were optimised themselves, `memories` no longer decode to them. Elsewhere `gaussians` are the
-    decoded ones that are `kept` (all where it is None), without `idle_bands`. `cameras` are those of the input views.
+    decoded ones that are `kept` (all where it is None), without `idle_bands`. `cameras` are those of the input views,
+    `exposures` their colour transforms (None: the photos show the scene's own colours).
     """
 
     memories: Memories
@@ -37,6 +39,7 @@ class Adapted:
     kept: Bool[Tensor, "n"] | None = None
     pruned: Pruned | None = None
     idle_bands: IdleBands | None = None
+    exposures: Exposures | None = None
 
     @property
     def interrupted(self) -> bool:
@@ -76,7 +79,9 @@ def adapt(
         if result.interrupted:
             break
     memories = start.variables if isinstance(start.variables, Memories) else model.keys_and_values(start.variables)
-    return Adapted(memories, gaussians_of(model, start), target.cameras, tuple(runs), start.kept, pruned)
+    exposures = target.exposures.current if target.exposures else None
+    gaussians = gaussians_of(model, start)
+    return Adapted(memories, gaussians, target.cameras, tuple(runs), start.kept, pruned, exposures=exposures)
 
 
 def _run(

@@ -10,7 +10,6 @@ from torch import Tensor
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.rotations import quaternion_to_matrix
 from querysplat_cli.splat.blending_weights import blending_weights
-from querysplat_cli.splat.render import render
 from querysplat_cli.tto.rendering_loss import RenderingLoss
 
 SPLIT_DISTANCE = 0.5
@@ -62,7 +61,7 @@ def disagreement(gaussians: Gaussians, target: RenderingLoss) -> Float[Tensor, "
     for view in range(len(target.views)):
         camera, photo = target.cameras[[view]], target.views.picture(view)
         with torch.no_grad():
-            picture = render(gaussians, camera, background=target.background, settings=target.settings).colour[0]
+            picture = target.render(gaussians, view).over(target.background)[0]
             error = (picture - photo).abs().mean(0) * target.views.masks[view]
         total += blending_weights(gaussians, camera, error[None], target.settings)
     return total

@@ -14,7 +14,9 @@ from torch import Tensor
 from querysplat_cli.model.anchors import Anchors
 from querysplat_cli.model.memories import Features, Memories
 from querysplat_cli.model.querysplat import QuerySplat
+from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.splat.smoothing import convolved
 from querysplat_cli.tto.optimise import TtoResult, optimise
 from querysplat_cli.tto.options import NO_CALLBACKS, Callbacks, TtoSettings
 from querysplat_cli.tto.rendering_loss import RenderingLoss
@@ -28,13 +30,15 @@ class Start(Generic[M]):
     """What optimisation starts with.
 
     `gaussians` is the scene where the variables no longer decode to it, else None. `kept` marks the decoded Gaussians
-    that belong to the scene (None: all).
+    that belong to the scene (None: all). `finest` are cameras for whose pixels decoded Gaussians are smoothed
+    (`splat/smoothing.py`; None: they stay as decoded).
     """
 
     variables: M
     anchors: Anchors | None
     gaussians: Gaussians | None = None
     kept: Bool[Tensor, "n"] | None = None
+    finest: Cameras | None = None
 
     def narrowed(self, kept: Bool[Tensor, "m"]) -> "Start[M]":
         """With only those of the scene's Gaussians that are `kept`."""
@@ -79,4 +83,5 @@ def gaussians_of(model: QuerySplat, start: Start[M]) -> Gaussians:
 
 def _decoded(model: QuerySplat, start: Start[M]) -> Gaussians:
     gaussians = model.decode(start.variables, start.anchors)
-    return gaussians if start.kept is None else gaussians[start.kept]
+    gaussians = gaussians if start.kept is None else gaussians[start.kept]
+    return gaussians if start.finest is None else convolved(gaussians, start.finest)

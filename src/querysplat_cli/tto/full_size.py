@@ -6,8 +6,11 @@ from dataclasses import dataclass, replace
 import torch
 
 from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.exposures import Exposures
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.views import Views
+from querysplat_cli.splat.smoothing import bounded
+from querysplat_cli.tto.exposure_refit import RefittedExposures
 from querysplat_cli.tto.full_size_plan import FullSizePlan, FullSizeStage
 from querysplat_cli.tto.full_size_policy import FULL_SIZE_POLICY
 from querysplat_cli.tto.gaussians import Changes, optimise_gaussians
@@ -18,11 +21,15 @@ from querysplat_cli.tto.rendering_loss import RenderingLoss
 
 @dataclass(frozen=True)
 class FullSizeResult:
-    """A scene after its stages and rounds, with their results, and why no more followed (a phrase)."""
+    """A scene after its stages and rounds, with their results, and why no more followed (a phrase).
+
+    `exposures` are the colour transforms of its photos, where it has them.
+    """
 
     gaussians: Gaussians
     runs: tuple[tuple[FullSizeStage, TtoResult[Changes]], ...]
     ended: str
+    exposures: Exposures | None = None
 
     @property
     def interrupted(self) -> bool:
@@ -35,14 +42,17 @@ def optimise_full_size(
     plan: FullSizePlan,
     *,
     seed: int,
+    exposures: Exposures | None = None,
     progress: Callable[[FullSizeStage, TtoStep], None] = lambda stage, step: None,
 ) -> FullSizeResult:
     """Carry out `plan`. Each step renders one view over a background of random colour.
 
     `views_at(max_size)` gives the input views at a longer side of at most so many pixels. Only those of one size are
-    held at a time.
+    held at a time. `exposures` are the colour transforms to start with. No Gaussian of the result is thinner than a
+    pixel of the last pictures (`splat/smoothing.py`).
     """
     generator = torch.Generator().manual_seed(seed)
+    refitted = RefittedExposures(exposures) if exposures else None
     runs: list[tuple[FullSizeStage, TtoResult[Changes]]] = []
     target: RenderingLoss | None = None
     size = 0
@@ -52,7 +62,7 @@ def optimise_full_size(
         if target is None or size != stage.max_size:
             target = None  # the smaller pictures make room for the larger ones
             views, cameras = views_at(stage.max_size)
-            target, size = RenderingLoss.for_solid_scenes(views, cameras, generator), stage.max_size
+            target, size = RenderingLoss.for_solid_scenes(views, cameras, generator, refitted), stage.max_size
         start = runs[-1][1].gaussians if runs else gaussians
         result = optimise_gaussians(
             start,
@@ -76,7 +86,10 @@ def optimise_full_size(
             ended = "the time was over"
         elif plan.round:
             ended = _rounds(run, plan.round, plan.most_rounds)
-    return FullSizeResult(runs[-1][1].gaussians, tuple((stage, _lean(result)) for stage, result in runs), ended)
+    assert target
+    sharp = bounded(runs[-1][1].gaussians, target.cameras)
+    lean = tuple((stage, _lean(result)) for stage, result in runs)
+    return FullSizeResult(sharp, lean, ended, refitted.current if refitted else None)
 
 
 def _rounds(run: Callable[[FullSizeStage], TtoResult[Changes]], each: FullSizeStage, most: int) -> str:

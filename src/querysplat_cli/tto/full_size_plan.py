@@ -21,6 +21,15 @@ class Photos:
     width: int
     working: int
 
+    @property
+    def smallest(self) -> int:
+        """The longer side that pictures have at least, in pixels."""
+        return min(self.working, max(self.height, self.width))
+
+    def pixels(self, size: int) -> float:
+        """Of one photo whose longer side has `size` pixels."""
+        return self.height * self.width * (size / max(self.height, self.width)) ** 2
+
 
 @dataclass(frozen=True)
 class FullSizeStage:
@@ -50,20 +59,19 @@ def plan_full_size(
 ) -> FullSizePlan:
     """A plan for a scene of so many Gaussians, which counts costs and never looks at a clock.
 
-    With `seconds` the stages end by the clock, after so long altogether, and there are no rounds. Photos are then
-    smaller where the plan for the size of `level` takes longer.
+    With `seconds` the stages end by the clock, after so long altogether, and there are no rounds. Photos are smaller
+    than the size of `level` where the time is too short for them.
     """
-    policy = FULL_SIZE_POLICY
-    side = max(photos.height, photos.width)
-    size = min(side, policy.high_size if level == "high" else policy.max_size)
-    pixels = photos.height * photos.width * (size / side) ** 2
-    planned = policy.seconds[0] + policy.seconds[1] * photos.count * pixels / 1e6
-    if seconds is not None and seconds < planned:
-        reduced = max(min(photos.working, size), round(size * math.sqrt(seconds / planned)))
-        size, pixels = reduced, pixels * (reduced / size) ** 2
-    largest = policy.high_gaussians if level == "high" else policy.max_gaussians
-    target = max(gaussians, min(largest, int(photos.count * pixels / policy.pixels_per_gaussian)))
-    planned = min(planned, policy.most_seconds) if level == "high" else planned
+    policy, limits = FULL_SIZE_POLICY, FULL_SIZE_POLICY.levels[level]
+    largest = min(max(photos.height, photos.width), limits.size)
+    allowed = min(
+        limits.seconds[0] + limits.seconds[1] * photos.count * photos.pixels(largest) / 1e6, limits.most_seconds
+    )
+    if seconds is not None:
+        allowed = seconds
+    size = _size(photos, largest, max(gaussians, limits.gaussians), allowed)
+    pixels = photos.pixels(size)
+    target = max(gaussians, min(limits.gaussians, int(photos.count * pixels / policy.pixels_per_gaussian)))
     most_passes = min(policy.most_passes, policy.passes * max(1.0, size / photos.working) ** 2)
     if photos.count <= TTO_POLICY.few_views:
         most_passes = min(most_passes, TTO_POLICY.passes)
@@ -73,7 +81,7 @@ def plan_full_size(
         more = round(gaussians * (target / gaussians) ** (number / len(shares)))
         cost = _step_seconds(pixels * share**2, more)
         passes = most_passes * photos.count / len(shares)
-        steps = max(1, int(passes if seconds is not None else min(planned * part / cost, passes)))
+        steps = max(1, int(passes if seconds is not None else min(allowed * part / cost, passes)))
         settings = TtoSettings(
             steps,
             policy.learning_rate,
@@ -84,11 +92,23 @@ def plan_full_size(
         )
         stages.append(FullSizeStage(round(size * share), settings, more))
         expected += steps * cost
-    if level == "high" or seconds is not None:
+    if not limits.most_rounds or seconds is not None:
         return FullSizePlan(tuple(stages), expected if seconds is None else seconds)
     last = stages[-1].settings
     again = replace(last, steps=policy.round_passes * photos.count, lr=policy.learning_rate / 2)
-    return FullSizePlan(tuple(stages), expected, FullSizeStage(size, again, target), policy.most_rounds)
+    return FullSizePlan(tuple(stages), expected, FullSizeStage(size, again, target), limits.most_rounds)
+
+
+def _size(photos: Photos, largest: int, gaussians: int, seconds: float) -> int:
+    """The longer side, at most `largest`, at which the time lasts for `FullSizePolicy.fewest_passes`.
+
+    It is that of the working pictures where the photos can be hardly larger.
+    """
+    policy = FULL_SIZE_POLICY
+    each = seconds / (policy.fewest_passes * photos.count)
+    pixels = max(0.0, each - _step_seconds(0.0, gaussians)) / policy.step_seconds[1]
+    size = min(largest, int(largest * math.sqrt(pixels / photos.pixels(largest))))
+    return size if size >= policy.least_enlargement * photos.working else photos.smallest
 
 
 def _stages(working: int, size: int) -> tuple[tuple[float, float], ...]:

@@ -21,6 +21,7 @@ from querysplat_cli.tto.optimise import TtoResult, optimise
 from querysplat_cli.tto.options import NO_CALLBACKS, Callbacks, TtoSettings
 from querysplat_cli.tto.policy import TTO_POLICY
 from querysplat_cli.tto.rendering_loss import RenderingLoss
+from querysplat_cli.tto.smoothing import bounding
 from querysplat_cli.tto.variables import Denser, Parametrisation
 
 LARGEST_CHANGE = 8.0
@@ -68,18 +69,22 @@ def optimise_gaussians(
 ) -> TtoResult[Changes]:
     """`optimise` for changes to `gaussians`, which are split on the way until there are `densify_to`.
 
+    No scale falls below the pixels of `target.finest`.
+
     The variables of the result are the changes since the last split.
     """
 
     def denser(some: Gaussians, target: RenderingLoss, rounds: int) -> Denser[Changes]:
         assert densify_to
         more = densify(some, target, round(len(some) * (densify_to / len(some)) ** (1 / rounds)))
-        return Denser(Changes.none(more.gaussians), partial(changed, more.gaussians), more.origin)
+        return Denser(
+            Changes.none(more.gaussians), bounding(partial(changed, more.gaussians), target.finest), more.origin
+        )
 
     return optimise(
         Parametrisation(
             Changes.none(gaussians),
-            partial(changed, gaussians),
+            bounding(partial(changed, gaussians), target.finest),
             TTO_POLICY.gaussian_rates,
             densify=denser if densify_to else None,
         ),

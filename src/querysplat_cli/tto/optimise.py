@@ -18,6 +18,7 @@ from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.tto.cameras import RefinedCameras
 from querysplat_cli.tto.coverage_loss import CoverageLoss
+from querysplat_cli.tto.dropout import without_some
 from querysplat_cli.tto.options import NO_CALLBACKS, Callbacks, TtoSettings, TtoStep
 from querysplat_cli.tto.policy import TTO_POLICY
 from querysplat_cli.tto.rendering_loss import LossAndGradient, RenderingLoss, tensors
@@ -63,7 +64,8 @@ def optimise(
 
     A step after which the loss rises beyond its noise, or anything stops being finite, is undone and the rate halved.
     Pruning decides which Gaussians the rest of the run goes on with. `refine_cameras` corrects the cameras, too.
-    Ctrl-C ends the run, which keeps what was reached. Splitting takes the place of a step. It cannot go with pruning,
+    Exposures of the target follow, and go back to where they were unless the scene becomes better. Ctrl-C ends the run,
+    which keeps what was reached. Splitting takes the place of a step. It cannot go with pruning,
     which marks rows of the Gaussians that there were at the start.
     """
     assert not (callbacks.prune and start.densify)
@@ -77,7 +79,7 @@ def optimise(
         return before
     refined = RefinedCameras(target.cameras, first) if refine_cameras else None
     coverage = CoverageLoss.of(first, target.cameras) if settings.keep_cover else None
-    run = _Run(start, settings, callbacks, target, losses, refined, coverage)
+    run = _Run(start, settings, callbacks, target, losses, refined, coverage, generator)
     interrupted = False
     try:
         run.take_steps(_draws(len(views), settings.views_per_step, generator))
@@ -98,12 +100,15 @@ class _Run(Generic[V]):
         losses: list[float],
         refined: RefinedCameras | None,
         coverage: CoverageLoss | None,
+        generator: torch.Generator,
     ) -> None:
         self.history: list[TtoStep] = []
         self.undone = 0
         self._adam = UndoableAdam(start, settings.lr)
         self._settings, self._callbacks, self._densify = settings, callbacks, start.densify
         self._target, self._refined, self._coverage = target, refined, coverage
+        self._generator = generator
+        self._exposures_before = target.exposures and target.exposures.current
         self._least_losses = losses
         self._pruned: Pruned | None = None
         self._splits_left = settings.densify_after if start.densify else ()
@@ -128,6 +133,8 @@ class _Run(Generic[V]):
         if finite(tensors(gaussians)):
             loss = self._target.value(gaussians, list(range(len(self._target.views))))
         if not loss < found.loss_before:
+            if self._target.exposures and self._exposures_before:
+                self._target.exposures.current = self._exposures_before
             return found
         return replace(
             found,
@@ -141,7 +148,9 @@ class _Run(Generic[V]):
 
     def _take(self, step: int, chosen: list[int], done: float) -> None:
         gaussians = self._pruned_in_time(self._decoded(), step, done)
-        loss = self._send_back(gaussians, chosen, step)
+        share = self._settings.dropout * done
+        shown = without_some(gaussians, share, self._generator) if share else gaussians
+        loss = self._send_back(shown, chosen, step)
         if loss is None or not self._adam.gradient_is_finite() or self._has_risen(loss, chosen):
             self._undo()
             return
@@ -149,10 +158,10 @@ class _Run(Generic[V]):
         if self._splits_left and done >= self._splits_left[0]:
             self._split(gaussians)
             return
-        share = _rate_share(step, done, self._settings)
-        self._adam.step(share)
+        rate = _rate_share(step, done, self._settings)
+        self._adam.step(rate)
         if self._refined:
-            self._refined.step(share)
+            self._refined.step(rate)
 
     def _decoded(self) -> Gaussians:
         """The Gaussians that stay, for a target whose cameras are the refined ones."""

@@ -22,6 +22,9 @@ class OptimiseOptions:
     refine_cameras: whether the input cameras are corrected, too.
     keep_all: whether Gaussians and SH bands stay even where they change nothing.
     seed: of the order in which views are drawn.
+    finest_size: longer side of the pictures, in pixels, that bound how thin a Gaussian may become; None takes the views
+        themselves. A scene that was optimised on larger photos keeps their detail so.
+    smooth: whether decoded Gaussians are smoothed without any step, too, because earlier steps smoothed them.
     """
 
     steps: int | None = None
@@ -32,6 +35,8 @@ class OptimiseOptions:
     refine_cameras: bool = False
     keep_all: bool = False
     seed: int = 42
+    finest_size: int | None = None
+    smooth: bool = False
 
 
 @dataclass(frozen=True)
@@ -44,6 +49,7 @@ class TtoSettings:
         step, as the authors' release does.
     seconds: the run ends when they are over, and the rate falls with the time; None sets no limit.
     keep_cover: whether what the scene covers between the views must stay covered.
+    dropout: share of the Gaussians that is left out of a step at the end of the run; it rises from 0 along the way.
     densify_after: shares of the steps after which Gaussians are split, where they are.
     """
 
@@ -53,6 +59,7 @@ class TtoSettings:
     warm_up: int = 0
     seconds: float | None = None
     keep_cover: bool = False
+    dropout: float = 0.0
     densify_after: tuple[float, ...] = TTO_POLICY.densify_after
 
 

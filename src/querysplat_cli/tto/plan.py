@@ -29,15 +29,10 @@ def plan_tto(
 ) -> tuple[TtoRun, ...]:
     """Runs for a scene of so many views and Gaussians, of which pruning leaves `target_count`.
 
-    They take `steps` steps together, or an automatic number (None). With `seconds` they last no longer than that, and
-    an automatic number is then the most steps that improve a scene.
+    They take `steps` steps together, or an automatic number (None), and with `seconds` no longer than that.
     """
     if steps is None:
-        steps = (
-            TTO_POLICY.most_timed_steps
-            if seconds is not None
-            else _automatic_steps(views, gaussians, target_count, space)
-        )
+        steps = _automatic_steps(views, gaussians, target_count, space)
     settings = TtoSettings(
         steps=steps,
         lr=TTO_POLICY.resumed_learning_rate if resumed else TTO_POLICY.learning_rate,
@@ -45,6 +40,7 @@ def plan_tto(
         warm_up=TTO_POLICY.resumed_warm_up if resumed else 0,
         seconds=seconds,
         keep_cover=1 < views <= TTO_POLICY.few_views,
+        dropout=TTO_POLICY.dropout if 1 < views <= TTO_POLICY.few_views else 0.0,
     )
     return _runs(space, settings)
 

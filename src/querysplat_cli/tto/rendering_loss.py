@@ -12,7 +12,8 @@ from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.conventions import MID_GREY
 from querysplat_cli.splat.render import Rendering, RenderSettings, render
-from querysplat_cli.splat.similarity import photometric_loss
+from querysplat_cli.splat.similarity import photometric_loss, photometric_value
+from querysplat_cli.tto.exposure_refit import RefittedExposures
 
 
 @dataclass(frozen=True)
@@ -51,6 +52,10 @@ class RenderingLoss:
     background: behind the scene (None: black).
     backgrounds: draws the colour of every gradient, so that the scene cannot use the background as its own
         colour. Values, which are compared with each other, have the one `background`.
+    exposures: transforms from the scene's colours to those of each photo (None: they are the same). They are refitted
+        to every render that a gradient is taken of.
+    finest: cameras whose pixels bound how thin optimisation may make a Gaussian (`splat/smoothing.py`; None: nothing
+        bounds that).
     """
 
     views: Views
@@ -58,20 +63,28 @@ class RenderingLoss:
     background: Tensor | None = None
     settings: RenderSettings = field(default_factory=RenderSettings)
     backgrounds: torch.Generator | None = None
+    exposures: RefittedExposures | None = None
+    finest: Cameras | None = None
 
     @classmethod
-    def for_solid_scenes(cls, views: Views, cameras: Cameras, generator: torch.Generator) -> "RenderingLoss":
-        """Values over grey, and gradients over random backgrounds.
+    def for_solid_scenes(
+        cls, views: Views, cameras: Cameras, generator: torch.Generator, exposures: RefittedExposures | None = None
+    ) -> "RenderingLoss":
+        """Values over grey, and gradients over random backgrounds; Gaussians no thinner than pixels.
 
         Over a fixed background, dark or bright places of the photos would become transparent instead of opaque.
         """
         grey = torch.full((3,), MID_GREY, device=cameras.w2c.device)
-        return cls(views, cameras, grey, backgrounds=generator)
+        return cls(views, cameras, grey, backgrounds=generator, exposures=exposures, finest=cameras)
+
+    def render(self, gaussians: Gaussians, view: int) -> Rendering:
+        """One view over black, in the colours of its photo."""
+        return self._exposed(self._render(gaussians, self.cameras, view), view)
 
     def values(self, gaussians: Gaussians, chosen: list[int]) -> list[float]:
         """The loss of each of the views `chosen`."""
         with torch.no_grad():
-            return [self._value(self._render(gaussians, self.cameras, view), view) for view in chosen]
+            return [self._scores(gaussians, view)[0] for view in chosen]
 
     def value(self, gaussians: Gaussians, chosen: list[int]) -> float:
         """The loss over the views `chosen`."""
@@ -80,11 +93,11 @@ class RenderingLoss:
     def psnr(self, gaussians: Gaussians, chosen: list[int]) -> float:
         """The mean over the views `chosen`, in dB."""
         with torch.no_grad():
-            return _decibels([self._error(self._render(gaussians, self.cameras, view), view) for view in chosen])
+            return _decibels([self._scores(gaussians, view)[1] for view in chosen])
 
     def value_and_gradient(self, gaussians: Gaussians, chosen: list[int]) -> LossAndGradient:
         """The loss over the views `chosen`, and its gradient with respect to every Gaussian parameter."""
-        behind = _random_background(self.backgrounds).to(gaussians.means) if self.backgrounds else self.background
+        behind = _random_background(self.backgrounds) if self.backgrounds else self.background
         leaves = gaussians.map(lambda field: field.detach().requires_grad_())
         asked = self.cameras.w2c.requires_grad
         w2c, K = (field.detach().requires_grad_(asked) for field in (self.cameras.w2c, self.cameras.K))
@@ -92,29 +105,34 @@ class RenderingLoss:
         losses, errors = [], []
         for view in chosen:
             rendering = self._render(leaves, cameras, view)
-            loss = self._loss(rendering.over(behind), view)
-            (loss / len(chosen)).backward()
-            losses.append(self._value(rendering, view) if self.backgrounds else float(loss.detach()))
-            errors.append(self._error(rendering, view))
+            photo = self._photo(view)
+            if self.exposures:
+                self.exposures.refit(view, rendering, photo[0][0], photo[1][0])
+                rendering = self._exposed(rendering, view)
+            (photometric_loss(rendering.over(behind), *photo) / len(chosen)).backward()
+            value, error = self._compared(rendering, photo)
+            losses.append(value)
+            errors.append(error)
         camera_gradient = (gradient_of(w2c), gradient_of(K)) if asked else None
         return LossAndGradient(losses, _decibels(errors), leaves.map(gradient_of), camera_gradient)
 
     def _render(self, gaussians: Gaussians, cameras: Cameras, view: int) -> Rendering:
         return render(gaussians, cameras[[view]], settings=self.settings)
 
-    def _loss(self, picture: Tensor, view: int) -> Tensor:
-        return photometric_loss(picture, self.views.picture(view)[None], self.views.masks[[view]])
+    def _exposed(self, rendering: Rendering, view: int) -> Rendering:
+        return self.exposures.exposed(rendering, view) if self.exposures else rendering
+
+    def _photo(self, view: int) -> tuple[Tensor, Tensor]:
+        """The photo of a view and its mask, as a batch of one."""
+        return self.views.picture(view)[None], self.views.masks[[view]]
+
+    def _scores(self, gaussians: Gaussians, view: int) -> tuple[float, float]:
+        return self._compared(self.render(gaussians, view), self._photo(view))
 
     @torch.no_grad()
-    def _value(self, rendering: Rendering, view: int) -> float:
-        """The loss over `background`."""
-        return float(self._loss(rendering.over(self.background), view))
-
-    @torch.no_grad()
-    def _error(self, rendering: Rendering, view: int) -> float:
-        """The mean squared error over `background`."""
-        picture = rendering.over(self.background).clamp(0, 1)
-        return float((picture - self.views.picture(view)).square().mean(1)[self.views.masks[[view]]].mean())
+    def _compared(self, rendering: Rendering, photo: tuple[Tensor, Tensor]) -> tuple[float, float]:
+        """The loss and the mean squared error over `background`."""
+        return photometric_value(rendering.over(self.background), *photo)
 
 
 def tensors(holder: Any) -> list[Tensor]:
@@ -122,14 +140,14 @@ def tensors(holder: Any) -> list[Tensor]:
     return [getattr(holder, each.name) for each in fields(holder)]
 
 
-def _random_background(generator: torch.Generator) -> Tensor:
-    """Black every other time, else any colour.
+def _random_background(generator: torch.Generator) -> Tensor | None:
+    """Black every other time (None), else any colour.
 
     Held out on kermit, black and grey, dB: black alone 22.23 and 21.15, colours alone 21.82 and 21.78, both 22.10 and
     21.98.
     """
     colour, draw = torch.rand(3, generator=generator), torch.rand((), generator=generator)
-    return colour * (draw < 0.5)
+    return colour if draw < 0.5 else None
 
 
 def gradient_of(leaf: Tensor) -> Tensor:

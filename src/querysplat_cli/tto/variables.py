@@ -113,5 +113,5 @@ class UndoableAdam(Generic[V]):
 
 
 def finite(some: list[Tensor]) -> bool:
-    """Whether no tensor holds NaN or Inf."""
-    return all(bool(tensor.detach().isfinite().all()) for tensor in some)
+    """Whether no tensor holds NaN or Inf; in float64, a sum of float32 is finite only if every summand is."""
+    return all(bool(tensor.detach().sum(dtype=torch.float64).isfinite()) for tensor in some)

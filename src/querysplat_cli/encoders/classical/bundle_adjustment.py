@@ -1,54 +1,109 @@
-"""The final bundle adjustment: all cameras, points and lenses at once, with a robust loss."""
+"""The final bundle adjustment: all cameras, points and lenses at once, with a robust loss and priors on the lenses."""
 
-from collections import Counter
-from copy import deepcopy
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pycolmap
 
+from querysplat_cli.encoders.classical.least_squares import (
+    Bundle,
+    Loss,
+    Observations,
+    adjust,
+    place_points,
+    project,
+)
+from querysplat_cli.encoders.classical.lens_prior import as_photo_camera, lens_prior
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
+from querysplat_cli.encoders.classical.sparse_model import SparseModel
 
 
-def bundle_adjusted(model: pycolmap.Reconstruction, *, fit_lens: bool) -> pycolmap.Reconstruction:
-    """The model after bundle adjustment with a robust loss.
+def bundle_adjusted(model: pycolmap.Reconstruction, stated: Sequence[float | None]) -> SparseModel:
+    """The model after a maximum a posteriori bundle adjustment.
 
-    Most features scatter by 0.2 px, but some are wrong by pixels. Under a squared loss those would bend the focal
-    length, which a handful of photos of a shallow scene hardly determine. A lens gets the second term of COLMAP's
-    RADIAL model where that lowers the error enough. With `fit_lens` False, lenses stay as they are.
+    `stated` holds EXIF's focal length of each photo in pixels, or None. Most features scatter by 0.2 px, but some are
+    wrong by pixels. Under a squared loss those would bend the focal length, which a handful of photos of a shallow
+    scene hardly determine. What the photos do not determine, the priors do: on the focal length, on the principal
+    point, and on the two distortion terms. Poses and lenses follow from the longest tracks of each photo; then all
+    points are placed.
     """
-    plain = _adjusted(model, second_term=False, fit_lens=fit_lens)
-    if not fit_lens:
-        return plain
-    richer = _adjusted(model, second_term=True, fit_lens=True)
-    limit = CAMERA_POLICY.largest_distortion
-    plausible = all(np.abs(camera.params[3:]).max() < limit for camera in richer.cameras.values())
-    return richer if plausible and _error(richer) < CAMERA_POLICY.second_term_error * _error(plain) else plain
+    policy = CAMERA_POLICY
+    numbers = sorted(image - 1 for image in model.reg_image_ids())
+    lens_numbers = sorted({model.images[photo + 1].camera_id for photo in numbers})
+    bundle, seen = _bundle(model, numbers, lens_numbers)
+    sizes = [(model.cameras[lens].height, model.cameras[lens].width) for lens in lens_numbers]
+    prior = lens_prior(sizes, _stated(model, numbers, lens_numbers, stated))
+    chosen = _longest(seen, len(bundle.points))
+    points, rows = np.unique(seen.point[chosen], return_inverse=True)
+    thin = Observations(seen.pixels[chosen], seen.camera[chosen], rows)
+    loss = Loss(policy.adjustment_loss_scale, min(1.0, policy.independent_observations / max(len(chosen), 1)))
+    adjusted = adjust(replace(bundle, points=bundle.points[points]), thin, prior, loss)
+    everything = bundle.points.copy()
+    everything[points] = adjusted.points
+    bundle = place_points(replace(adjusted, points=everything), seen, loss)
+    return _sparse_model(bundle, seen, numbers, [model.images[photo + 1] for photo in numbers], model)
 
 
-def _adjusted(model: pycolmap.Reconstruction, *, second_term: bool, fit_lens: bool) -> pycolmap.Reconstruction:
-    adjusted = deepcopy(model)
-    photos = Counter(image.camera_id for image in adjusted.images.values() if image.has_pose)
-    for number, camera in adjusted.cameras.items():
-        if second_term and photos[number] >= CAMERA_POLICY.second_term_photos:
-            parameters = [*camera.params, 0.0]
-            camera.model = pycolmap.CameraModelId.RADIAL
-            camera.params = parameters
-    options = pycolmap.BundleAdjustmentOptions()
-    options.refine_focal_length = options.refine_extra_params = fit_lens
-    options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
-    options.ceres.loss_function_scale = CAMERA_POLICY.adjustment_loss_scale
-    options.ceres.solver_options.num_threads = 1
-    options.ceres.solver_options.max_num_iterations = 50
-    options.ceres.solver_options.function_tolerance = 1e-6
-    config = pycolmap.BundleAdjustmentConfig()
-    for image in adjusted.reg_image_ids():
-        config.add_image(image)
-    config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
-    # `pycolmap.bundle_adjustment` does the same, but writes to the terminal at any log level.
-    pycolmap.create_default_bundle_adjuster(options, config, adjusted).solve()
-    return adjusted
+def _bundle(
+    model: pycolmap.Reconstruction, numbers: Sequence[int], lens_numbers: Sequence[int]
+) -> tuple[Bundle, Observations]:
+    """The model as arrays, without the observations of points behind their cameras."""
+    row = {point: i for i, point in enumerate(sorted(model.points3D))}
+    pixels, camera, point = [], [], []
+    for place, photo in enumerate(numbers):
+        for observed in model.images[photo + 1].get_observation_points2D():
+            pixels.append(observed.xy)
+            camera.append(place)
+            point.append(row[observed.point3D_id])
+    seen = Observations(np.array(pixels).reshape(-1, 2), np.array(camera, np.int64), np.array(point, np.int64))
+    bundle = Bundle(
+        np.array([model.images[photo + 1].cam_from_world().matrix() for photo in numbers]),
+        np.array([lens_numbers.index(model.images[photo + 1].camera_id) for photo in numbers]),
+        np.array([_lens(model.cameras[lens]) for lens in lens_numbers]),
+        np.array([model.points3D[point].xyz for point in row]).reshape(-1, 3),
+    )
+    front = project(bundle, seen)[1] > 0
+    return bundle, Observations(seen.pixels[front], seen.camera[front], seen.point[front])
 
 
-def _error(model: pycolmap.Reconstruction) -> float:
-    model.update_point_3d_errors()
-    return float(model.compute_mean_reprojection_error())
+def _lens(camera: pycolmap.Camera) -> list[float]:
+    k1 = next(float(camera.params[i]) for i in camera.extra_params_idxs())
+    return [float(np.log(camera.focal_length)), camera.principal_point_x, camera.principal_point_y, k1, 0.0]
+
+
+def _stated(
+    model: pycolmap.Reconstruction, numbers: Sequence[int], lenses: Sequence[int], stated: Sequence[float | None]
+) -> list[float | None]:
+    """EXIF's focal length of each lens, from the first of its photos."""
+    first = {model.images[photo + 1].camera_id: stated[photo] for photo in reversed(numbers)}
+    return [first[lens] for lens in lenses]
+
+
+def _longest(seen: Observations, points: int) -> np.ndarray:
+    """The observations of the points with the longest tracks of each photo, few enough to be quick."""
+    length = np.bincount(seen.point, minlength=points)
+    photos = int(seen.camera.max(initial=-1)) + 1
+    most = CAMERA_POLICY.adjusted_observations // max(photos, 1)
+    order = np.lexsort((seen.point, -length[seen.point], seen.camera))
+    rank = np.arange(len(order)) - np.searchsorted(seen.camera[order], np.arange(photos))[seen.camera[order]]
+    kept = np.zeros(points, bool)
+    kept[seen.point[order[rank < most]]] = True
+    return np.flatnonzero(kept[seen.point])
+
+
+def _sparse_model(
+    bundle: Bundle,
+    seen: Observations,
+    numbers: Sequence[int],
+    images: Sequence[pycolmap.Image],
+    model: pycolmap.Reconstruction,
+) -> SparseModel:
+    cameras = {}
+    for place, (photo, image) in enumerate(zip(numbers, images, strict=True)):
+        camera = model.cameras[image.camera_id]
+        lens = bundle.lenses[bundle.lens_of[place]]
+        cameras[photo] = as_photo_camera(bundle.poses[place], lens, (camera.height, camera.width))
+    observed, rows = np.unique(seen.point, return_inverse=True)
+    visible = {photo: np.unique(rows[seen.camera == place]) for place, photo in enumerate(numbers)}
+    return SparseModel(cameras, bundle.points[observed], visible)

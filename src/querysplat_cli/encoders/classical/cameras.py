@@ -9,11 +9,13 @@ import torch
 from querysplat_cli.encoders.base import CameraRequest, PosedViews
 from querysplat_cli.encoders.classical.camera_warnings import camera_warnings
 from querysplat_cli.encoders.classical.epipolar import epipolar_support, median_epipolar_error
-from querysplat_cli.encoders.classical.mapping import map_photos
+from querysplat_cli.encoders.classical.features import are_large
+from querysplat_cli.encoders.classical.mapping import Mapped, map_photos
 from querysplat_cli.encoders.classical.matches import Matches, matched
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
 from querysplat_cli.encoders.classical.pure_rotation import placed_alone, placed_by_rotation
 from querysplat_cli.encoders.classical.sparse_model import SparseModel, in_first_camera_frame
+from querysplat_cli.encoders.classical.tilted_views import with_tilted_views
 from querysplat_cli.encoders.classical.triangulation import triangulated
 from querysplat_cli.runtime.errors import ImpossibleScene
 from querysplat_cli.runtime.progress import Progress
@@ -81,11 +83,7 @@ def _without_copies(photos: Sequence[Photo]) -> tuple[list[Photo], list[LeftOut]
 
 
 def _place(photos: Sequence[Photo], *, seed: int, progress: Progress) -> Placement:
-    matches, model = _mapped(photos, seed=seed, progress=progress, thorough=False)
-    if len(photos) <= CAMERA_POLICY.thorough_photos and _missing(matches, model):
-        more, second = _mapped(photos, seed=seed, progress=progress, thorough=True)
-        if second and (model is None or _better(second, more, model)):
-            matches, model = more, second
+    matches, model = _mapped(photos, seed=seed, progress=progress)
     if not matches.pairs:
         raise ImpossibleScene(
             f"no two of the {len(photos)} photos show the same thing",
@@ -106,17 +104,56 @@ def _place(photos: Sequence[Photo], *, seed: int, progress: Progress) -> Placeme
     )
 
 
-def _mapped(
-    photos: Sequence[Photo], *, seed: int, progress: Progress, thorough: bool
-) -> tuple[Matches, SparseModel | None]:
-    with matched(photos, seed=seed, progress=progress, thorough=thorough) as matches:
+def _mapped(photos: Sequence[Photo], *, seed: int, progress: Progress) -> tuple[Matches, SparseModel | None]:
+    """Matches and a model of the photos; after a second search where the first one leaves out too many."""
+    large = are_large(photos)
+    with matched(photos, seed=seed, progress=progress) as matches:
         progress("placing cameras", 0.6)
-        return matches, map_photos(matches, seed=seed)
+        found = map_photos(matches, seed=seed)
+        weak = _missing(matches, found) or _loosely_tied(matches, found)
+        if large and weak and len(weak) * len(photos) <= CAMERA_POLICY.thorough_photos**2:
+            progress("matching again", 0.7)
+            more = with_tilted_views(matches, weak, seed=seed)
+            matches, found = _better(matches, found, more, map_photos(more, seed=seed))
+        if large or not weak or len(photos) > CAMERA_POLICY.thorough_photos:
+            return matches, found.refined(matches) if found else None
+    progress("matching again", 0.7)
+    with matched(photos, seed=seed, progress=lambda *_: None, effort=CAMERA_POLICY.thorough) as more:
+        matches, found = _better(matches, found, more, map_photos(more, seed=seed))
+        return matches, found.refined(matches) if found else None
 
 
-def _missing(matches: Matches, model: SparseModel | None) -> list[int]:
+def _better(
+    matches: Matches, first: Mapped | None, more: Matches, second: Mapped | None
+) -> tuple[Matches, Mapped | None]:
+    """The matches and the model of a second search where it places more photos, else those of the first one.
+
+    Of a few photos, as many are enough when the second model explains more matches of its own.
+    """
+    if second is None:
+        return matches, first
+    if first is None:
+        return more, second
+    new, few = epipolar_support(second.model, more), len(matches.sizes) <= CAMERA_POLICY.few_photos
+    gain = len(second.model.cameras) - len(first.model.cameras)
+    if few and gain == 0:
+        gain = new.explained - epipolar_support(first.model, matches).explained
+    return (more, second) if gain > 0 and (few or new.sound) else (matches, first)
+
+
+def _loosely_tied(matches: Matches, found: Mapped | None) -> list[int]:
+    """All of a few photos where few matches determine the cameras."""
+    photos = list(range(len(matches.sizes)))
+    if found is None or len(photos) > CAMERA_POLICY.few_photos:
+        return []
+    support = epipolar_support(found.model, matches)
+    enough = CAMERA_POLICY.few_matches * (len(photos) - 1)
+    return photos if support.explained < enough or not support.sound else []
+
+
+def _missing(matches: Matches, found: Mapped | None) -> list[int]:
     """Photos without a camera that a longer search may place: neither blurred ones nor those of another place."""
-    placed = set(model.cameras) if model else set()
+    placed = set(found.model.cameras) if found else set()
     enough = CAMERA_POLICY.few_features * float(np.median(matches.features))
     missing = []
     for photo, features in enumerate(matches.features):
@@ -125,10 +162,6 @@ def _missing(matches: Matches, model: SparseModel | None) -> list[int]:
         if photo not in placed and features >= enough and not elsewhere:
             missing.append(photo)
     return missing
-
-
-def _better(second: SparseModel, matches: Matches, first: SparseModel) -> bool:
-    return len(second.cameras) > len(first.cameras) and epipolar_support(second, matches).sound
 
 
 def _place_alone(photo: Photo) -> Placement:

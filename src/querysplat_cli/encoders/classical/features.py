@@ -12,12 +12,9 @@ from querysplat_cli.encoders.classical.policy import CAMERA_POLICY, MatchEffort
 from querysplat_cli.scene.views import Photo
 
 
-def choose_effort(photos: Sequence[Photo], *, thorough: bool) -> MatchEffort:
-    """The usual or the thorough effort, for large photos where most photos are large."""
-    large = np.median([max(photo.height, photo.width) for photo in photos]) >= CAMERA_POLICY.large_photo
-    if thorough:
-        return CAMERA_POLICY.thorough_large if large else CAMERA_POLICY.thorough
-    return CAMERA_POLICY.ordinary_large if large else CAMERA_POLICY.ordinary
+def are_large(photos: Sequence[Photo]) -> bool:
+    """Whether half of the photos have features in plenty."""
+    return bool(np.median([max(photo.height, photo.width) for photo in photos]) >= CAMERA_POLICY.large_photo)
 
 
 def image_name(photo: int) -> str:

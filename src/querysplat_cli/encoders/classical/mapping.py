@@ -1,6 +1,7 @@
 """Structure from motion: matches in, cameras and points out (COLMAP's incremental mapper)."""
 
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -13,6 +14,7 @@ from querysplat_cli.encoders.classical.epipolar import epipolar_support
 from querysplat_cli.encoders.classical.matches import Matches
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY, Attempt
 from querysplat_cli.encoders.classical.sparse_model import SparseModel
+from querysplat_cli.encoders.classical.two_views import map_two_photos
 from querysplat_cli.scene.cameras import PhotoCamera
 
 COLMAP_DISTORTION: dict[str, Callable[..., tuple[float, float, float, float]]] = {
@@ -25,26 +27,51 @@ COLMAP_DISTORTION: dict[str, Callable[..., tuple[float, float, float, float]]] =
 """OpenCV's (k1, k2, p1, p2) from the extra parameters of COLMAP's lens models."""
 
 
-def map_photos(matches: Matches, *, seed: int) -> SparseModel | None:
+@dataclass(frozen=True)
+class Mapped:
+    """A model of some photos, and COLMAP's form of it where the final bundle adjustment is still to be made."""
+
+    model: SparseModel
+    reconstruction: pycolmap.Reconstruction | None
+
+    def refined(self, matches: Matches) -> SparseModel:
+        """The model after the final bundle adjustment."""
+        return bundle_adjusted(self.reconstruction, matches.focals) if self.reconstruction else self.model
+
+
+def map_photos(matches: Matches, *, seed: int) -> Mapped | None:
     """The model that explains most of the matches, or None when no two photos make one.
 
     The search ends with the first attempt whose model is sound and contains all photos that matches connect.
     """
+    if len(matches.sizes) == 2:
+        two = map_two_photos(matches)
+        return Mapped(two, None) if two else None
     connected = len(matches.largest_group())
-    best: tuple[float, pycolmap.Reconstruction, Attempt] | None = None
-    for attempt in CAMERA_POLICY.attempts:
+    best: tuple[float, pycolmap.Reconstruction] | None = None
+    for attempt in _attempts(matches):
         for reconstruction in _mapped(matches, attempt, seed):
             model = from_colmap(reconstruction)
             support, ordinary = epipolar_support(model, matches), has_ordinary_lens(model)
             score = support.score if ordinary else support.score / 2
-            if best is None or score > best[0]:
-                best = score, reconstruction, attempt
             if len(model.cameras) >= connected and support.sound and ordinary:
-                return from_colmap(bundle_adjusted(reconstruction, fit_lens=attempt.fit_lens))
+                return Mapped(model, reconstruction)
+            if best is None or score > best[0]:
+                best = score, reconstruction
     if best is None:
         return None
-    _, reconstruction, attempt = best
-    return from_colmap(bundle_adjusted(_extended(reconstruction, matches, seed), fit_lens=attempt.fit_lens))
+    grown = _extended(best[1], matches, seed)
+    return Mapped(from_colmap(grown), grown)
+
+
+def _attempts(matches: Matches) -> list[Attempt]:
+    """The policy's attempts; none fits the lens where the photos are too few for that."""
+    few = _are_few(matches)
+    return [replace(attempt, fit_lens=attempt.fit_lens and not few) for attempt in CAMERA_POLICY.attempts]
+
+
+def _are_few(matches: Matches) -> bool:
+    return len(matches.sizes) <= CAMERA_POLICY.few_photos
 
 
 def from_colmap(reconstruction: pycolmap.Reconstruction) -> SparseModel:
@@ -96,7 +123,8 @@ def _mapped(
 
 def _extended(model: pycolmap.Reconstruction, matches: Matches, seed: int) -> pycolmap.Reconstruction:
     """The model, extended by photos that have few matches with it where that raises its score."""
-    for grown in _mapped(matches, CAMERA_POLICY.extending, seed, model):
+    attempt = CAMERA_POLICY.extending_few if _are_few(matches) else CAMERA_POLICY.extending
+    for grown in _mapped(matches, attempt, seed, model):
         if epipolar_support(from_colmap(grown), matches).score > epipolar_support(from_colmap(model), matches).score:
             model = grown
     return model

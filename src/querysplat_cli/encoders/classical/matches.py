@@ -9,37 +9,19 @@ import numpy as np
 import pycolmap
 
 from querysplat_cli.encoders.classical.features import (
-    choose_effort,
+    are_large,
     extract_features,
     feature_sizes,
     image_name,
     write_grey,
 )
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY, MatchEffort
+from querysplat_cli.encoders.classical.verified_pairs import Pair, Verification, match_pairs, read_pairs
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.cameras import PhotoCamera, rescaled
 from querysplat_cli.scene.drafts import scratch_folder
 from querysplat_cli.scene.views import Photo
-
-UNRELATED = {
-    pycolmap.TwoViewGeometryConfiguration.UNDEFINED,
-    pycolmap.TwoViewGeometryConfiguration.DEGENERATE,
-    pycolmap.TwoViewGeometryConfiguration.WATERMARK,
-}
-
-
-@dataclass(frozen=True)
-class Pair:
-    """Photos `first` < `second` with the pixels [m, 2] that a common two-view geometry explains."""
-
-    first: int
-    second: int
-    first_pixels: np.ndarray
-    second_pixels: np.ndarray
-
-    def __len__(self) -> int:
-        return len(self.first_pixels)
 
 
 @dataclass(frozen=True)
@@ -85,16 +67,16 @@ def matched(
     *,
     seed: int,
     progress: Progress,
-    thorough: bool = False,
+    effort: MatchEffort | None = None,
     known: Sequence[PhotoCamera] | None = None,
 ) -> Iterator[Matches]:
     """Features and matches of the photos. Their folder exists only inside the `with`.
 
-    `thorough` takes several times as long and matches photos that were taken far apart. Photos of one size and one
-    EXIF focal length share a lens; with `known`, each photo has its own camera instead. Raises QuerySplatError when
-    the folder cannot be written.
+    `effort` is by default the usual one for photos of this size. Photos of one size and one EXIF focal length share a
+    lens; with `known`, each photo has its own camera instead. Raises QuerySplatError when the folder cannot be
+    written.
     """
-    effort = choose_effort(photos, thorough=thorough)
+    effort = effort or (CAMERA_POLICY.ordinary_large if are_large(photos) else CAMERA_POLICY.ordinary)
     # COLMAP writes messages to the terminal, where standard output may be the JSON of `--json`.
     pycolmap.logging.minloglevel = pycolmap.logging.FATAL.value
     with scratch_folder() as folder, _naming_the_folder(folder):
@@ -104,19 +86,19 @@ def matched(
             photo.focal * size[1] / photo.width if photo.focal else None
             for photo, size in zip(photos, sizes, strict=True)
         )
-        cameras = _known_cameras(known, sizes) if known else _shared_cameras(sizes, focals)
+        cameras = _known_cameras(known, sizes) if known else shared_cameras(sizes, focals)
         matches = Matches(folder, sizes, focals, (), ())
         with pycolmap.Database.open(matches.database) as store:
-            _write_images(store, cameras)
+            write_images(store, cameras)
         extract_features(matches.database, folder, effort)
         with pycolmap.Database.open(matches.database) as store:
-            keypoints = [store.read_keypoints(i + 1)[:, :2].astype(np.float64) for i in range(len(photos))]
+            features = tuple(store.num_keypoints_for_image(i + 1) for i in range(len(photos)))
             chosen = _choose_pairs(store, len(photos))
         progress("matching", 0.3)
-        _match(matches.database, folder, chosen, seed, effort)
+        match_pairs(matches.database, folder, chosen, effort, Verification.of(sizes, effort, seed))
         with pycolmap.Database.open(matches.database) as store:
-            pairs = _verified_pairs(store, keypoints)
-        yield replace(matches, features=tuple(map(len, keypoints)), pairs=pairs)
+            pairs = read_pairs(store, len(photos))
+        yield replace(matches, features=features, pairs=pairs)
 
 
 @contextmanager
@@ -132,15 +114,17 @@ def _naming_the_folder(folder: Path) -> Iterator[None]:
         ) from error
 
 
-def _shared_cameras(
+def shared_cameras(
     sizes: Sequence[tuple[int, int]], focals: Sequence[float | None]
 ) -> list[tuple[Hashable, pycolmap.Camera]]:
     """COLMAP's camera of each photo, with a key that is equal for photos of one lens."""
     keyed: list[tuple[Hashable, pycolmap.Camera]] = []
+    few = len(sizes) <= CAMERA_POLICY.few_photos
+    assumed = CAMERA_POLICY.usual_focal if few else CAMERA_POLICY.assumed_focal
     for (height, width), focal in zip(sizes, focals, strict=True):
-        guess = focal or CAMERA_POLICY.assumed_focal * max(height, width)
+        guess = focal or assumed * max(height, width)
         camera = pycolmap.Camera.create_from_model_name(1, "SIMPLE_RADIAL", guess, width, height)
-        camera.has_prior_focal_length = focal is not None
+        camera.has_prior_focal_length = focal is not None or few
         keyed.append(((height, width, focal and round(focal / width, 2)), camera))
     return keyed
 
@@ -158,7 +142,7 @@ def _known_cameras(
     return keyed
 
 
-def _write_images(store: pycolmap.Database, keyed: Sequence[tuple[Hashable, pycolmap.Camera]]) -> None:
+def write_images(store: pycolmap.Database, keyed: Sequence[tuple[Hashable, pycolmap.Camera]]) -> None:
     """One image for each photo; those with equal keys share a camera.
 
     This comes before the search for features, which numbers new images in the order in which its threads finish.
@@ -213,35 +197,3 @@ def _similarity(descriptors: Sequence[np.ndarray]) -> np.ndarray:
         similarity[photo] = np.count_nonzero(1 - first < ratio * (1 - cosines.max(-1)), axis=0)
     np.fill_diagonal(similarity, 0)
     return similarity + similarity.T
-
-
-def _match(database: Path, folder: Path, pairs: Sequence[tuple[int, int]], seed: int, effort: MatchEffort) -> None:
-    listing = folder / "pairs.txt"
-    listing.write_text("".join(f"{image_name(first)} {image_name(second)}\n" for first, second in pairs))
-    pairing = pycolmap.ImportedPairingOptions()
-    pairing.match_list_path = listing
-    # COLMAP notices Ctrl-C between blocks only.
-    pairing.block_size = 100
-    matching = pycolmap.FeatureMatchingOptions()
-    matching.use_gpu = False
-    matching.guided_matching = effort.guided
-    matching.sift.max_ratio = effort.match_ratio
-    verification = pycolmap.TwoViewGeometryOptions()
-    verification.ransac.random_seed = seed
-    verification.min_num_inliers = effort.fewest_inliers
-    pycolmap.match_image_pairs(
-        database, matching_options=matching, pairing_options=pairing, verification_options=verification
-    )
-
-
-def _verified_pairs(store: pycolmap.Database, keypoints: Sequence[np.ndarray]) -> tuple[Pair, ...]:
-    pairs = []
-    for pair_id, geometry in zip(*store.read_two_view_geometries(), strict=True):
-        matches = geometry.inlier_matches
-        if geometry.config in UNRELATED or not len(matches):
-            continue
-        one, two = (number - 1 for number in pycolmap.pair_id_to_image_pair(pair_id))
-        pixels = {one: keypoints[one][matches[:, 0]], two: keypoints[two][matches[:, 1]]}
-        first, second = min(one, two), max(one, two)
-        pairs.append(Pair(first, second, pixels[first], pixels[second]))
-    return tuple(sorted(pairs, key=lambda pair: (pair.first, pair.second)))

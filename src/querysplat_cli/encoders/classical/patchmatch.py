@@ -93,26 +93,22 @@ def _improve(state, colour, turn, grey, leads, shifts, pictures, known, prior, l
                 continue
             mean, spread = _window(grey, x, y, samples, weights)
             inverse, slope_x, slope_y = state[0, y, x], state[1, y, x], state[2, y, x]
-            best = state[3, y, x]
-            if turn == 0:
-                state[3, y, x] = _cost(
-                    x, y, inverse, slope_x, slope_y, samples, weights, mean, spread, leads, shifts, pictures, known,
-                    prior[y, x],
-                )  # fmt: skip
-                continue
-            for trial in range(6):
-                if trial < 4:
+            # Turn 0 has one trial, the plane as it is. The cost is called in one place: each call is compiled apart.
+            best = state[3, y, x] if turn else np.float32(np.inf)
+            for trial in range(0 if turn else -1, 6 if turn else 0):
+                new, new_x, new_y = inverse, slope_x, slope_y
+                if 0 <= trial < 4:
                     from_x, from_y = _best_towards(state, x, y, trial, width, height)
                     if from_x < 0:
                         continue
                     new_x, new_y = state[1, from_y, from_x], state[2, from_y, from_x]
                     new = state[0, from_y, from_x] + new_x * (x - from_x) + new_y * (y - from_y)
-                else:
+                elif trial >= 4:
                     size = np.float32(0.02 if trial == 4 else 0.004)
                     new = inverse * (1 + size * _noise(x, y, 8 * turn + trial, 0))
                     new_x = slope_x + size * inverse * np.float32(0.1) * _noise(x, y, 8 * turn + trial, 1)
                     new_y = slope_y + size * inverse * np.float32(0.1) * _noise(x, y, 8 * turn + trial, 2)
-                if not least <= new <= most:
+                if turn and not least <= new <= most:
                     continue
                 cost = _cost(
                     x, y, new, new_x, new_y, samples, weights, mean, spread, leads, shifts, pictures, known,

@@ -58,19 +58,21 @@ class CameraPolicy:
     # Matches.
     ordinary: MatchEffort = MatchEffort(1600, False, None, 0.8, False, 15)
     """The usual search; ratio and inliers are COLMAP's. More than 1,600 pixels cost time and find no better matches."""
-    thorough: MatchEffort = MatchEffort(800, True, 0.003, 0.9, True, 25)
+    thorough: MatchEffort = MatchEffort(800, True, 0.003, 0.9, False, 25)
     """A second, slow search, for photos that the first one did not place. It finds many features in few pixels; among
     many more candidates more agree by chance, so it needs more inliers."""
     large_photo: int = 1200
     """Photos with a longer side of at least so many pixels, in the median, are large: they have features in plenty."""
     ordinary_large: MatchEffort = MatchEffort(1600, False, None, 0.8, False, 15, 0, None, 3000)
     """The usual search in large photos. The features that it skips, in the doubled picture, would not be kept."""
-    thorough_large: MatchEffort = MatchEffort(800, True, 0.003, 0.9, True, 25, -1, 4000, 4000)
-    """The second search in large photos."""
+    tilted: MatchEffort = MatchEffort(1000, False, None, 0.9, False, 20, 0, 2000)
+    """The second search in large photos, in tilted views of those photos alone that were not placed."""
+    tilts: tuple[tuple[float, float], ...] = ((2.0, 0.0), (2.0, 36.0), (2.0, 72.0), (2.0, 108.0), (2.0, 144.0))
+    """Tilt and direction in degrees of these views. Morel & Yu take steps of 72° / tilt."""
     spread_cells: int = 16
     """A photo is divided into so many columns and rows, among which the features that are kept are spread."""
     thorough_photos: int = 20
-    """The second search is made for at most this many photos."""
+    """The second search is made for at most this many photos; in large photos for as many times as many others."""
     few_features: float = 0.2
     """A photo with less than this share of the median number of features counts as blurred, dark or plain."""
     assumed_focal: float = 1.2
@@ -100,6 +102,10 @@ class CameraPolicy:
         start_angle=1.0, start_inliers=20, point_angle=0.5, pose_inliers=12, forward_motion=1.0
     )
     """How photos with few matches are added to the best model, when no attempt was complete."""
+    extending_few: Attempt = Attempt(
+        start_angle=1.0, start_inliers=20, point_angle=0.5, pose_inliers=6, forward_motion=1.0, fit_lens=False
+    )
+    """The same for a few photos, which share few points. The matches of two photos must still agree with the model."""
     epipolar_tolerance: float = 4.0
     """Sampson distance in pixels up to which cameras explain a match (COLMAP's threshold for verified pairs)."""
     agreeing_share: float = 0.8
@@ -110,12 +116,36 @@ class CameraPolicy:
     # Bundle adjustment.
     adjustment_loss_scale: float = 0.5
     """Reprojection error in pixels beyond which the Cauchy loss gives a feature less and less weight."""
-    second_term_error: float = 0.98
-    """A second distortion term stays when it lowers the mean reprojection error to this share."""
-    second_term_photos: int = 3
-    """A lens may have a second distortion term from this many photos on."""
-    largest_distortion: float = 1.0
-    """A second term is refused when a distortion coefficient is as large as this."""
+    prior_weight: float = 0.25
+    """What a lens parameter costs that lies one standard deviation from its prior's mean, in pixels squared. An
+    observation costs its squared error."""
+    prior_weight_two: float = 1.0
+    """The same for two photos, where a wrong match on the right line cannot be told from a right one."""
+    independent_observations: int = 1000
+    """More observations than this weigh as much as so many: their errors are partly shared, and do not average out."""
+    adjusted_observations: int = 8000
+    """Cameras and lenses follow from about so many observations at most, those of the longest tracks of each photo."""
+    stated_focal_spread: float = 0.03
+    """Standard deviation of the logarithm of the focal length that EXIF states. Millimetres are rounded, and lenses
+    breathe when they focus."""
+    usual_focal: float = 0.75
+    """Median focal length of photos without EXIF, in longer sides."""
+    usual_focal_spread: float = 0.35
+    """Standard deviation of its logarithm."""
+    principal_spread: float = 0.01
+    """Standard deviation of the principal point around the middle of the photo, in longer sides."""
+    distortion_spread: tuple[float, float] = (0.1, 0.1)
+    """Standard deviations of the distortion terms k1 and k2 around zero."""
+    few_photos: int = 4
+    """With so few photos or fewer the mapper keeps the lens of the prior, and only the adjustment fits it."""
+    few_matches: int = 100
+    """Of so few photos, a second search is made when the model explains fewer matches for each photo but the first."""
+    tried_focals: tuple[float, ...] = (-1.0, 0.0, 1.0)
+    """Focal lengths from which two photos without EXIF are adjusted, in standard deviations of the prior."""
+    fewest_two_view_points: int = 15
+    """Two photos need so many points."""
+    calibrated_tolerance: float = 0.004
+    """Epipolar distance in longer sides up to which the prior's lens explains a match of so few photos."""
 
     # Pure rotation.
     rotation_tolerance: float = 0.002

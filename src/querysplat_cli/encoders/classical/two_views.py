@@ -1,0 +1,135 @@
+"""Two photos: the relative pose and the lens that explain their matches best under the lens's prior.
+
+Two photos rarely determine a focal length, and a plane leaves two poses for each. So candidates are made for several
+focal lengths, from the essential matrix and from the homography. Each is adjusted under the prior, and the one of the
+lowest cost is taken.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from querysplat_cli.encoders.classical.epipolar import epipolar_error, rays
+from querysplat_cli.encoders.classical.least_squares import Bundle, LensPrior, Loss, Observations, adjust, project
+from querysplat_cli.encoders.classical.lens_prior import as_photo_camera, lens_prior
+from querysplat_cli.encoders.classical.matches import Matches
+from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
+from querysplat_cli.encoders.classical.sparse_model import SparseModel
+from querysplat_cli.encoders.classical.verified_pairs import Pair
+from querysplat_cli.scene.cameras import PhotoCamera
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """Adjusted cameras, the points that they share, the rows [p] of the matches of these, and what all this costs."""
+
+    cost: float
+    cameras: tuple[PhotoCamera, PhotoCamera]
+    points: np.ndarray
+
+
+def map_two_photos(matches: Matches) -> SparseModel | None:
+    """The cameras and points of the only pair of photos, or None where too few of its matches become points."""
+    if not matches.pairs:
+        return None
+    pair = matches.pairs[0]
+    shared = matches.sizes[0] == matches.sizes[1] and matches.focals[0] == matches.focals[1]
+    lenses = np.array([0, 0] if shared else [0, 1])
+    prior = lens_prior(matches.sizes[: lenses.max() + 1], matches.focals[: lenses.max() + 1], two_photos=True)
+    stated = all(matches.focals)
+    candidates = [
+        _adjusted(pair, start, prior, lenses, matches.sizes)
+        for number in CAMERA_POLICY.tried_focals
+        for start in _starts(pair, matches.sizes, np.exp(prior.mean[lenses, 0] + number * prior.sigma[lenses, 0]))
+        if number == 0 or not stated
+    ]
+    best = min((each for each in candidates if each), key=lambda each: each.cost, default=None)
+    if best is None:
+        return None
+    rows = np.arange(len(best.points))
+    return SparseModel(dict(enumerate(best.cameras)), best.points, {0: rows, 1: rows})
+
+
+def _starts(
+    pair: Pair, sizes: Sequence[tuple[int, int]], focals: np.ndarray
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Focal lengths [2] and relative poses [3, 4] of unit shift: of the essential matrix, and of the homography."""
+    cameras = [
+        as_photo_camera(np.eye(3, 4), _ideal(focal, size), size) for focal, size in zip(focals, sizes, strict=True)
+    ]
+    one, two = rays(pair.first_pixels, cameras[0]), rays(pair.second_pixels, cameras[1])
+    tolerance = CAMERA_POLICY.calibrated_tolerance * max(sizes[0]) / float(focals.mean())
+    essential, inside = cv2.findEssentialMat(one, two, np.eye(3), cv2.RANSAC, 0.9999, tolerance)
+    if essential is not None and essential.shape == (3, 3):
+        _, turn, shift, _ = cv2.recoverPose(essential, one, two, np.eye(3), mask=inside.copy())
+        yield focals, np.column_stack([turn, shift])
+    plane, _ = cv2.findHomography(one, two, cv2.RANSAC, tolerance)
+    if plane is not None:
+        _, turns, shifts, _ = cv2.decomposeHomographyMat(plane, np.eye(3))
+        for turn, shift in zip(turns, shifts, strict=True):
+            if np.linalg.norm(shift) > CAMERA_POLICY.rotation_tolerance:
+                yield focals, np.column_stack([turn, shift / np.linalg.norm(shift)])
+
+
+def _ideal(focal: float, size: tuple[int, int]) -> np.ndarray:
+    return np.array([np.log(focal), size[1] / 2, size[0] / 2, 0.0, 0.0])
+
+
+def _adjusted(
+    pair: Pair,
+    start: tuple[np.ndarray, np.ndarray],
+    prior: LensPrior,
+    lenses: np.ndarray,
+    sizes: Sequence[tuple[int, int]],
+) -> _Candidate | None:
+    """The candidate after adjustment on the matches that it explains, or None where these are too few."""
+    policy = CAMERA_POLICY
+    focals, pose = start
+    count = int(lenses.max()) + 1
+    table = np.array([_ideal(focals[lens], sizes[lens]) for lens in range(count)])
+    bundle = Bundle(np.stack([np.eye(3, 4), pose]), lenses, table, np.zeros((0, 3)))
+    for _ in range(2):
+        cameras = _cameras(bundle, sizes)
+        points = _triangulated(pair, cameras)
+        good = _in_front(points, cameras) & (epipolar_error(pair, *cameras) < policy.epipolar_tolerance)
+        if good.sum() < policy.fewest_two_view_points:
+            return None
+        seen = _observations(pair, good)
+        weight = min(1.0, policy.independent_observations / len(seen.pixels))
+        loss = Loss(policy.adjustment_loss_scale, weight)
+        start_bundle = Bundle(bundle.poses, lenses, bundle.lenses, points[good])
+        bundle = adjust(start_bundle, seen, prior, loss)
+    cameras = _cameras(bundle, sizes)
+    residuals = np.linalg.norm(project(bundle, seen)[0] - seen.pixels, axis=1).reshape(2, -1).max(0)
+    worst = np.minimum(epipolar_error(pair, *cameras), policy.epipolar_tolerance)
+    worst[~_in_front(_triangulated(pair, cameras), cameras)] = policy.epipolar_tolerance
+    scale = policy.adjustment_loss_scale
+    deviation = ((bundle.lenses - prior.mean) / prior.sigma) ** 2
+    cost = weight * scale**2 * np.log1p((worst / scale) ** 2).sum() + prior.weight * deviation.sum()
+    kept = residuals < policy.epipolar_tolerance
+    return _Candidate(float(cost), cameras, bundle.points[kept]) if kept.any() else None
+
+
+def _cameras(bundle: Bundle, sizes: Sequence[tuple[int, int]]) -> tuple[PhotoCamera, PhotoCamera]:
+    one, two = (as_photo_camera(bundle.poses[i], bundle.lenses[bundle.lens_of[i]], sizes[i]) for i in (0, 1))
+    return one, two
+
+
+def _triangulated(pair: Pair, cameras: tuple[PhotoCamera, PhotoCamera]) -> np.ndarray:
+    """Points [m, 3] of the matches, in the world."""
+    one, two = rays(pair.first_pixels, cameras[0]), rays(pair.second_pixels, cameras[1])
+    found = cv2.triangulatePoints(cameras[0].w2c[:3], cameras[1].w2c[:3], one.T, two.T)
+    scale = np.where(np.abs(found[3]) > 1e-9, found[3], 1e-9)
+    return np.asarray((found[:3] / scale).T)
+
+
+def _in_front(points: np.ndarray, cameras: tuple[PhotoCamera, PhotoCamera]) -> np.ndarray:
+    return np.all([points @ camera.w2c[2, :3] + camera.w2c[2, 3] > 0 for camera in cameras], axis=0)
+
+
+def _observations(pair: Pair, good: np.ndarray) -> Observations:
+    count = int(good.sum())
+    pixels = np.concatenate([pair.first_pixels[good], pair.second_pixels[good]])
+    return Observations(pixels, np.repeat([0, 1], count), np.tile(np.arange(count), 2))

@@ -1,0 +1,111 @@
+"""Pairs of photos in COLMAP's database: matched, verified by a two-view geometry, and read as arrays of pixels."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+
+from querysplat_cli.encoders.classical.features import image_name
+from querysplat_cli.encoders.classical.policy import CAMERA_POLICY, MatchEffort
+
+UNRELATED = {
+    pycolmap.TwoViewGeometryConfiguration.UNDEFINED,
+    pycolmap.TwoViewGeometryConfiguration.DEGENERATE,
+    pycolmap.TwoViewGeometryConfiguration.WATERMARK,
+}
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Photos `first` < `second` with the pixels [m, 2] that a common two-view geometry explains."""
+
+    first: int
+    second: int
+    first_pixels: np.ndarray
+    second_pixels: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.first_pixels)
+
+
+@dataclass(frozen=True)
+class Verification:
+    """How two-view geometries are found.
+
+    A pair needs `fewest_inliers` within `tolerance` pixels. With `calibrated` True, the essential matrix under the
+    prior focal length explains the matches, or a homography does. Otherwise it may also be a fundamental matrix, which
+    explains more wrong matches.
+    """
+
+    seed: int
+    fewest_inliers: int
+    tolerance: float
+    calibrated: bool
+
+    @staticmethod
+    def of(sizes: Sequence[tuple[int, int]], effort: MatchEffort, seed: int) -> "Verification":
+        """That of so many photos: a few do not determine their lens, so its prior is taken."""
+        policy = CAMERA_POLICY
+        calibrated = len(sizes) <= policy.few_photos
+        tolerance = policy.calibrated_tolerance * max(map(max, sizes)) if calibrated else policy.epipolar_tolerance
+        return Verification(seed, effort.fewest_inliers, tolerance, calibrated)
+
+    def options(self) -> pycolmap.TwoViewGeometryOptions:
+        options = pycolmap.TwoViewGeometryOptions()
+        options.ransac.random_seed = self.seed
+        options.min_num_inliers = self.fewest_inliers
+        options.ransac.max_error = self.tolerance
+        if self.calibrated:
+            options.min_E_F_inlier_ratio = 0.0
+        return options
+
+
+def match_pairs(
+    database: Path,
+    folder: Path,
+    pairs: Iterable[tuple[int, int]],
+    effort: MatchEffort,
+    verification: Verification | None,
+) -> None:
+    """Match the features of these pairs of photos; without `verification`, matches are kept as they are found."""
+    pairing = pycolmap.ImportedPairingOptions()
+    pairing.match_list_path = _listing(folder, pairs)
+    # COLMAP notices Ctrl-C between blocks only.
+    pairing.block_size = 100
+    matching = pycolmap.FeatureMatchingOptions()
+    matching.use_gpu = False
+    matching.guided_matching = effort.guided
+    matching.sift.max_ratio = effort.match_ratio
+    matching.skip_geometric_verification = verification is None
+    options = verification.options() if verification else pycolmap.TwoViewGeometryOptions()
+    pycolmap.match_image_pairs(
+        database, matching_options=matching, pairing_options=pairing, verification_options=options
+    )
+
+
+def verify_pairs(database: Path, folder: Path, pairs: Iterable[tuple[int, int]], verification: Verification) -> None:
+    """Find a two-view geometry for the matches of these pairs of photos, which must have none yet."""
+    pycolmap.verify_matches(database, _listing(folder, pairs), options=verification.options())
+
+
+def read_pairs(store: pycolmap.Database, photos: int) -> tuple[Pair, ...]:
+    """The verified pairs of the database, in the order of their photos' numbers."""
+    keypoints = [store.read_keypoints(photo + 1)[:, :2].astype(np.float64) for photo in range(photos)]
+    pairs = []
+    for pair_id, geometry in zip(*store.read_two_view_geometries(), strict=True):
+        matches = geometry.inlier_matches
+        if geometry.config in UNRELATED or not len(matches):
+            continue
+        one, two = (number - 1 for number in pycolmap.pair_id_to_image_pair(pair_id))
+        pixels = {one: keypoints[one][matches[:, 0]], two: keypoints[two][matches[:, 1]]}
+        first, second = min(one, two), max(one, two)
+        pairs.append(Pair(first, second, pixels[first], pixels[second]))
+    return tuple(sorted(pairs, key=lambda pair: (pair.first, pair.second)))
+
+
+def _listing(folder: Path, pairs: Iterable[tuple[int, int]]) -> Path:
+    listing = folder / "pairs.txt"
+    listing.write_text("".join(f"{image_name(first)} {image_name(second)}\n" for first, second in pairs))
+    return listing

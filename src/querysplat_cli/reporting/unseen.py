@@ -1,0 +1,77 @@
+"""How much of a film around the scene shows what no photo saw."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.paths import opaque_centres, orbit
+from querysplat_cli.splat.render import render
+
+FRAMES = 16
+"""Frames of the film that is measured, evenly spaced."""
+SIDE = 160
+"""Longer side of its pictures, and of those of the photos, in pixels."""
+BEHIND = 1.05
+"""A photo shows a point that is farther away than what the photo's own render shows by less than this factor."""
+
+
+@dataclass(frozen=True)
+class Unseen:
+    """Shares of the pixels of the film, from 0 to 1.
+
+    empty: less than half covered by Gaussians, so that mostly the background shows.
+    hidden: covered, but where the pixel's surface is, no photo looks: it lies outside every photo, or in every photo
+        something nearer hides it.
+    """
+
+    empty: float
+    hidden: float
+
+    def entry(self) -> dict[str, float]:
+        """For the report."""
+        parts = {"share": self.empty + self.hidden, "empty": self.empty, "hidden": self.hidden}
+        return {name: round(part, 4) for name, part in parts.items()}
+
+
+@torch.no_grad()
+def unseen(gaussians: Gaussians, cameras: Cameras) -> Unseen | None:
+    """Of the film that `querysplat render` makes by default, around a scene with these input cameras.
+
+    None where there is no such film, because the cameras stand at what they look at.
+    """
+    factor = SIDE / max(cameras.height, cameras.width)
+    inputs = cameras.resized(round(factor * cameras.height), round(factor * cameras.width))
+    try:
+        film = orbit(inputs, opaque_centres(gaussians).median(0).values, FRAMES)
+    except QuerySplatError:
+        return None
+    depths = [render(gaussians, inputs[[view]]).depth[0] for view in range(len(inputs))]
+    empty, hidden = [], []
+    for frame in range(len(film)):
+        camera = film[[frame]]
+        drawn = render(gaussians, camera)
+        covered = drawn.alpha[0] >= 0.5
+        columns, rows = torch.arange(camera.width) + 0.5, torch.arange(camera.height) + 0.5
+        points = camera.unproject(drawn.depth, columns, rows)[0][covered]
+        empty.append((~covered).float().mean())
+        hidden.append((~_seen(points, inputs, depths)).sum() / covered.numel())
+    return Unseen(float(torch.stack(empty).mean()), float(torch.stack(hidden).mean()))
+
+
+def _seen(points: Float[Tensor, "n 3"], cameras: Cameras, depths: list[Tensor]) -> Bool[Tensor, "n"]:
+    """Whether any photo shows the points: inside its picture, and with nothing nearer in front of them."""
+    seen = torch.zeros(len(points), dtype=torch.bool)
+    fx, fy, cx, cy = cameras.intrinsics
+    for view, depth in enumerate(depths):
+        x, y, z = (points @ cameras.w2c[view, :3, :3].T + cameras.w2c[view, :3, 3]).unbind(1)
+        inside = cameras.sees(points, view)
+        near = z.clamp_min(torch.finfo(z.dtype).tiny)
+        column = (fx[view] * x / near + cx[view]).nan_to_num().clamp(0, cameras.width - 1).long()
+        row = (fy[view] * y / near + cy[view]).nan_to_num().clamp(0, cameras.height - 1).long()
+        seen |= inside & (z <= BEHIND * depth[row, column])
+    return seen

@@ -1,0 +1,38 @@
+"""What compiled functions ask of memory that numba has no words for."""
+
+# mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
+from llvmlite import ir
+from numba.core import cgutils, types
+from numba.extending import intrinsic
+from numba.np.arrayobj import make_array
+
+
+@intrinsic(prefer_literal=True)
+def scratch(typing, size):
+    """`size` float32 on the stack, which LLVM can keep in registers; it cannot do that to a numpy array."""
+
+    def generate(context, builder, signature, arguments):
+        place = cgutils.alloca_once(builder, ir.FloatType(), size=ir.Constant(ir.IntType(64), size.literal_value))
+        place.align = 64
+        return place
+
+    return types.CPointer(types.float32)(size), generate
+
+
+@intrinsic
+def prefetch(typing, array, row):
+    """Ask for a row of a 2D float32 array ahead of its use."""
+
+    def generate(context, builder, signature, arguments):
+        place = make_array(signature.args[0])(context, builder, arguments[0])
+        columns = builder.extract_value(place.shape, 1)
+        first = builder.gep(place.data, [builder.mul(arguments[1], columns)])
+        number, byte = ir.IntType(32), ir.IntType(8).as_pointer()
+        kind = ir.FunctionType(ir.VoidType(), [byte, number, number, number])
+        fetch = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0")
+        last = builder.gep(first, [builder.sub(columns, ir.Constant(columns.type, 1))])
+        for address in (first, last):
+            builder.call(fetch, [builder.bitcast(address, byte), number(0), number(3), number(1)])
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp), generate

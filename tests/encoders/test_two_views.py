@@ -1,0 +1,109 @@
+"""Two photos: the lens keeps to its prior, and a plane is reconstructed as one."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from synthetic import camera
+
+from querysplat_cli.encoders.classical.camera_warnings import camera_warnings
+from querysplat_cli.encoders.classical.matches import Matches
+from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
+from querysplat_cli.encoders.classical.two_views import map_two_photos
+from querysplat_cli.encoders.classical.verified_pairs import Pair
+from querysplat_cli.scene.cameras import PhotoCamera
+
+SIZE = (480, 640)
+PRIOR_FOCAL = CAMERA_POLICY.usual_focal * SIZE[1]
+
+
+def cameras(focal: float, distortion: float = 0.0) -> list[PhotoCamera]:
+    lens = (distortion, 0.0, 0.0, 0.0)
+    places = (((-1.0, 0, 0), 0.0), ((1.2, 0.3, 0.4), 0.1))
+    return [camera(place, (0, 0, 5), roll, size=SIZE, focal=focal, distortion=lens) for place, roll in places]
+
+
+def pixels(points: np.ndarray, one: PhotoCamera) -> np.ndarray:
+    local = points @ one.w2c[:3, :3].T + one.w2c[:3, 3]
+    flat = local[:, :2] / local[:, 2:]
+    stretch = 1 + one.distortion[0] * (flat**2).sum(1, keepdims=True)
+    return np.asarray(one.focal[0] * flat * stretch + one.principal)
+
+
+def matches(
+    points: np.ndarray, two: list[PhotoCamera], *, stated: float | None, wrong: int = 0, noise: float = 0.3
+) -> Matches:
+    """Matches of the points with a scatter of `noise` pixels, and `wrong` ones anywhere."""
+    generator = np.random.default_rng(3)
+    sides = [pixels(points, each) + noise * generator.standard_normal((len(points), 2)) for each in two]
+    random = [generator.uniform(0, [SIZE[1], SIZE[0]], (wrong, 2)) for _ in two]
+    first, second = (np.concatenate(parts) for parts in zip(sides, random, strict=True))
+    features = (len(first),) * 2
+    return Matches(Path(), (SIZE,) * 2, (stated,) * 2, features, (Pair(0, 1, first, second),))
+
+
+def cloud(count: int) -> np.ndarray:
+    return np.random.default_rng(1).uniform([-1.6, -1.2, 3.5], [1.6, 1.2, 7], (count, 3))
+
+
+def plane(count: int) -> np.ndarray:
+    """A wall that leans away, so that the two solutions of its homography differ."""
+    across = np.random.default_rng(2).uniform(-1.5, 1.5, (count, 2))
+    return np.column_stack([across, 5 + 0.5 * across[:, 0]])
+
+
+def turn_error(found: dict[int, PhotoCamera], truth: list[PhotoCamera]) -> float:
+    """Degrees between the found and the true relative rotation."""
+    turns = [two.w2c[:3, :3] @ one.w2c[:3, :3].T for one, two in ((found[0], found[1]), tuple(truth))]
+    return float(np.degrees(np.arccos(np.clip((np.trace(turns[0] @ turns[1].T) - 1) / 2, -1, 1))))
+
+
+@pytest.mark.parametrize("wrong", [0, 30])
+def test_stated_focal_length_and_wrong_matches(wrong: int) -> None:
+    truth = cameras(610.0)
+    model = map_two_photos(matches(cloud(120), truth, stated=610.0, wrong=wrong))
+    assert model is not None
+    assert turn_error(model.cameras, truth) < 0.5
+    assert model.cameras[0].focal[0] == pytest.approx(610, rel=0.03)
+    assert 110 < len(model.points) < 130
+
+
+@pytest.mark.parametrize("ratio", [0.8, 1.0, 1.25])
+def test_the_lens_keeps_to_the_prior_where_twenty_points_say_little(ratio: float) -> None:
+    truth = cameras(PRIOR_FOCAL * ratio)
+    model = map_two_photos(matches(cloud(20), truth, stated=None))
+    assert model is not None
+    lens = model.cameras[0]
+    assert abs(np.log(lens.focal[0] / PRIOR_FOCAL)) < CAMERA_POLICY.usual_focal_spread
+    assert abs(lens.distortion[0]) < CAMERA_POLICY.distortion_spread[0]
+    assert turn_error(model.cameras, truth) < 12
+
+
+@pytest.mark.parametrize("stated", [None, PRIOR_FOCAL])
+def test_a_plane_is_reconstructed_as_one(stated: float | None) -> None:
+    truth = cameras(PRIOR_FOCAL)
+    found = matches(plane(150), truth, stated=stated, noise=0.15)
+    model = map_two_photos(found)
+    assert model is not None
+    assert len(model.points) > 140
+    assert turn_error(model.cameras, truth) < 2
+    assert model.cameras[0].focal[0] == pytest.approx(PRIOR_FOCAL, rel=0.05)
+    offset = model.points - model.points.mean(0)
+    assert np.linalg.svd(offset, compute_uv=False)[2] < 0.03 * np.linalg.svd(offset, compute_uv=False)[1]
+    if stated is None:
+        assert any("one plane" in text for text in camera_warnings(model, found))
+
+
+def test_each_of_two_lenses_has_its_focal_length() -> None:
+    """A wide and a narrow lens, whose EXIF states both."""
+    one, two = cameras(480.0)[0], cameras(720.0)[1]
+    found = matches(cloud(150), [one, two], stated=None)
+    both = Matches(found.folder, found.sizes, (480.0, 720.0), found.features, found.pairs)
+    model = map_two_photos(both)
+    assert model is not None
+    assert [model.cameras[i].focal[0] for i in (0, 1)] == pytest.approx([480, 720], rel=0.04)
+    assert turn_error(model.cameras, [one, two]) < 0.5
+
+
+def test_too_few_matches_make_no_model() -> None:
+    assert map_two_photos(matches(cloud(8), cameras(600.0), stated=600.0)) is None
