@@ -152,6 +152,11 @@ def _read(settings: ResumeSettings) -> tuple[StoredScene, dict[str, Any]]:
 
 def _without_backdrop(path: Path, scene: StoredScene) -> Gaussians:
     whole = read_scene_gaussians(path, scene)
+    if len(whole) <= scene.backdrop:
+        raise QuerySplatError(
+            f"{file_of_scene(path)} has {len(whole):,} Gaussians, and {scene.backdrop:,} of the scene are its backdrop",
+            "Put the scene's own file back, or run `querysplat reconstruct` again.",
+        )
     return whole[: len(whole) - scene.backdrop]
 
 
@@ -208,7 +213,7 @@ def _check(path: Path, options: OptimiseOptions, space: Space, count: int, *, ap
     if apart and space != "gaussians":
         raise QuerySplatError(
             f"the Gaussians of {path} were optimised themselves, and its memories would undo that",
-            "Use --space gaussians, or make the scene again with --quality draft.",
+            "Use --space gaussians, or make the scene again.",
         )
     if options.densify_to is None:
         return
