@@ -33,7 +33,7 @@ class FullSizePolicy:
 
     levels: Mapping[FullSizeLevel, LevelPolicy] = field(
         default_factory=lambda: {
-            "standard": LevelPolicy(900, 70_000, (25.0, 0.0), 25.0),
+            "standard": LevelPolicy(900, 70_000, (20.0, 0.0), 20.0),
             "high": LevelPolicy(1600, 200_000, (60.0, 10.0), 900.0),
             "max": LevelPolicy(WHOLE, 500_000, (60.0, 10.0), float("inf"), most_rounds=8),
         }
@@ -51,14 +51,14 @@ class FullSizePolicy:
     """Shares of the steps of a stage after which Gaussians are split. The other steps adapt them."""
     most_passes: int = 100
     """How often the plan shows each photo at most. Up to `TtoPolicy.few_views` photos have `TtoPolicy.passes`."""
-    passes: float = 20.0
+    passes: float = 14.0
     """How often it shows each photo that is no larger than the working pictures; larger ones more often, as their
     pixels are more. More would only fit the photos themselves."""
     fewest_passes: float = 12.0
     """Photos are so small that the time lasts to show each of them so often."""
     pixels_per_gaussian: float = 10.0
     """Pixels of all photos together for each Gaussian that splitting may reach."""
-    step_seconds: tuple[float, float, float] = (0.03, 1.1e-7, 1.5e-6)
+    step_seconds: tuple[float, float, float] = (0.01, 0.8e-7, 0.65e-6)
     """What a step takes, for each pixel of its view, and for each Gaussian; measured on two cores. The plan counts on
     these figures and never on a clock, so that the same seed gives the same scene however busy the machine is."""
     round_passes: int = 6

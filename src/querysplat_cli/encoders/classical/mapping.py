@@ -1,5 +1,6 @@
 """Structure from motion: matches in, cameras and points out (COLMAP's incremental mapper)."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,6 +14,7 @@ from querysplat_cli.encoders.classical.camera_warnings import has_ordinary_lens
 from querysplat_cli.encoders.classical.epipolar import epipolar_support
 from querysplat_cli.encoders.classical.matches import Matches
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY, Attempt
+from querysplat_cli.encoders.classical.self_calibration import self_calibrated
 from querysplat_cli.encoders.classical.sparse_model import SparseModel
 from querysplat_cli.encoders.classical.two_views import map_two_photos
 from querysplat_cli.scene.cameras import PhotoCamera
@@ -29,14 +31,34 @@ COLMAP_DISTORTION: dict[str, Callable[..., tuple[float, float, float, float]]] =
 
 @dataclass(frozen=True)
 class Mapped:
-    """A model of some photos, and COLMAP's form of it where the final bundle adjustment is still to be made."""
+    """A model of some photos, and COLMAP's form of it where the final bundle adjustment is still to be made.
+
+    `fit_lens`: whether COLMAP fitted the lenses.
+    """
 
     model: SparseModel
     reconstruction: pycolmap.Reconstruction | None
+    fit_lens: bool = True
 
     def refined(self, matches: Matches) -> SparseModel:
-        """The model after the final bundle adjustment."""
-        return bundle_adjusted(self.reconstruction, matches.focals) if self.reconstruction else self.model
+        """The model after the final bundle adjustment.
+
+        Priors take part for a few photos, and where more photos contradict the focal length that EXIF states, as those
+        of a plane do.
+        """
+        if self.reconstruction is None:
+            return self.model
+        if len(self.model.cameras) > CAMERA_POLICY.few_photos:
+            found = from_colmap(self_calibrated(self.reconstruction, fit_lens=self.fit_lens))
+            if _keeps_stated_focals(found, matches):
+                return found
+        return bundle_adjusted(self.reconstruction, matches.focals)
+
+
+def _keeps_stated_focals(model: SparseModel, matches: Matches) -> bool:
+    most = CAMERA_POLICY.stated_focal_limit * CAMERA_POLICY.stated_focal_spread
+    stated = ((camera.focal[0], matches.focals[photo]) for photo, camera in model.cameras.items())
+    return all(abs(math.log(found / exif)) <= most for found, exif in stated if exif)
 
 
 def map_photos(matches: Matches, *, seed: int) -> Mapped | None:
@@ -48,20 +70,20 @@ def map_photos(matches: Matches, *, seed: int) -> Mapped | None:
         two = map_two_photos(matches)
         return Mapped(two, None) if two else None
     connected = len(matches.largest_group())
-    best: tuple[float, pycolmap.Reconstruction] | None = None
+    best: tuple[float, pycolmap.Reconstruction, bool] | None = None
     for attempt in _attempts(matches):
         for reconstruction in _mapped(matches, attempt, seed):
             model = from_colmap(reconstruction)
             support, ordinary = epipolar_support(model, matches), has_ordinary_lens(model)
             score = support.score if ordinary else support.score / 2
             if len(model.cameras) >= connected and support.sound and ordinary:
-                return Mapped(model, reconstruction)
+                return Mapped(model, reconstruction, attempt.fit_lens)
             if best is None or score > best[0]:
-                best = score, reconstruction
+                best = score, reconstruction, attempt.fit_lens
     if best is None:
         return None
     grown = _extended(best[1], matches, seed)
-    return Mapped(from_colmap(grown), grown)
+    return Mapped(from_colmap(grown), grown, best[2])
 
 
 def _attempts(matches: Matches) -> list[Attempt]:

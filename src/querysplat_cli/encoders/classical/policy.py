@@ -116,6 +116,12 @@ class CameraPolicy:
     # Bundle adjustment.
     adjustment_loss_scale: float = 0.5
     """Reprojection error in pixels beyond which the Cauchy loss gives a feature less and less weight."""
+    second_term_error: float = 0.98
+    """A second distortion term stays when it lowers the mean reprojection error to this share."""
+    second_term_photos: int = 3
+    """A lens may have a second distortion term from this many photos on."""
+    largest_distortion: float = 1.0
+    """A second term is refused when a distortion coefficient is as large as this."""
     prior_weight: float = 0.25
     """What a lens parameter costs that lies one standard deviation from its prior's mean, in pixels squared. An
     observation costs its squared error."""
@@ -128,6 +134,9 @@ class CameraPolicy:
     stated_focal_spread: float = 0.03
     """Standard deviation of the logarithm of the focal length that EXIF states. Millimetres are rounded, and lenses
     breathe when they focus."""
+    stated_focal_limit: float = 3.0
+    """More than four photos that put the focal length farther from EXIF's, in standard deviations, are adjusted again
+    with the prior."""
     usual_focal: float = 0.75
     """Median focal length of photos without EXIF, in longer sides."""
     usual_focal_spread: float = 0.35
