@@ -5,6 +5,7 @@ from pathlib import Path
 
 import cv2
 import pytest
+from test_road import take_photos
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -17,8 +18,6 @@ from querysplat_cli.scene.formats.ply import read_ply
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.photo_files import large_views
 from querysplat_cli.splat.smoothing import least_scales
-from querysplat_cli.training.photographer import cast, walk
-from querysplat_cli.training.rooms import make_room
 from querysplat_cli.tto import features
 
 WORKING = 160
@@ -28,12 +27,8 @@ WORKING = 160
 def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Five photos of a procedural room, 320 × 240: twice the working size."""
     folder = tmp_path_factory.mktemp("room") / "photos"
-    folder.mkdir()
-    room = make_room(3)
-    cameras = walk(room, 5, 3)
-    for i in range(5):
-        picture = (cast(room, cameras[[i]], samples=2)[0][0] * 255).round().byte().permute(1, 2, 0).numpy()[..., ::-1]
-        cv2.imwrite(str(folder / f"{i}.png"), cv2.resize(picture, (320, 240), interpolation=cv2.INTER_AREA))
+    for file in take_photos(folder, 3, 5):
+        cv2.imwrite(str(file), cv2.resize(cv2.imread(str(file)), (320, 240), interpolation=cv2.INTER_AREA))
     return folder
 
 

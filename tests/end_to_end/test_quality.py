@@ -6,14 +6,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import pytest
+from test_road import take_photos
 
 from querysplat_cli.cli import run
 from querysplat_cli.runtime.errors import ExitCode
 from querysplat_cli.scene.formats.ply import read_ply
-from querysplat_cli.training.photographer import cast, walk
-from querysplat_cli.training.rooms import make_room
 from querysplat_cli.tto import full_size_plan
 from querysplat_cli.tto.full_size_policy import LevelPolicy
 
@@ -37,12 +35,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Five photos of a procedural room, 448 × 336."""
     folder = tmp_path_factory.mktemp("room") / "photos"
-    folder.mkdir()
-    room = make_room(3)
-    cameras = walk(room, 5, 3)
-    for i in range(5):
-        picture = (cast(room, cameras[[i]], samples=1)[0][0] * 255).round().byte().permute(1, 2, 0).numpy()[..., ::-1]
-        cv2.imwrite(str(folder / f"{i}.png"), picture)
+    take_photos(folder, 3, 5)
     return folder
 
 
@@ -77,7 +70,7 @@ def test_a_finished_scene_is_taken_further(scene: Path, capsys: pytest.CaptureFi
     assert [run["space"] for run in report["tto"]] == ["features", "gaussians"]
     assert report["tto"][1]["max_size"] == report["quality"]["full_size"]["max_size"] == 320
     assert report["tto"][1]["loss_after"] < report["tto"][1]["loss_before"]
-    assert set(report["quality"]["full_size"]["heldout"]["views"]) == {"0.png", "4.png"}
+    assert set(report["quality"]["full_size"]["heldout"]["views"]) == {"room3_0.png", "room3_4.png"}
     assert report["quality"]["input"]["psnr"] != before["quality"]["input"]["psnr"]
     again = taken_further(scene, capsys)  # the photos are found again from what was written back
     assert len(again["tto"]) == 3
