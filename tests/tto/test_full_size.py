@@ -147,6 +147,12 @@ def test_splitting_never_aims_below_the_gaussians_that_there_are(level: str) -> 
     assert {each.gaussians for each in plan.stages} == {900_000}
 
 
+def test_a_number_of_gaussians_that_the_user_asked_for_is_kept() -> None:
+    plan = plan_full_size("standard", LARGE, 10_000, most=10_000)
+    assert {each.gaussians for each in plan.stages} == {10_000}
+    assert plan_full_size("standard", LARGE, 10_000, most=20_000).stages[-1].gaussians == 20_000
+
+
 def test_max_uses_the_whole_photos_and_goes_on_in_rounds() -> None:
     photos = replace(LARGE, height=3000, width=4000)
     high, largest = plan_full_size("high", photos, 50_000), plan_full_size("max", photos, 50_000)
@@ -174,7 +180,7 @@ def test_photos_hardly_larger_than_the_working_pictures_are_used_at_that_size() 
 
 
 def test_a_short_time_makes_the_photos_smaller_but_never_smaller_than_the_scene() -> None:
-    sizes = [plan_full_size("high", LARGE, 50_000, seconds=s).stages[-1].max_size for s in (1.0, 90.0, 120.0, 2000.0)]
+    sizes = [plan_full_size("high", LARGE, 50_000, seconds=s).stages[-1].max_size for s in (1.0, 40.0, 60.0, 2000.0)]
     assert sizes[0] == LARGE.working
     assert sizes == sorted(sizes)
     assert sizes[1] < sizes[2] < sizes[3] == 1600

@@ -27,6 +27,7 @@ from querysplat_cli.tto.adapt import Adapted
 from querysplat_cli.tto.cameras import refinable, with_refined_focal
 from querysplat_cli.tto.exposure_fit import PhotoColours, compare_photos
 from querysplat_cli.tto.features import Start
+from querysplat_cli.tto.full_size_plan import plan_full_size
 from querysplat_cli.tto.options import OptimiseOptions
 from querysplat_cli.tto.plan import TtoRun, plan_release, plan_tto
 from querysplat_cli.tto.policy import TTO_POLICY
@@ -232,16 +233,10 @@ def _taken_further(
         return scene
     if time and level == "standard":
         level = "high"  # the time decides, not the level
+    gaussians, most = scene.adapted.gaussians, settings.prune if isinstance(settings.prune, int) else None
     with stages("full size") as progress:
-        found = take_to_full_size(
-            scene.inputs,
-            scene.adapted.gaussians,
-            level,
-            seed=settings.seed,
-            device=device,
-            progress=progress,
-            seconds=seconds,
-        )
+        plan = plan_full_size(level, scene.inputs.summary(), len(gaussians), seconds=seconds, most=most)
+        found = take_to_full_size(scene.inputs, gaussians, plan, seed=settings.seed, device=device, progress=progress)
     return replace(scene, full_size=found)
 
 

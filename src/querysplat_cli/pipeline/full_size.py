@@ -10,7 +10,6 @@ from querysplat_cli.pipeline.scene_folder import StoredScene
 from querysplat_cli.queries.backdrop import backdrop
 from querysplat_cli.reporting.report import quality_entry, tto_entries
 from querysplat_cli.reporting.view_scores import score
-from querysplat_cli.runtime.choices import FullSizeLevel
 from querysplat_cli.runtime.device import to_device
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Progress
@@ -21,7 +20,7 @@ from querysplat_cli.scene.photo_files import PhotoFile, check_photo_files, large
 from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.conventions import MID_GREY
 from querysplat_cli.tto.full_size import FullSizeResult, optimise_full_size
-from querysplat_cli.tto.full_size_plan import FullSizePlan, FullSizeStage, Photos, plan_full_size
+from querysplat_cli.tto.full_size_plan import FullSizePlan, FullSizeStage, Photos
 from querysplat_cli.tto.options import TtoStep
 from querysplat_cli.tto.plan import TtoRun
 
@@ -84,19 +83,13 @@ class FullSize:
 def take_to_full_size(
     photos: LargePhotos,
     gaussians: Gaussians,
-    level: FullSizeLevel,
+    plan: FullSizePlan,
     *,
     seed: int,
     device: torch.device,
     progress: Progress,
-    seconds: float | None = None,
 ) -> FullSize:
-    """Optimise `gaussians` on `photos`.
-
-    With `seconds` the clock ends the steps, and decides how large the photos are. Raises QuerySplatError when photos
-    are gone.
-    """
-    plan = plan_full_size(level, photos.summary(), len(gaussians), seconds=seconds)
+    """Optimise `gaussians` on `photos`. Raises QuerySplatError when photos are gone or have changed."""
     total = sum(stage.settings.steps for stage in plan.stages)
     taken = 0
 
@@ -115,7 +108,7 @@ def take_to_full_size(
         to_device(result.gaussians, torch.device("cpu")),
         result.runs[-1][0].max_size,
         _entries(result),
-        _summary(level, plan, result),
+        _summary(plan, result),
         result.interrupted,
         result.exposures,
     )
@@ -156,9 +149,9 @@ def _entries(result: FullSizeResult) -> list[dict[str, Any]]:
     return [{**entry, "max_size": size} for entry, size in zip(tto_entries(runs), sizes, strict=True)]
 
 
-def _summary(level: FullSizeLevel, plan: FullSizePlan, result: FullSizeResult) -> dict[str, Any]:
+def _summary(plan: FullSizePlan, result: FullSizeResult) -> dict[str, Any]:
     return {
-        "level": level,
+        "level": plan.level,
         "ended": result.ended,
         "gaussians": len(result.gaussians),
         "planned_seconds": round(plan.seconds, 1),

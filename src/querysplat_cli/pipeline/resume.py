@@ -29,6 +29,7 @@ from querysplat_cli.scene.gaussians import Gaussians, joined
 from querysplat_cli.tto.adapt import Adapted
 from querysplat_cli.tto.cameras import with_refined_focal
 from querysplat_cli.tto.features import Start
+from querysplat_cli.tto.full_size_plan import plan_full_size
 from querysplat_cli.tto.options import OptimiseOptions
 from querysplat_cli.tto.plan import TtoRun, plan_release, plan_tto, with_learning_rate
 from querysplat_cli.tto.policy import TTO_POLICY
@@ -78,7 +79,8 @@ def _at_full_size(settings: ResumeSettings, level: FullSizeLevel, stages: Stages
         gaussians = _without_backdrop(path, scene)
     inputs, heldout = stored_photos(scene)
     with stages("full size") as progress:
-        found = take_to_full_size(inputs, gaussians, level, seed=settings.seed, device=device, progress=progress)
+        plan = plan_full_size(level, inputs.summary(), len(gaussians))
+        found = take_to_full_size(inputs, gaussians, plan, seed=settings.seed, device=device, progress=progress)
     stored, gaussians = _behind(replace(scene, exposures=found.exposures), found.gaussians)
     with stages("full size score"):
         quality = full_size_quality(gaussians, found.size, inputs, heldout)

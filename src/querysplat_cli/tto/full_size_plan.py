@@ -42,7 +42,7 @@ class FullSizeStage:
 
 @dataclass(frozen=True)
 class FullSizePlan:
-    """Stages, coarse to fine, and the most rounds after them.
+    """Stages of a quality, coarse to fine, and the most rounds after them.
 
     seconds: what the stages are expected to take on two quiet cores.
     round: what each round after the stages does; they end when the loss stops falling.
@@ -52,15 +52,16 @@ class FullSizePlan:
     seconds: float
     round: FullSizeStage | None = None
     most_rounds: int = 0
+    level: FullSizeLevel = "high"
 
 
 def plan_full_size(
-    level: FullSizeLevel, photos: Photos, gaussians: int, *, seconds: float | None = None
+    level: FullSizeLevel, photos: Photos, gaussians: int, *, seconds: float | None = None, most: int | None = None
 ) -> FullSizePlan:
     """A plan for a scene of so many Gaussians, which counts costs and never looks at a clock.
 
     With `seconds` the stages end by the clock, after so long altogether, and there are no rounds. Photos are smaller
-    than the size of `level` where the time is too short for them.
+    than the size of `level` where the time is too short for them. `most` bounds what splitting reaches.
     """
     policy, limits = FULL_SIZE_POLICY, FULL_SIZE_POLICY.levels[level]
     largest = min(max(photos.height, photos.width), limits.size)
@@ -71,7 +72,8 @@ def plan_full_size(
         allowed = seconds
     size = _size(photos, largest, max(gaussians, limits.gaussians), allowed)
     pixels = photos.pixels(size)
-    target = max(gaussians, min(limits.gaussians, int(photos.count * pixels / policy.pixels_per_gaussian)))
+    target = min(limits.gaussians if most is None else most, limits.gaussians)
+    target = max(gaussians, min(target, int(photos.count * pixels / policy.pixels_per_gaussian)))
     most_passes = min(policy.most_passes, policy.passes * max(1.0, size / photos.working) ** 2)
     if photos.count <= TTO_POLICY.few_views:
         most_passes = min(most_passes, TTO_POLICY.passes)
@@ -93,10 +95,10 @@ def plan_full_size(
         stages.append(FullSizeStage(round(size * share), settings, more))
         expected += steps * cost
     if not limits.most_rounds or seconds is not None:
-        return FullSizePlan(tuple(stages), expected if seconds is None else seconds)
+        return FullSizePlan(tuple(stages), expected if seconds is None else seconds, level=level)
     last = stages[-1].settings
     again = replace(last, steps=policy.round_passes * photos.count, lr=policy.learning_rate / 2)
-    return FullSizePlan(tuple(stages), expected, FullSizeStage(size, again, target), limits.most_rounds)
+    return FullSizePlan(tuple(stages), expected, FullSizeStage(size, again, target), limits.most_rounds, level)
 
 
 def _size(photos: Photos, largest: int, gaussians: int, seconds: float) -> int:
