@@ -215,7 +215,7 @@ def _check(path: Path, options: OptimiseOptions, space: Space, count: int, *, ap
     if apart and space != "gaussians":
         raise QuerySplatError(
             f"the Gaussians of {path} were optimised themselves, and its memories would undo that",
-            "Use --space gaussians, or make the scene again.",
+            "Use --space gaussians, or make the scene again with --quality draft.",
         )
     if options.densify_to is None:
         return
