@@ -93,7 +93,7 @@ def _places(
     """Where points fall on a photo, from −1 to 1 and clamped to its border; how far outside, in longer sides."""
     height, width = size
     fx, fy, cx, cy = (part[view] for part in cameras.intrinsics)
-    x, y, z = (points @ cameras.w2c[view, :3, :3].T + cameras.w2c[view, :3, 3]).unbind(1)
+    x, y, z = cameras.local(points, view).unbind(1)
     in_front = z > 1e-6
     ahead = torch.where(in_front, z, 1.0)
     column, row = fx * x / ahead + cx, fy * y / ahead + cy

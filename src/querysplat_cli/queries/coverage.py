@@ -154,6 +154,6 @@ def _covered(
 def _project(points: Tensor, view: int, cameras: Cameras) -> tuple[Tensor, Tensor, Tensor]:
     """Pixel coordinates and camera z. Behind the camera the coordinates are finite and mean nothing."""
     fx, fy, cx, cy = (part[view] for part in cameras.intrinsics)
-    local = points @ cameras.w2c[view, :3, :3].T + cameras.w2c[view, :3, 3]
+    local = cameras.local(points, view)
     z = local[:, 2].clamp_min(NEAREST_DEPTH)
     return local[:, 0] / z * fx + cx, local[:, 1] / z * fy + cy, local[:, 2]

@@ -68,7 +68,7 @@ def _seen(points: Float[Tensor, "n 3"], cameras: Cameras, depths: list[Tensor]) 
     seen = torch.zeros(len(points), dtype=torch.bool)
     fx, fy, cx, cy = cameras.intrinsics
     for view, depth in enumerate(depths):
-        x, y, z = (points @ cameras.w2c[view, :3, :3].T + cameras.w2c[view, :3, 3]).unbind(1)
+        x, y, z = cameras.local(points, view).unbind(1)
         inside = cameras.sees(points, view)
         near = z.clamp_min(torch.finfo(z.dtype).tiny)
         column = (fx[view] * x / near + cx[view]).nan_to_num().clamp(0, cameras.width - 1).long()

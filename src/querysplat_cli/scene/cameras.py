@@ -118,6 +118,10 @@ class Cameras:
         c2w = self.c2w
         return torch.einsum("vij,vrcj->vrci", c2w[:, :3, :3], local) + c2w[:, None, None, :3, 3]
 
+    def local(self, points: Float[Tensor, "n 3"], view: int) -> Float[Tensor, "n 3"]:
+        """World points in the coordinates of the camera of `view`: x right, y down, z forward."""
+        return points @ self.w2c[view, :3, :3].T + self.w2c[view, :3, 3]
+
     def sees(self, points: Float[Tensor, "n 3"], view: int) -> Bool[Tensor, "n"]:
         """Which world points lie in front of the camera of `view` and inside its picture."""
         w2c = self.w2c[view]

@@ -44,7 +44,7 @@ def least_scales(means: Float[Tensor, "n 3"], cameras: Cameras) -> Float[Tensor,
     unseen = torch.full_like(seen, torch.inf)
     fx, fy, cx, cy = cameras.intrinsics
     for view, centre in enumerate(cameras.centres):
-        x, y, z = (means @ cameras.w2c[view, :3, :3].T + cameras.w2c[view, :3, 3]).unbind(1)
+        x, y, z = cameras.local(means, view).unbind(1)
         focal = torch.maximum(fx[view], fy[view])
         inside = (z > 0) & _within(x * fx[view], z, cx[view], cameras.width)
         inside &= _within(y * fy[view], z, cy[view], cameras.height)
