@@ -15,7 +15,7 @@ from querysplat_cli.pipeline.read_scene import read_scene
 from querysplat_cli.pipeline.resume import load_again
 from querysplat_cli.pipeline.scene_folder import StoredScene
 from querysplat_cli.queries.prepare import MemoryMap
-from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.errors import MAKE_AGAIN, QuerySplatError
 from querysplat_cli.runtime.figures import new_figure, save_figure
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import Cameras, project_points
@@ -61,9 +61,7 @@ def inspect_scene(request: InspectRequest, stages: Stages) -> Inspected:
         scene, report = read_scene(request.scene)
         model = load_again(scene, report["settings"], request.weights, torch.device("cpu"))
         if scene.map is None:
-            raise QuerySplatError(
-                f"{request.scene} was made by an earlier version", "Run `querysplat reconstruct` again."
-            )
+            raise QuerySplatError(f"{request.scene} was made by an earlier version", MAKE_AGAIN)
     with stages("attention"):
         with torch.no_grad():
             gaussians = model.decode(scene.memories, scene.anchors)

@@ -15,7 +15,7 @@ from querysplat_cli.pipeline.scene_folder import StoredScene
 from querysplat_cli.pipeline.stored_tensors import DamagedTensors, checked
 from querysplat_cli.reporting.stored_report import read_report
 from querysplat_cli.runtime.checkpoint_files import read_tensors
-from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.errors import MAKE_AGAIN, QuerySplatError
 from querysplat_cli.scene.exposures import read_exposures
 from querysplat_cli.scene.formats.transforms import NamedCameras, read_working_cameras
 from querysplat_cli.scene.gaussians import Gaussians
@@ -23,8 +23,6 @@ from querysplat_cli.scene.photo_files import read_photo_files
 from querysplat_cli.scene.pictures import stored_name
 from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.transform import transform_gaussians
-
-MAKE_AGAIN = "Run `querysplat reconstruct` again."
 
 
 def read_scene(path: Path) -> tuple[StoredScene, dict[str, Any]]:

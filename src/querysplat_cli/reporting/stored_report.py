@@ -9,10 +9,9 @@ from annotated_types import Ge, Le
 from pydantic import TypeAdapter, ValidationError
 
 from querysplat_cli.runtime.choices import Space
-from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.errors import MAKE_AGAIN, QuerySplatError
 from querysplat_cli.runtime.json_files import read_json, shown
 
-MAKE_AGAIN = "Run `querysplat reconstruct` again."
 STRICT_TYPES = {"extra": "ignore", "strict": True}
 """Other entries than those named here are kept, and not looked at."""
 Count = Annotated[int, Ge(0), Le(1_000_000_000)]

@@ -14,6 +14,10 @@ class ExitCode(IntEnum):
     INTERRUPTED = 130
 
 
+MAKE_AGAIN = "Run `querysplat reconstruct` again."
+"""The hint of errors in a stored scene that nothing else mends."""
+
+
 class QuerySplatError(Exception):
     """An error that a user can act on: `message` is what is wrong, and `hint` what to do, each in one line.
 

@@ -9,12 +9,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.errors import MAKE_AGAIN, QuerySplatError
 from querysplat_cli.runtime.json_files import read_json
 from querysplat_cli.scene.tensor_dataclass import TensorDataclass
 from querysplat_cli.scene.views import Views
-
-MAKE_AGAIN = "Run `querysplat reconstruct` again."
 
 
 @dataclass(frozen=True)
