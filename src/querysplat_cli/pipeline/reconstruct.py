@@ -200,10 +200,15 @@ def _score_large(inputs: _Inputs, cameras: PosedSplit, scene: BuiltScene, stages
     if scene.full_size is None or scene.full_size.size <= scene.inputs.working:
         return None
     with stages("full size score"):
-        heldout = scene.heldout(cameras)
-        files = photo_files(heldout[0].names, cameras.heldout_photo_cameras, inputs.paths) if heldout else ()
-        others = heldout and LargePhotos(*heldout, files)
-        return full_size_quality(scene.gaussians, scene.full_size.size, scene.inputs, others)
+        heldout = _heldout_photos(inputs, cameras, scene)
+        return full_size_quality(scene.gaussians, scene.full_size.size, scene.inputs, heldout)
+
+
+def _heldout_photos(inputs: _Inputs, cameras: PosedSplit, scene: BuiltScene) -> LargePhotos | None:
+    heldout = scene.heldout(cameras)
+    if heldout is None:
+        return None
+    return LargePhotos(*heldout, photo_files(heldout[0].names, cameras.heldout_photo_cameras, inputs.paths))
 
 
 def _report(
@@ -260,13 +265,12 @@ def _omissions(settings: ReconstructSettings, scene: BuiltScene, finest: Blurred
 
 
 def _stored(inputs: _Inputs, passes: HoldoutCameras, scene: BuiltScene, settings: ReconstructSettings) -> StoredScene:
-    heldout, files = scene.heldout(passes.chosen), scene.files
-    if heldout:
-        files += photo_files(heldout[0].names, passes.chosen.heldout_photo_cameras, inputs.paths)
+    heldout = _heldout_photos(inputs, passes.chosen, scene)
+    files = [*scene.files, *(heldout.files if heldout else ())]
     return StoredScene(
         scene.posed.views,
         scene.adapted.cameras,
-        heldout,
+        (heldout.views, heldout.cameras) if heldout else None,
         scene.adapted.memories,
         scene.prepared.anchors,
         settings.preset,
