@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 import torch
@@ -42,9 +41,10 @@ from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.files import check_writable, refuse_existing, refuse_replacing
 from querysplat_cli.scene.formats.known import read_known_cameras
+from querysplat_cli.scene.inputs import load_inputs
 from querysplat_cli.scene.photo_files import photo_files
-from querysplat_cli.scene.photos import find_photos, load_photos
-from querysplat_cli.scene.views import LeftOut, Photo
+from querysplat_cli.scene.photos import find_photos
+from querysplat_cli.scene.views import LeftOut, Photo, PhotoSource
 from querysplat_cli.splat.compile_ahead import compile_ahead
 
 
@@ -63,9 +63,9 @@ class _Inputs:
     bytes_expected: int | None
 
     @property
-    def paths(self) -> dict[str, Path]:
-        """The files of the photos by name."""
-        return {photo.name: photo.path for photo in self.photos}
+    def sources(self) -> dict[str, PhotoSource]:
+        """Where the photos come from, by name."""
+        return {photo.name: photo.source for photo in self.photos}
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,7 @@ def _reconstruct(settings: ReconstructSettings, device: torch.device, stages: St
         )
     scenes = 2 if passes.other and passes.other.heldout and not settings.one_scene else 1
     share = inputs.budget.share(scenes) if inputs.budget else None
-    allowance = Allowance(share, inputs.paths, last=passes.other is None or settings.one_scene)
+    allowance = Allowance(share, inputs.sources, last=passes.other is None or settings.one_scene)
     scene = encode_and_build(passes.chosen.inputs, inputs.encoder, inputs.model, settings, stages, allowance)
     scores = _score(inputs, passes, scene, settings, stages)
     with stages("write"):
@@ -133,7 +133,7 @@ def _reconstruct(settings: ReconstructSettings, device: torch.device, stages: St
 def _read_inputs(settings: ReconstructSettings, device: torch.device, stages: Stages) -> _Inputs:
     free = free_bytes(device)
     with stages("photos") as progress:
-        photos, unread = load_photos(find_photos(settings.inputs), progress=progress)
+        photos, unread = load_inputs(find_photos(settings.inputs), settings.frames, progress=progress)
     if device.type == "cpu":
         compile_ahead()
     with stages("model") as progress:
@@ -183,7 +183,7 @@ def _score(
     other = passes.other
     if other and other.heldout and not settings.one_scene and scene.time_for_more and not scene.interrupted:
         with stages(f"{other.protocol} score"):
-            rest = Allowance(inputs.budget.share() if inputs.budget else None, inputs.paths)
+            rest = Allowance(inputs.budget.share() if inputs.budget else None, inputs.sources)
             second = encode_and_build(other.inputs, inputs.encoder, inputs.model, settings, Stages(), rest)
             if not second.interrupted:
                 heldout[other.protocol] = _score_heldout(second, other)
@@ -208,7 +208,7 @@ def _heldout_photos(inputs: _Inputs, cameras: PosedSplit, scene: BuiltScene) -> 
     heldout = scene.heldout(cameras)
     if heldout is None:
         return None
-    return LargePhotos(*heldout, photo_files(heldout[0].names, cameras.heldout_photo_cameras, inputs.paths))
+    return LargePhotos(*heldout, photo_files(heldout[0].names, cameras.heldout_photo_cameras, inputs.sources))
 
 
 def _report(

@@ -40,7 +40,9 @@ REFINE_CAMERAS = Option(
 class ReconstructSettings:
     """How photos become a scene. None means that the program chooses, or that there is no limit."""
 
-    inputs: Annotated[tuple[Path, ...], Option("A folder of photos, or photo files.", metavar="IMAGES", argument=True)]
+    inputs: Annotated[
+        tuple[Path, ...], Option("A folder of photos or films, or such files.", metavar="IMAGES", argument=True)
+    ]
     ply: Annotated[
         Path,
         Option("The scene to write. A folder of the same name goes beside it.", ("--output", "-o"), metavar="FILE.ply"),
@@ -82,6 +84,16 @@ class ReconstructSettings:
         int | None,
         Ge(1),
         Option("The most queries to use. Of learned queries these are the first N.", metavar="N|auto", auto=True),
+    ] = None
+    frames: Annotated[
+        int | None,
+        Ge(1),
+        Option(
+            "The most frames to take of films, all films together. auto takes one whenever the picture has moved by a "
+            "twelfth of its longer side, 24 to 100 in all.",
+            metavar="N|auto",
+            auto=True,
+        ),
     ] = None
     max_size: Annotated[
         int | None,

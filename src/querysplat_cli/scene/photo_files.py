@@ -15,9 +15,10 @@ from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.json_files import read_json
 from querysplat_cli.runtime.tables import STRICT, from_tables
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera, same_shape
-from querysplat_cli.scene.photos import load_photo, longer_side
+from querysplat_cli.scene.films import film_size, frame_pixels
+from querysplat_cli.scene.photos import load_photo, longer_side, reduced
 from querysplat_cli.scene.undistort import on_canvas, undistorted
-from querysplat_cli.scene.views import Photo, Views
+from querysplat_cli.scene.views import LeftOut, Photo, PhotoSource, Views
 
 MAKE_AGAIN = "Make the scene again."
 OVERSAMPLING = 2
@@ -27,7 +28,7 @@ Straightening blurs by about a pixel of its own size."""
 
 @dataclass(frozen=True)
 class PhotoFile:
-    """One photo's file and lens.
+    """One photo's file and lens. `pts` is the presentation time stamp of a film's frame; None for a photo.
 
     focal, principal: (fx, fy) and (cx, cy) in pixels of a photo of `height` × `width`, pixel centres at +0.5. The file
     may hold more pixels of the same shape.
@@ -41,12 +42,14 @@ class PhotoFile:
     distortion: tuple[float, float, float, float]
     height: int
     width: int
+    pts: int | None = None
 
     @classmethod
-    def of(cls, name: str, path: Path, camera: PhotoCamera) -> "PhotoFile":
+    def of(cls, name: str, source: PhotoSource, camera: PhotoCamera) -> "PhotoFile":
         focal, principal = tuple(map(float, camera.focal)), tuple(map(float, camera.principal))
         distortion = tuple(map(float, camera.distortion))
-        return cls(name, path.resolve(), focal, principal, distortion, camera.height, camera.width)  # type: ignore[arg-type]
+        lens = focal, principal, distortion, camera.height, camera.width
+        return cls(name, source.path.resolve(), *lens, source.pts)  # type: ignore[arg-type]
 
     @property
     def lens(self) -> PhotoCamera:
@@ -55,12 +58,18 @@ class PhotoFile:
 
     def full_size(self) -> tuple[int, int]:
         """(height, width) of the picture in the file."""
+        if self.pts is not None:
+            return film_size(self.path)
         scale = longer_side(self.path, default=max(self.height, self.width)) / max(self.height, self.width)
         return round(self.height * scale), round(self.width * scale)
 
     def load(self, max_side: int) -> Photo:
         """The photo, reduced to a longer side of at most `max_side`. Raises QuerySplatError when it has changed."""
-        photo = load_photo(self.path, self.name, max_side)
+        if self.pts is not None:
+            pixels = reduced(frame_pixels(self.path, self.pts), max_side)
+            photo: Photo | LeftOut = Photo(self.name, self.path, pixels, pts=self.pts)
+        else:
+            photo = load_photo(self.path, self.name, max_side)
         if not isinstance(photo, Photo):
             raise QuerySplatError(f"{self.path}: {photo.why}", "Put the photo back, or make the scene again.")
         if not same_shape((photo.height, photo.width), (self.height, self.width)):
@@ -81,6 +90,7 @@ class _Entry:
     distortion: tuple[float, float, float, float]
     height: int
     width: int
+    pts: int | None = None
 
 
 @dataclass(frozen=True)
@@ -91,14 +101,17 @@ class _Listing:
 
 
 def photo_files(
-    names: Sequence[str], cameras: Sequence[PhotoCamera] | None, paths: Mapping[str, Path]
+    names: Sequence[str], cameras: Sequence[PhotoCamera] | None, sources: Mapping[str, PhotoSource]
 ) -> tuple[PhotoFile, ...]:
     """The files of views by their names; none where the views show photos without resampling (no `cameras`)."""
-    return tuple(PhotoFile.of(name, paths[name], camera) for name, camera in zip(names, cameras or (), strict=False))
+    return tuple(PhotoFile.of(name, sources[name], camera) for name, camera in zip(names, cameras or (), strict=False))
 
 
 def write_photo_files(path: Path, files: Sequence[PhotoFile]) -> None:
     entries = [{**asdict(file), "path": str(file.path)} for file in files]
+    for entry in entries:
+        if entry["pts"] is None:
+            del entry["pts"]
     path.write_text(json.dumps({"photos": entries}, indent=1) + "\n")
 
 

@@ -18,6 +18,7 @@ from querysplat_cli.scene.views import LeftOut, Photo
 
 SUFFIXES = {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".ppm", ".pgm", ".heic", ".heif", ".avif"}
 HEIF_SUFFIXES = {".heic", ".heif"}
+FILM_SUFFIXES = {".mp4", ".mov", ".m4v", ".webm", ".mkv", ".avi"}
 PICTURE_FOLDERS = ("images", "images_2", "images_4", "images_8")
 """Where DL3DV and nerfstudio keep the pictures of a scene, largest first."""
 SCENE_FOLDERS = ("", "nerfstudio", "colmap")
@@ -38,9 +39,9 @@ MILLIMETRES = {1: 25.4, 2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}
 def find_photos(inputs: Sequence[Path]) -> list[Path]:
     """The files to read, in natural order (2 before 10) within each folder, none twice.
 
-    A folder means all files in it that are not hidden, or, where it has no pictures of its own, those in its
+    A folder means all files in it that are not hidden, or, where it has no pictures or films of its own, those in its
     largest `images`, `images_2`, `images_4` or `images_8` (a DL3DV, nerfstudio or COLMAP
-    scene). Raises QuerySplatError when an input is missing or has no pictures.
+    scene). Raises QuerySplatError when an input is missing or has neither pictures nor films.
     """
     found: dict[Path, Path] = {}
     for path in inputs:
@@ -63,24 +64,37 @@ def load_photos(
     Photos with the same file name get as much of their folders in their names as makes these unique. Raises
     QuerySplatError when there is no usable photo at all.
     """
+    photos, left_out = decoded_photos(paths, short_names(paths), max_side, progress)
+    if not photos:
+        raise none_usable(left_out)
+    return photos, left_out
+
+
+def decoded_photos(
+    paths: Sequence[Path], names: Sequence[str], max_side: int, progress: Progress
+) -> tuple[list[Photo], list[LeftOut]]:
+    """As `load_photos`, under these names; there may be no usable photo."""
     photos: list[Photo] = []
     left_out: list[LeftOut] = []
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        results = pool.map(lambda path, name: load_photo(path, name, max_side), paths, short_names(paths))
+        results = pool.map(lambda path, name: load_photo(path, name, max_side), paths, names)
         for number, result in enumerate(results, start=1):
             if isinstance(result, Photo):
                 photos.append(result)
             else:
                 left_out.append(result)
             progress(result.name, number / len(paths))
-    if not photos:
-        raise QuerySplatError(
-            f"none of the {len(paths)} files is a usable photo: "
-            + "; ".join(f"{each.name} ({each.why})" for each in left_out[:3])
-            + ("; …" if len(left_out) > 3 else ""),
-            "Give JPEG, PNG, TIFF, WebP or BMP pictures.",
-        )
     return photos, left_out
+
+
+def none_usable(left_out: Sequence[LeftOut]) -> QuerySplatError:
+    """The error where no file is left to make a scene of."""
+    return QuerySplatError(
+        f"none of the {len(left_out)} files is a usable photo: "
+        + "; ".join(f"{each.name} ({each.why})" for each in left_out[:3])
+        + ("; …" if len(left_out) > 3 else ""),
+        "Give JPEG, PNG, TIFF, WebP or BMP pictures, or MP4, MOV or WebM films.",
+    )
 
 
 def load_photo(path: Path, name: str, max_side: int) -> Photo | LeftOut:
@@ -146,7 +160,7 @@ def _folder_photos(folder: Path) -> list[Path]:
     inner = [folder / scene / name for scene in SCENE_FOLDERS for name in PICTURE_FOLDERS]
     for place in (folder, *inner):
         files = _visible_files(place) if place.is_dir() else []
-        if any(file.suffix.lower() in SUFFIXES for file in files):
+        if any(file.suffix.lower() in SUFFIXES | FILM_SUFFIXES for file in files):
             return files
     if not any(folder.iterdir()):
         raise QuerySplatError(f"{folder}: an empty folder", "Put the photos there, or give another folder.")

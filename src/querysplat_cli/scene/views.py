@@ -11,17 +11,31 @@ from torch import Tensor
 
 
 @dataclass(frozen=True)
+class PhotoSource:
+    """Where a photo comes from: a picture file, or the frame of a film with this presentation time stamp."""
+
+    path: Path
+    pts: int | None = None
+
+
+@dataclass(frozen=True)
 class Photo:
     """One decoded photo: upright (EXIF orientation applied), 8-bit RGB [height, width, 3].
 
     Large photos are reduced when they are read, so `pixels` may be smaller than the file's picture. `focal` is
-    the focal length in pixels of `pixels` where EXIF gives it, None otherwise.
+    the focal length in pixels of `pixels` where EXIF gives it, None otherwise. `pts` is the presentation time stamp
+    of a film's frame; None for a photo.
     """
 
     name: str
     path: Path
     pixels: np.ndarray
     focal: float | None = None
+    pts: int | None = None
+
+    @property
+    def source(self) -> PhotoSource:
+        return PhotoSource(self.path, self.pts)
 
     @property
     def height(self) -> int:
