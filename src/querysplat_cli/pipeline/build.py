@@ -15,6 +15,7 @@ from querysplat_cli.pipeline.policy import PIPELINE_POLICY
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.prune.gaussians import target_count
 from querysplat_cli.prune.views import near_duplicates
+from querysplat_cli.queries.backdrop import shows_background
 from querysplat_cli.queries.prepare import PreparedQueries, prepare
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import Cameras
@@ -170,7 +171,7 @@ def _finished(
     more = time is None or time.for_more
     scene = BuiltScene(posed, geometry, prepared, adapted, files, colours=colours, time_for_more=more)
     scene = _taken_further(scene, next(model.parameters()).device, settings, stages, time)
-    if not settings.backdrop or prepared.anchors is None:
+    if not settings.backdrop or prepared.anchors is None or not shows_background(posed.views):
         return scene
     return replace(scene, backdrop=scene.inputs.backdrop(scene.gaussians))
 

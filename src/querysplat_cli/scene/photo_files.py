@@ -145,12 +145,13 @@ def large_views(files: Sequence[PhotoFile], views: Views, cameras: Cameras, max_
     The cameras keep their pose and focal length, which optimisation may have corrected. Photos are read and
     straightened one at a time.
     """
-    pictures, scales = [], []
+    pictures, masks, scales = [], [], []
     for file, (height, width) in zip(files, views.sizes, strict=True):
         one, _ = undistorted([file.load(OVERSAMPLING * max_size)], [file.lens], max_size=max_size)
         ((rows, columns),) = one.sizes
         pictures.append((one.images[0, :, :rows, :columns] * 255).round().clamp(0, 255).to(torch.uint8))
+        masks.append(one.masks[0, :rows, :columns] if one.have_holes[0] else None)
         scales.append(torch.tensor([columns / width, rows / height, 1.0]))
     K = torch.stack(scales)[:, :, None] * cameras.K
-    large = on_canvas(pictures, views.names)
+    large = on_canvas(pictures, views.names, masks)
     return large, Cameras(cameras.w2c, K, *large.masks.shape[1:])

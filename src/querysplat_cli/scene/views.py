@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +25,7 @@ class Photo:
 
     Large photos are reduced when they are read, so `pixels` may be smaller than the file's picture. `focal` is
     the focal length in pixels of `pixels` where EXIF gives it, None otherwise. `pts` is the presentation time stamp
-    of a film's frame; None for a photo.
+    of a film's frame; None for a photo. `mask` [height, width] is True where the photo takes part; None: everywhere.
     """
 
     name: str
@@ -32,6 +33,7 @@ class Photo:
     pixels: np.ndarray
     focal: float | None = None
     pts: int | None = None
+    mask: np.ndarray | None = None
 
     @property
     def source(self) -> PhotoSource:
@@ -51,8 +53,8 @@ class Views:
     """Undistorted images on one canvas, each in its top-left corner.
 
     `images` are sRGB as stored, in [0, 1]. Large pictures are kept as uint8, from 0 to 255. `masks` are True where a
-    picture covers the canvas, and False on the padding of smaller ones. `sizes` are (height, width) of each picture in
-    pixels.
+    picture covers the canvas and takes part, and False on the padding of smaller ones and where the user masked it.
+    `sizes` are (height, width) of each picture in pixels.
     """
 
     images: Float[Tensor, "views 3 height width"] | UInt8[Tensor, "views 3 height width"]
@@ -62,6 +64,12 @@ class Views:
 
     def __len__(self) -> int:
         return len(self.images)
+
+    @cached_property
+    def have_holes(self) -> tuple[bool, ...]:
+        """For each view, whether parts of its picture take no part."""
+        shown = zip(self.masks, self.sizes, strict=True)
+        return tuple(not bool(mask[:height, :width].all()) for mask, (height, width) in shown)
 
     def picture(self, view: int) -> Float[Tensor, "3 height width"]:
         """One image in [0, 1]."""

@@ -109,8 +109,9 @@ class RenderingLoss:
             if self.exposures:
                 self.exposures.refit(view, rendering, photo[0][0], photo[1][0])
                 rendering = self._exposed(rendering, view)
-            (photometric_loss(rendering.over(behind), *photo) / len(chosen)).backward()
-            value, error = self._compared(rendering, photo)
+            picture = self._where_shown(rendering.over(behind), photo, view)
+            (photometric_loss(picture, *photo) / len(chosen)).backward()
+            value, error = self._compared(rendering, photo, view)
             losses.append(value)
             errors.append(error)
         camera_gradient = (gradient_of(w2c), gradient_of(K)) if asked else None
@@ -127,12 +128,16 @@ class RenderingLoss:
         return self.views.picture(view)[None], self.views.masks[[view]]
 
     def _scores(self, gaussians: Gaussians, view: int) -> tuple[float, float]:
-        return self._compared(self.render(gaussians, view), self._photo(view))
+        return self._compared(self.render(gaussians, view), self._photo(view), view)
 
     @torch.no_grad()
-    def _compared(self, rendering: Rendering, photo: tuple[Tensor, Tensor]) -> tuple[float, float]:
+    def _compared(self, rendering: Rendering, photo: tuple[Tensor, Tensor], view: int) -> tuple[float, float]:
         """The loss and the mean squared error over `background`."""
-        return photometric_value(rendering.over(self.background), *photo)
+        return photometric_value(self._where_shown(rendering.over(self.background), photo, view), *photo)
+
+    def _where_shown(self, picture: Tensor, photo: tuple[Tensor, Tensor], view: int) -> Tensor:
+        """The render, with the photo itself where that is masked: SSIM's windows reach beyond the mask's border."""
+        return torch.where(photo[1][:, None], picture, photo[0]) if self.views.have_holes[view] else picture
 
 
 def tensors(holder: Any) -> list[Tensor]:

@@ -14,6 +14,7 @@ from querysplat_cli.encoders.classical.features import (
     feature_sizes,
     image_name,
     write_grey,
+    write_masks,
 )
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY, MatchEffort
 from querysplat_cli.encoders.classical.verified_pairs import Pair, Verification, match_pairs, read_pairs
@@ -82,6 +83,7 @@ def matched(
     with scratch_folder() as folder, _naming_the_folder(folder):
         progress("finding features", 0.0)
         sizes = write_grey(photos, folder, effort.feature_size)
+        write_masks(photos, sizes, folder)
         focals = tuple(
             photo.focal * size[1] / photo.width if photo.focal else None
             for photo, size in zip(photos, sizes, strict=True)

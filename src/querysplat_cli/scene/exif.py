@@ -1,0 +1,48 @@
+"""What EXIF says about a photo."""
+
+from typing import Any
+
+import numpy as np
+from PIL import ExifTags, Image
+
+FULL_FRAME_DIAGONAL = 43.2666
+"""Millimetres: FocalLengthIn35mmFilm is the focal length that has the same diagonal field of view on 36 × 24."""
+SENSIBLE_FOCAL = (0.3, 20.0)
+"""Range of plausible focal lengths in units of the longer side. Others in EXIF are ignored."""
+MILLIMETRES = {1: 25.4, 2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}
+"""Length of EXIF's FocalPlaneResolutionUnit; 1 means "none", which cameras write for inches."""
+
+
+def focal_length(image: Image.Image) -> float | None:
+    """EXIF's focal length in pixels of the picture as stored, if it is plausible."""
+    width, height = image.size
+    try:
+        exif = image.getexif().get_ifd(ExifTags.IFD.Exif)
+        focal = _focal_from_film(exif, width, height) or _focal_from_sensor(exif, width, height)
+    except (ValueError, TypeError, ZeroDivisionError, KeyError, SyntaxError, OSError):
+        return None
+    low, high = SENSIBLE_FOCAL
+    return focal if focal and low < focal / max(width, height) < high else None
+
+
+def _focal_from_film(exif: dict[int, Any], width: int, height: int) -> float | None:
+    film = float(exif.get(ExifTags.Base.FocalLengthIn35mmFilm, 0))
+    return film * float(np.hypot(width, height)) / FULL_FRAME_DIAGONAL if film else None
+
+
+def _focal_from_sensor(exif: dict[int, Any], width: int, height: int) -> float | None:
+    """Focal length times the sensor's pixels per millimetre; the file may have been reduced after it was taken.
+
+    Some cameras state the density along one side only.
+    """
+    millimetres = float(exif.get(ExifTags.Base.FocalLength, 0))
+    unit = MILLIMETRES[int(exif.get(ExifTags.Base.FocalPlaneResolutionUnit, 2))]
+    sides = (
+        (ExifTags.Base.FocalPlaneXResolution, ExifTags.Base.ExifImageWidth, width),
+        (ExifTags.Base.FocalPlaneYResolution, ExifTags.Base.ExifImageHeight, height),
+    )
+    for density_tag, full_tag, pixels in sides:
+        density = float(exif.get(density_tag, 0))
+        if millimetres and density:
+            return millimetres * density / unit * pixels / (float(exif.get(full_tag, 0)) or pixels)
+    return None
