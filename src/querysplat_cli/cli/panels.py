@@ -2,7 +2,17 @@
 
 PANELS = {
     "Scene": ("scene", "scenes", "source", "target", "first", "second"),
-    "Photos": ("inputs", "holdout_every", "max_size", "max_views", "fit", "exposure", "photos", "pictures"),
+    "Photos": (
+        "inputs",
+        "film_frames",
+        "holdout_every",
+        "max_size",
+        "max_views",
+        "fit",
+        "exposure",
+        "photos",
+        "pictures",
+    ),
     "Quality": (
         *("quality", "budget", "tto", "tto_target", "tto_space", "steps", "lr", "space"),
         *("queries", "prune", "densify", "backdrop", "keep_everything"),

@@ -133,7 +133,7 @@ def _reconstruct(settings: ReconstructSettings, device: torch.device, stages: St
 def _read_inputs(settings: ReconstructSettings, device: torch.device, stages: Stages) -> _Inputs:
     free = free_bytes(device)
     with stages("photos") as progress:
-        photos, unread = load_inputs(find_photos(settings.inputs), settings.frames, progress=progress)
+        photos, unread = load_inputs(find_photos(settings.inputs), settings.film_frames, progress=progress)
     if device.type == "cpu":
         compile_ahead()
     with stages("model") as progress:

@@ -85,12 +85,13 @@ class ReconstructSettings:
         Ge(1),
         Option("The most queries to use. Of learned queries these are the first N.", metavar="N|auto", auto=True),
     ] = None
-    frames: Annotated[
+    film_frames: Annotated[
         int | None,
         Ge(1),
         Option(
             "The most frames to take of films, all films together. auto takes one whenever the picture has moved by a "
             "twelfth of its longer side, 24 to 100 in all.",
+            ("--frames",),
             metavar="N|auto",
             auto=True,
         ),
