@@ -55,9 +55,7 @@ def extend_borders(
     pictures, masks = [], []
     for image, z, mask, (height, width) in zip(views.images, depth, views.masks, views.sizes, strict=True):
         mean = _shares(torch.cat([image, 1 / z[None]]), mask, cell, ring)
-        picture = torch.zeros_like(mask)
-        picture[:height, :width] = True
-        beyond = _shares(image, picture, cell, ring)[-1] <= 0.5
+        beyond = _shares(image, _rectangle(mask, height, width), cell, ring)[-1] <= 0.5
         inside = mean[-1] > 0.5
         distance, (row, column) = distance_transform_edt(~inside.numpy(), return_indices=True)
         spread = mean[:, torch.from_numpy(row).long(), torch.from_numpy(column).long()]
@@ -74,6 +72,17 @@ def extend_borders(
         replace(cameras, K=K, height=rows, width=columns),
         1 / inverse[:, 0],
     )
+
+
+def _rectangle(mask: Bool[Tensor, "rows columns"], height: int, width: int) -> Bool[Tensor, "rows columns"]:
+    """Where the photo lies on the canvas: the mask itself, or the whole picture where the user masked parts of it."""
+    box = torch.zeros_like(mask)
+    if mask.any():
+        rows, columns = (mask.any(axis).nonzero()[:, 0].tolist() for axis in (1, 0))
+        box[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] = True
+    if not mask.equal(box):
+        box[:height, :width] = True
+    return box
 
 
 def _shares(

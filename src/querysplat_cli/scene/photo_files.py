@@ -150,7 +150,7 @@ def large_views(files: Sequence[PhotoFile], views: Views, cameras: Cameras, max_
         one, _ = undistorted([file.load(OVERSAMPLING * max_size)], [file.lens], max_size=max_size)
         ((rows, columns),) = one.sizes
         pictures.append((one.images[0, :, :rows, :columns] * 255).round().clamp(0, 255).to(torch.uint8))
-        masks.append(one.masks[0, :rows, :columns] if one.have_holes[0] else None)
+        masks.append(one.masks[0, :rows, :columns])
         scales.append(torch.tensor([columns / width, rows / height, 1.0]))
     K = torch.stack(scales)[:, :, None] * cameras.K
     large = on_canvas(pictures, views.names, masks)
