@@ -3,15 +3,8 @@
 PANELS = {
     "Scene": ("scene", "scenes", "source", "target", "first", "second"),
     "Photos": (
-        "inputs",
-        "film_frames",
-        "holdout_every",
-        "max_size",
-        "max_views",
-        "fit",
-        "exposure",
-        "photos",
-        "pictures",
+        *("inputs", "film_frames", "holdout_every", "max_size", "max_views", "fit", "lens", "exposure"),
+        *("photos", "pictures"),
     ),
     "Quality": (
         *("quality", "budget", "tto", "tto_target", "tto_space", "steps", "lr", "space"),
@@ -22,7 +15,7 @@ PANELS = {
     "Cases": ("splits", "protocol", "views", "scales", "cases", "shard", "workers", "splits_only", "merge"),
     "Rows and scores": ("sweep", "predictions", "name", "lpips", "lpips_net"),
     "Pictures": ("frames", "seconds", "fps", "size", "background", "query"),
-    "Changes": ("up", "scale", "crop", "text"),
+    "Changes": ("up", "scale", "crop", "text", "spz_version"),
     "Output": (
         *("ply", "output", "out", "plot", "depth", "alpha", "save_pictures", "resume", "dry_run", "tensorboard"),
         *("force", "quiet", "json"),

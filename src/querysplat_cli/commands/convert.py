@@ -14,7 +14,8 @@ from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.files import atomic_folder, refuse_existing
 from querysplat_cli.scene.formats.colmap import copy_colmap, write_colmap
 from querysplat_cli.scene.formats.known import find_known_cameras, read_known_cameras
-from querysplat_cli.scene.formats.transforms import is_rigid, write_transforms
+from querysplat_cli.scene.formats.transforms import write_transforms
+from querysplat_cli.scene.formats.transforms_frame import is_rigid
 from querysplat_cli.scene.match_cameras import match_cameras
 from querysplat_cli.scene.photos import WHOLE, find_photos, load_photo, short_names
 from querysplat_cli.scene.pictures import stored_name
@@ -47,7 +48,7 @@ def convert(request: Conversion) -> dict[str, Any]:
     if request.photos and request.text:
         raise QuerySplatError("--text is for COLMAP models, --photos for scene folders", "Leave one of them out.")
     if request.up or request.crop or request.scale != 1.0:
-        raise QuerySplatError("--up, --scale and --crop are for Gaussians", "Give a .ply, .spz or .sog.")
+        raise QuerySplatError("--up, --scale and --crop are for Gaussians", "Give a .ply, .spz, .sog or .glb.")
     return _convert_cameras(request)
 
 
@@ -62,7 +63,7 @@ def _convert_gaussians(request: Conversion) -> dict[str, Any]:
         gaussians = gaussians[((gaussians.means >= low) & (gaussians.means <= high)).all(1)]
         if not len(gaussians):
             raise QuerySplatError("--crop leaves no Gaussian", "Give x0,y0,z0,x1,y1,z1 in the converted scene's units.")
-    written = write_gaussians(request.target, gaussians)
+    written = write_gaussians(request.target, gaussians, request.spz_version)
     sizes = {"source": request.source.stat().st_size, "target": request.target.stat().st_size}
     return {"target": str(request.target), "gaussians": written, "left_out": read - written, "bytes": sizes}
 

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from annotated_types import Ge, Le
 
-from querysplat_cli.runtime.choices import Axis
+from querysplat_cli.runtime.choices import Axis, SpzVersion
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.json_files import shown
 from querysplat_cli.runtime.options import Force, MovedWeights, Option, Seed, StoredScenePath
@@ -63,7 +63,8 @@ class RenderRequest:
     """Pictures or a film of a .ply."""
 
     scene: Annotated[
-        Path, Option("A scene folder, or a .ply, .spz or .sog of SH degree 0 to 3.", metavar="SCENE", argument=True)
+        Path,
+        Option("A scene folder, or a .ply, .spz, .sog or .glb of SH degree 0 to 3.", metavar="SCENE", argument=True),
     ]
     output: Annotated[
         Path | None,
@@ -123,14 +124,17 @@ class Conversion:
     source: Annotated[
         Path,
         Option(
-            "Gaussians: a .ply, .spz or .sog. Cameras: a transforms.json, a COLMAP model or a scene folder.",
+            "Gaussians: a .ply, .spz, .sog or .glb. Cameras: a transforms.json, a COLMAP model or a scene folder.",
             argument=True,
         ),
     ]
     target: Annotated[
         Path,
-        Option("Gaussians: a .ply or .spz. Cameras: a .json, or a folder for a COLMAP model.", argument=True),
+        Option("Gaussians: a .ply, .spz, .sog or .glb. Cameras: a .json, or a folder for COLMAP.", argument=True),
     ]
+    spz_version: Annotated[
+        SpzVersion, Option("Of an .spz: 3, which most viewers read, or 4, whose compression is newer.")
+    ] = "3"
     text: Annotated[bool, Option("Write the COLMAP model as text.")] = False
     photos: Annotated[
         Path | None,

@@ -14,7 +14,7 @@ from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.pipeline.budget import Budget, working_size
 from querysplat_cli.pipeline.build import Allowance, BuiltScene, encode_and_build
 from querysplat_cli.pipeline.full_size import LargePhotos, full_size_quality
-from querysplat_cli.pipeline.gaussian_files import check_target, folder_of_scene
+from querysplat_cli.pipeline.gaussian_files import check_scene_target, folder_of_scene
 from querysplat_cli.pipeline.given_frame import given_frame
 from querysplat_cli.pipeline.memory import MemoryNeeds, within_memory
 from querysplat_cli.pipeline.scene_folder import StoredScene, refuse_foreign, write_scene
@@ -42,6 +42,7 @@ from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.files import check_writable, refuse_existing, refuse_replacing
 from querysplat_cli.scene.formats.known import read_known_cameras
 from querysplat_cli.scene.inputs import load_inputs
+from querysplat_cli.scene.lenses import pinhole_photos
 from querysplat_cli.scene.photo_files import photo_files
 from querysplat_cli.scene.photos import find_photos
 from querysplat_cli.scene.views import LeftOut, Photo, PhotoSource
@@ -87,7 +88,7 @@ def reconstruct(settings: ReconstructSettings, stages: Stages | None = None) -> 
     Raises QuerySplatError on bad input and ImpossibleScene when no scene can be made of the photos; nothing is written
     then.
     """
-    check_target(settings.ply)
+    check_scene_target(settings.ply)
     outputs = [settings.ply, folder_of_scene(settings.ply)]
     refuse_replacing(settings.inputs, outputs)
     refuse_existing(outputs, force=settings.force)
@@ -138,7 +139,8 @@ def _read_inputs(settings: ReconstructSettings, device: torch.device, stages: St
         compile_ahead()
     with stages("model") as progress:
         model, encoder = load_parts(settings, device)
-        known = read_known_cameras(settings.poses) if settings.poses else None
+        known = read_known_cameras(settings.poses, fisheye=True) if settings.poses else None
+        photos, known = pinhole_photos(photos, known, settings.lens)
         budget = Budget(settings.budget, stages.elapsed) if settings.budget else None
         size = settings.max_size or encoder.size
         adjustable = encoder.name == "classical" and not settings.max_size

@@ -11,6 +11,7 @@ from querysplat_cli.runtime.choices import (
     Fit,
     FullSizeLevel,
     HoldoutProtocol,
+    Lens,
     Quality,
     Space,
     Target,
@@ -54,6 +55,7 @@ class ReconstructSettings:
     ] = None
     holdout_cameras: Annotated[
         HoldoutProtocol,
+        Lens,
         Option(
             "With --holdout-every: estimate the cameras of the scene from the inputs alone (isolated, the paper's "
             "protocol), or from all photos at once (joint)."
@@ -135,6 +137,13 @@ class ReconstructSettings:
             default="estimated from the photos",
         ),
     ] = None
+    lens: Annotated[
+        Lens,
+        Option(
+            "equirectangular: the photos are panoramas of 360°, which become views of 90°. auto: those that say so "
+            "in their XMP data."
+        ),
+    ] = "auto"
     device: Device = "auto"
     seed: Seed = 42
     force: Force = False

@@ -30,6 +30,13 @@ Fit = Literal["crop", "pad"]
 """How a photo fits a network. crop: the largest centred square. pad: the whole photo, on a canvas as wide as the widest
 and as high as the highest photo."""
 
+SpzVersion = Literal["3", "4"]
+"""Versions of .spz that are written: 3 is compressed by gzip, 4 by Zstandard."""
+
+Lens = Literal["auto", "equirectangular"]
+"""What took the photos. auto: cameras with a pinhole or the lens of --poses, and panoramas that say that they are some.
+equirectangular: every photo is a panorama of 360°."""
+
 Precision = Literal["fp32", "tf32", "bf16"]
 """fp32: as the release. tf32: the same, with 10-bit mantissas inside matrix products on GPUs that have them.
 bf16: matrix products and attention in bfloat16; norms, softmax, residuals, rotations and heads in float32."""

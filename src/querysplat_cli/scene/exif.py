@@ -1,5 +1,6 @@
 """What EXIF says about a photo."""
 
+import re
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,13 @@ def focal_length(image: Image.Image) -> float | None:
         return None
     low, high = SENSIBLE_FOCAL
     return focal if focal and low < focal / max(width, height) < high else None
+
+
+def says_panorama(image: Image.Image) -> bool:
+    """Whether XMP says that the picture shows 360° (GPano:ProjectionType, Google's photo sphere metadata)."""
+    packet = image.info.get("xmp", b"")
+    text = packet if isinstance(packet, bytes) else str(packet).encode(errors="replace")
+    return re.search(rb"GPano:ProjectionType(=[\"']|>)\s*equirectangular", text) is not None
 
 
 def _focal_from_film(exif: dict[int, Any], width: int, height: int) -> float | None:

@@ -5,6 +5,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path, PurePath
 
 import cv2
@@ -13,7 +14,7 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Progress
-from querysplat_cli.scene.exif import focal_length
+from querysplat_cli.scene.exif import focal_length, says_panorama
 from querysplat_cli.scene.masks import BadMask, mask_file, read_mask, resized_mask
 from querysplat_cli.scene.views import LeftOut, Photo
 
@@ -102,8 +103,8 @@ def load_photo(path: Path, name: str, max_side: int) -> Photo | LeftOut:
     try:
         if not path.stat().st_size:
             return LeftOut(name, "the file is empty")
-        pixels, focal, alpha = _decode(path, max_side)
-        mask = _mask(path, alpha, pixels)
+        found = _decode(path, max_side)
+        pixels, mask = found.pixels, _mask(path, found)
     except UnidentifiedImageError:
         return LeftOut(name, _why_not_a_picture(path))
     except BadMask as error:
@@ -116,7 +117,7 @@ def load_photo(path: Path, name: str, max_side: int) -> Photo | LeftOut:
         return LeftOut(name, f"{pixels.shape[1]} × {pixels.shape[0]} pixels are too few")
     if mask is not None and not mask.any():
         return LeftOut(name, "its mask hides all of it")
-    return Photo(name, path, pixels, focal, mask=mask)
+    return Photo(name, path, pixels, found.focal, mask=mask, panorama=found.panorama)
 
 
 def longer_side(path: Path, default: int) -> int:
@@ -180,33 +181,42 @@ def _is_picture(path: Path) -> bool:
     return path.suffix.lower() in SUFFIXES
 
 
-def _mask(path: Path, alpha: np.ndarray | None, pixels: np.ndarray) -> np.ndarray | None:
+@dataclass(frozen=True)
+class _Decoded:
+    """A picture file: upright, reduced RGB, the focal length in its pixels, where it is opaque, and if it is 360°."""
+
+    pixels: np.ndarray
+    focal: float | None = None
+    opaque: np.ndarray | None = None
+    panorama: bool = False
+
+
+def _mask(path: Path, found: _Decoded) -> np.ndarray | None:
     """The pixels that take part by the mask's file, or else by the alpha channel; None where all of them do."""
     file = mask_file(path)
-    if file is None and alpha is None:
+    if file is None and found.opaque is None:
         return None
-    height, width = pixels.shape[:2]
-    mask = read_mask(file, height, width) if file else resized_mask(np.asarray(alpha), height, width)
+    height, width = found.pixels.shape[:2]
+    mask = read_mask(file, height, width) if file else resized_mask(np.asarray(found.opaque), height, width)
     return None if mask.all() else mask
 
 
-def _decode(path: Path, max_side: int) -> tuple[np.ndarray, float | None, np.ndarray | None]:
-    """Upright, reduced RGB, the focal length in its pixels, and where the picture is opaque, if it has alpha."""
+def _decode(path: Path, max_side: int) -> _Decoded:
     if path.suffix.lower() in HEIF_SUFFIXES:
         _register_heif()
     try:
         image = Image.open(path)
     except UnidentifiedImageError:
-        return reduced(_decode_deep_tiff(path), max_side), None, None
+        return _Decoded(reduced(_decode_deep_tiff(path), max_side))
     with image:
-        focal = focal_length(image)
+        focal, panorama = focal_length(image), says_panorama(image)
         width, height = image.size
         scale = min(1.0, max_side / max(width, height))
         image.draft("RGB", (round(width * scale), round(height * scale)))
         upright = ImageOps.exif_transpose(image)
         pixels = reduced(_rgb(upright), max_side)
         opaque = np.asarray(upright.convert("RGBA").getchannel("A")) >= HALF_OPAQUE if _has_alpha(upright) else None
-    return pixels, focal and focal * max(pixels.shape) / max(width, height), opaque
+    return _Decoded(pixels, focal and focal * max(pixels.shape) / max(width, height), opaque, panorama)
 
 
 def _rgb(image: Image.Image) -> np.ndarray:

@@ -10,13 +10,19 @@ import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
+from querysplat_cli.scene.resample import PinholeView
+
 
 @dataclass(frozen=True)
 class PhotoSource:
-    """Where a photo comes from: a picture file, or the frame of a film with this presentation time stamp."""
+    """Where a photo comes from: a picture file, or the frame of a film with this presentation time stamp.
+
+    `view` is the part of it that the photo shows, where its lens is too wide for a pinhole camera.
+    """
 
     path: Path
     pts: int | None = None
+    view: PinholeView | None = None
 
 
 @dataclass(frozen=True)
@@ -26,6 +32,7 @@ class Photo:
     Large photos are reduced when they are read, so `pixels` may be smaller than the file's picture. `focal` is
     the focal length in pixels of `pixels` where EXIF gives it, None otherwise. `pts` is the presentation time stamp
     of a film's frame; None for a photo. `mask` [height, width] is True where the photo takes part; None: everywhere.
+    `panorama` is whether the file says that it shows 360°. `view` is the part of a wide photo that this one shows.
     """
 
     name: str
@@ -34,10 +41,12 @@ class Photo:
     focal: float | None = None
     pts: int | None = None
     mask: np.ndarray | None = None
+    panorama: bool = False
+    view: PinholeView | None = None
 
     @property
     def source(self) -> PhotoSource:
-        return PhotoSource(self.path, self.pts)
+        return PhotoSource(self.path, self.pts, self.view)
 
     @property
     def height(self) -> int:

@@ -22,6 +22,7 @@ from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.cameras import PhotoCamera, rescaled
 from querysplat_cli.scene.drafts import scratch_folder
+from querysplat_cli.scene.lenses import same_panorama
 from querysplat_cli.scene.views import Photo
 
 
@@ -167,7 +168,7 @@ def write_images(store: pycolmap.Database, keyed: Sequence[tuple[Hashable, pycol
 def _choose_pairs(store: pycolmap.Database, photos: Sequence[Photo]) -> list[tuple[int, int]]:
     """Pairs to match: all of a few photos; else similar ones, neighbours, and frames near each other in a film."""
     count = len(photos)
-    everything = [(i, j) for i in range(count) for j in range(i + 1, count)]
+    everything = [(i, j) for i in range(count) for j in range(i + 1, count) if not same_panorama(photos[i], photos[j])]
     if count <= CAMERA_POLICY.exhaustive_photos:
         return everything
     similarity = _similarity([_largest_features(store, photo) for photo in range(count)])
