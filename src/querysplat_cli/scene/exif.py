@@ -1,6 +1,7 @@
 """What EXIF says about a photo."""
 
 import re
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,36 @@ SENSIBLE_FOCAL = (0.3, 20.0)
 """Range of plausible focal lengths in units of the longer side. Others in EXIF are ignored."""
 MILLIMETRES = {1: 25.4, 2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}
 """Length of EXIF's FocalPlaneResolutionUnit; 1 means "none", which cameras write for inches."""
+
+
+@dataclass(frozen=True)
+class Gps:
+    """Where a photo was taken: degrees north and east, and metres above sea level, if that is stated."""
+
+    latitude: float
+    longitude: float
+    height: float | None = None
+
+
+def gps_place(image: Image.Image) -> Gps | None:
+    """EXIF's GPS position, if there is a whole and sensible one."""
+    try:
+        entries = image.getexif().get_ifd(ExifTags.IFD.GPSInfo)
+        latitude = _degrees(entries[ExifTags.GPS.GPSLatitude], entries.get(ExifTags.GPS.GPSLatitudeRef, "N"))
+        longitude = _degrees(entries[ExifTags.GPS.GPSLongitude], entries.get(ExifTags.GPS.GPSLongitudeRef, "E"))
+        height = entries.get(ExifTags.GPS.GPSAltitude)
+        below = entries.get(ExifTags.GPS.GPSAltitudeRef) in (1, b"\x01")
+        metres = None if height is None else float(height) * (-1 if below else 1)
+    except (ValueError, TypeError, ZeroDivisionError, KeyError, SyntaxError, OSError):
+        return None
+    sensible = abs(latitude) <= 90 and abs(longitude) <= 180 and np.isfinite([latitude, longitude, metres or 0.0]).all()
+    # Cameras without reception write zeros.
+    return Gps(latitude, longitude, metres) if sensible and (latitude or longitude) else None
+
+
+def _degrees(parts: Any, reference: str) -> float:
+    degrees, minutes, seconds = (float(part) for part in parts)
+    return (degrees + minutes / 60 + seconds / 3600) * (-1 if reference in ("S", "W") else 1)
 
 
 def focal_length(image: Image.Image) -> float | None:

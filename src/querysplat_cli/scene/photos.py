@@ -14,7 +14,7 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Progress
-from querysplat_cli.scene.exif import focal_length, says_panorama
+from querysplat_cli.scene.exif import Gps, focal_length, gps_place, says_panorama
 from querysplat_cli.scene.masks import BadMask, mask_file, read_mask, resized_mask
 from querysplat_cli.scene.views import LeftOut, Photo
 
@@ -117,7 +117,7 @@ def load_photo(path: Path, name: str, max_side: int) -> Photo | LeftOut:
         return LeftOut(name, f"{pixels.shape[1]} × {pixels.shape[0]} pixels are too few")
     if mask is not None and not mask.any():
         return LeftOut(name, "its mask hides all of it")
-    return Photo(name, path, pixels, found.focal, mask=mask, panorama=found.panorama)
+    return Photo(name, path, pixels, found.focal, mask=mask, panorama=found.panorama, gps=found.gps)
 
 
 def longer_side(path: Path, default: int) -> int:
@@ -189,6 +189,7 @@ class _Decoded:
     focal: float | None = None
     opaque: np.ndarray | None = None
     panorama: bool = False
+    gps: Gps | None = None
 
 
 def _mask(path: Path, found: _Decoded) -> np.ndarray | None:
@@ -209,14 +210,14 @@ def _decode(path: Path, max_side: int) -> _Decoded:
     except UnidentifiedImageError:
         return _Decoded(reduced(_decode_deep_tiff(path), max_side))
     with image:
-        focal, panorama = focal_length(image), says_panorama(image)
+        focal, panorama, gps = focal_length(image), says_panorama(image), gps_place(image)
         width, height = image.size
         scale = min(1.0, max_side / max(width, height))
         image.draft("RGB", (round(width * scale), round(height * scale)))
         upright = ImageOps.exif_transpose(image)
         pixels = reduced(_rgb(upright), max_side)
         opaque = np.asarray(upright.convert("RGBA").getchannel("A")) >= HALF_OPAQUE if _has_alpha(upright) else None
-    return _Decoded(pixels, focal and focal * max(pixels.shape) / max(width, height), opaque, panorama)
+    return _Decoded(pixels, focal and focal * max(pixels.shape) / max(width, height), opaque, panorama, gps)
 
 
 def _rgb(image: Image.Image) -> np.ndarray:

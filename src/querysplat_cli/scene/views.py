@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
+from querysplat_cli.scene.exif import Gps
 from querysplat_cli.scene.resample import PinholeView
 
 
@@ -32,7 +33,8 @@ class Photo:
     Large photos are reduced when they are read, so `pixels` may be smaller than the file's picture. `focal` is
     the focal length in pixels of `pixels` where EXIF gives it, None otherwise. `pts` is the presentation time stamp
     of a film's frame; None for a photo. `mask` [height, width] is True where the photo takes part; None: everywhere.
-    `panorama` is whether the file says that it shows 360°. `view` is the part of a wide photo that this one shows.
+    `panorama` is whether the file says that it shows 360°, `gps` where it was taken. `view` is the part of a wide photo
+    that this one shows.
     """
 
     name: str
@@ -42,6 +44,7 @@ class Photo:
     pts: int | None = None
     mask: np.ndarray | None = None
     panorama: bool = False
+    gps: Gps | None = None
     view: PinholeView | None = None
 
     @property
