@@ -75,7 +75,7 @@ def test_masks_are_no_photos(tmp_path: Path) -> None:
 def test_masks_of_ones_and_zeros_and_of_another_size(tmp_path: Path) -> None:
     path = grey(tmp_path)
     save(tmp_path / "masks" / "a.png", left_half(48, 80) // 255)
-    for side in (1600, 80):
+    for side in (1600, 128):
         mask = load(path, side).mask
         assert mask is not None
         assert mask.shape == load(path, side).pixels.shape[:2]

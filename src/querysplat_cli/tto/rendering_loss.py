@@ -109,8 +109,7 @@ class RenderingLoss:
             if self.exposures:
                 self.exposures.refit(view, rendering, photo[0][0], photo[1][0])
                 rendering = self._exposed(rendering, view)
-            picture = self._where_shown(rendering.over(behind), photo, view)
-            (photometric_loss(picture, *photo) / len(chosen)).backward()
+            (photometric_loss(*self._shown(rendering.over(behind), photo, view)) / len(chosen)).backward()
             value, error = self._compared(rendering, photo, view)
             losses.append(value)
             errors.append(error)
@@ -133,11 +132,17 @@ class RenderingLoss:
     @torch.no_grad()
     def _compared(self, rendering: Rendering, photo: tuple[Tensor, Tensor], view: int) -> tuple[float, float]:
         """The loss and the mean squared error over `background`."""
-        return photometric_value(self._where_shown(rendering.over(self.background), photo, view), *photo)
+        return photometric_value(*self._shown(rendering.over(self.background), photo, view))
 
-    def _where_shown(self, picture: Tensor, photo: tuple[Tensor, Tensor], view: int) -> Tensor:
-        """The render, with the photo itself where that is masked: SSIM's windows reach beyond the mask's border."""
-        return torch.where(photo[1][:, None], picture, photo[0]) if self.views.have_holes[view] else picture
+    def _shown(self, picture: Tensor, photo: tuple[Tensor, Tensor], view: int) -> tuple[Tensor, Tensor, Tensor]:
+        """The render, the photo and its mask; both black where the photo is masked.
+
+        SSIM's windows reach beyond the border of a mask.
+        """
+        pixels, mask = photo
+        if self.views.have_holes[view]:
+            picture, pixels = picture * mask[:, None], pixels * mask[:, None]
+        return picture, pixels, mask
 
 
 def tensors(holder: Any) -> list[Tensor]:
