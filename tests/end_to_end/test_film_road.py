@@ -59,8 +59,9 @@ def test_the_scene_folder_finds_the_frames_again(scene: tuple[Path, dict[str, An
     large, _ = inputs.at(inputs.summary().width)
     for row in range(len(large)):
         (height, width), small = large.sizes[row], stored.views
-        reduced = cv2.resize(large.picture(row)[:, :height, :width].permute(1, 2, 0).numpy(), small.sizes[row][::-1])
         rows, columns = small.sizes[row]
+        picture = large.picture(row)[:, :height, :width].permute(1, 2, 0).numpy()
+        reduced = cv2.resize(picture, (columns, rows), interpolation=cv2.INTER_AREA)
         same = small.picture(row)[:, :rows, :columns].permute(1, 2, 0).numpy()
         assert np.abs(reduced - same).mean() < 0.02
 

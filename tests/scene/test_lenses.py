@@ -16,7 +16,7 @@ from querysplat_cli.scene.formats.known import read_known_cameras
 from querysplat_cli.scene.lenses import pinhole_photos, same_panorama
 from querysplat_cli.scene.photo_files import photo_files, read_photo_files, write_photo_files
 from querysplat_cli.scene.photos import load_photos
-from querysplat_cli.scene.resample import FACES, fisheye_view, panorama_views
+from querysplat_cli.scene.resample import FACE_FIELD, FACES, fisheye_view, panorama_views
 from querysplat_cli.scene.views import Photo
 
 HEIGHT, WIDTH = 240, 320
@@ -52,7 +52,8 @@ def test_a_fisheye_view_is_what_opencv_says() -> None:
     assert inside.max() < 0.6  # rounding of the view's size to whole pixels
     assert inside.mean() < 0.3
     assert abs(found.shape[1] / found.shape[0] - WIDTH / HEIGHT) < 0.02
-    assert found.shape[1] > WIDTH  # a pinhole view of the same scale is larger
+    corner = np.hypot(view.size[1] / view.focal[0], view.size[0] / view.focal[1]) / 2
+    assert np.degrees(np.arctan(corner)) == pytest.approx(60, abs=0.5)
 
 
 def test_a_fisheye_view_holds_at_any_size() -> None:
@@ -92,7 +93,8 @@ def test_the_views_of_a_panorama_cover_everything() -> None:
     seen = np.zeros(len(directions), bool)
     for view in panorama_views():
         x, y, z = (directions @ np.array(view.rotation).reshape(3, 3)).T
-        seen |= (z > 0) & (np.abs(x) <= z) & (np.abs(y) <= z)
+        reach = z * np.tan(np.radians(FACE_FIELD / 2))
+        seen |= (z > 0) & (np.abs(x) <= reach) & (np.abs(y) <= reach)
     assert seen.all()
 
 
@@ -151,7 +153,7 @@ def test_panoramas_by_option_and_by_xmp(tmp_path: Path) -> None:
     assert [photo.panorama for photo in photos] == [True, False]
     auto, _ = pinhole_photos(photos, None, "auto")
     assert [photo.name for photo in auto] == [*(f"says_{n}.jpg" for n in range(8)), "silent.jpg"]
-    assert all(photo.focal and photo.height == photo.width == round(256 / np.pi) for photo in auto[:8])
+    assert all(photo.focal and photo.height == photo.width == 97 for photo in auto[:8])
     assert same_panorama(auto[0], auto[5])
     every, _ = pinhole_photos(photos, None, "equirectangular")
     assert len(every) == 16

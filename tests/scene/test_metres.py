@@ -29,11 +29,11 @@ def walk(count: int = 20, *, noise: float = 0.0, heights: bool = True) -> tuple[
 
 
 def test_degrees_become_metres() -> None:
-    east, north, up = local_metres([Gps(48, 11, 3), Gps(48.001, 11, 5), Gps(48, 11.001, 3)]).T
+    east, north, up = local_metres([Gps(48.0, 11.0, 3.0), Gps(48.001, 11.0, 5.0), Gps(48.0, 11.001, 3.0)]).T
     assert north[1] - north[0] == pytest.approx(111.2, abs=0.05)
     assert east[2] - east[0] == pytest.approx(74.63, abs=0.05)
     assert up[1] - up[0] == 2
-    far = local_metres([Gps(0, 179.999), Gps(0, -179.999)])
+    far = local_metres([Gps(0.0, 179.999), Gps(0.0, -179.999)])
     assert np.linalg.norm(far[1] - far[0]) == pytest.approx(222.6, abs=0.1)
 
 
@@ -49,7 +49,7 @@ def test_the_scale_of_exact_places(heights: bool) -> None:
 def test_noise_and_outliers() -> None:
     centres, places = walk(40, noise=2.0)
     for name in ("3.jpg", "17.jpg", "30.jpg"):
-        places[name] = Gps(places[name].latitude + 0.01, places[name].longitude, 500)  # a kilometre off
+        places[name] = Gps(places[name].latitude + 0.01, places[name].longitude, 500.0)  # a kilometre off
     found = metres_by_gps(centres, places)
     assert found.per_unit == pytest.approx(METRES_PER_UNIT, rel=0.05)
     assert found.residual is not None

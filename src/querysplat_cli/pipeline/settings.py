@@ -142,7 +142,7 @@ class ReconstructSettings:
     lens: Annotated[
         Lens,
         Option(
-            "equirectangular: the photos are panoramas of 360°, which become views of 90°. auto: those that say so "
+            "equirectangular: the photos are panoramas of 360°, which become views of 100°. auto: those that say so "
             "in their XMP data."
         ),
     ] = "auto"

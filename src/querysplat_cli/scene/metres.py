@@ -14,8 +14,8 @@ FEWEST_PLACES = 4
 """Photos with GPS that determine a similarity and show how far off they are."""
 ROUNDS = 30
 """Of reweighting."""
-CLEAR = 2.0
-"""The places must spread over this many times their median error, or they say nothing about size."""
+CLEAR = 3.0
+"""In the median, places must lie this many times their error from their middle, or they say nothing about size."""
 
 
 @dataclass(frozen=True)
@@ -58,10 +58,10 @@ def metres_by_gps(centres: Mapping[str, np.ndarray], places: Mapping[str, Gps]) 
         sigma = max(1.4826 * float(np.median(residuals)), 1e-9)
         weights = 1 / (1 + (residuals / (2 * sigma)) ** 2)
     error = float(np.median(residuals))
-    spread = float(np.linalg.norm(theirs - np.median(theirs, axis=0), axis=1).max())
+    spread = float(np.median(np.linalg.norm(theirs - np.median(theirs, axis=0), axis=1)))
     if not scale > 0 or spread < CLEAR * error:
         raise QuerySplatError(
-            f"--scale gps: the photos were taken within {spread:.1f} m, and GPS is off by {error:.1f} m",
+            f"--scale gps: the photos were taken about {spread:.1f} m around their middle, and GPS is off by {error:.1f} m",
             "Give a distance between two photos instead: --scale a.jpg,b.jpg=1.5.",
         )
     return Metres(scale, "gps", len(names), error)

@@ -13,7 +13,8 @@ MOST = 1000.0
 """Largest number of a view."""
 LARGEST_VIEW = 5.0
 """Longer side of the largest view, in widths of its photo."""
-FACE_FIELD = 90.0
+FACE_FIELD = 100.0
+"""Degrees that a view of a panorama is wide. With 90, six around would leave gaps to the views up and down."""
 FACES = (*((float(yaw), 0.0) for yaw in range(0, 360, 60)), (0.0, 90.0), (0.0, -90.0))
 """Degrees (to the right, up) of the optical axes of the views of a panorama: six around that overlap, up and down."""
 
