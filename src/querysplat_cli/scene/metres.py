@@ -61,7 +61,7 @@ def metres_by_gps(centres: Mapping[str, np.ndarray], places: Mapping[str, Gps]) 
     spread = float(np.median(np.linalg.norm(theirs - np.median(theirs, axis=0), axis=1)))
     if not scale > 0 or spread < CLEAR * error:
         raise QuerySplatError(
-            f"--scale gps: the photos were taken about {spread:.1f} m around their middle, and GPS is off by {error:.1f} m",
+            f"--scale gps: the photos lie about {spread:.1f} m around their middle, and GPS is off by {error:.1f} m",
             "Give a distance between two photos instead: --scale a.jpg,b.jpg=1.5.",
         )
     return Metres(scale, "gps", len(names), error)
