@@ -108,11 +108,27 @@ def test_quoted_rows_name_their_source(tmp_path: Path) -> None:
     row_folder = start(tmp_path, "free_tto=0", split("small", "small"))
     write_case(row_folder.case("s_000"), "s", result(20), pictures=False)
     summary = summarise(tmp_path)
-    assert all(row["where"] and row["views"] in (2, 4, 12) for row in summary["quoted"]["rows"])
+    assert all(row["where"] and row["views"] == 4 for row in summary["quoted"]["rows"])
+    assert summary["quoted"]["splits"]["small"] == summary["quoted"]["rows"]
     text = (tmp_path / "summary.md").read_text()
-    quoted = text[text.index("Quoted, not measured here") :]
-    assert "24.58 / 0.800 / 0.184" in quoted
+    quoted = text[text.index("Quoted from the paper") :]
+    line = "| QuerySplat | free | 29.57 / 0.923 / 0.087 | 27.19 / 0.875 / 0.118 | 23.26 / 0.789 / 0.194 | Appendix A |"
+    assert quoted.count(line) == 2  # beside the average of the one split, and beside the split
     assert not any("QuerySplat + TTO" in row["row"] for row in summary["rows"])
+
+
+def test_the_average_of_all_scales_stands_beside_the_main_table(tmp_path: Path) -> None:
+    for scale in ("small", "medium", "large"):
+        row_folder = start(tmp_path, "free_tto=0", split(scale, scale, 1))
+        write_case(row_folder.case("s_000"), "s", result(20), pictures=False)
+    text = summarise(tmp_path) and (tmp_path / "summary.md").read_text()
+    average = text[: text.index("## small")]
+    assert "| QuerySplat | free | 27.90 / 0.884 / 0.124 | 24.58 / 0.800 / 0.184 |" in average
+    assert (
+        "| QuerySplat, official-8192 (SH degree 1) | free | – | 24.34 / – / – | – | README of the release |" in average
+    )
+    assert "| YoNoSplat | given |" in average
+    assert "24.34" not in text[text.index("## small") :]
 
 
 def test_shards_add_up(tmp_path: Path) -> None:

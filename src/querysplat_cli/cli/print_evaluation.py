@@ -7,6 +7,7 @@ from rich.table import Table
 
 from querysplat_cli.cli.terminal import print_json, say
 from querysplat_cli.cli.verb import Printing
+from querysplat_cli.evaluation.published import OWN
 
 
 def print_evaluation(summary: dict[str, Any], output: Path, printing: Printing) -> None:
@@ -20,11 +21,11 @@ def print_evaluation(summary: dict[str, Any], output: Path, printing: Printing) 
         say(f"LPIPS: {text}", printing)
     if summary["failures"]:
         say(f"{len(summary['failures'])} failures, listed in {output / 'summary.md'}", printing)
-    say(f"{output / 'summary.md'}, .csv and .json; a folder for each case", printing)
+    say(f"{output / 'summary.md'}, .csv and .json, with all methods of the paper; a folder for each case", printing)
 
 
 def _table(summary: dict[str, Any], views: int) -> Table:
-    """The averages of splits with `views` inputs, and the figures that the paper quotes for them."""
+    """The averages of splits with `views` inputs, and the paper's own figures for the same splits."""
     table = Table(title=f"{views} views", title_justify="left", box=None, padding=(0, 2, 0, 0))
     # The names of rows differ at their ends, so they are never cut.
     table.add_column("row", overflow="fold")
@@ -34,8 +35,8 @@ def _table(summary: dict[str, Any], views: int) -> Table:
         if row["views"] == views:
             table.add_row(*_cells(row))
     for row in summary["quoted"]["rows"]:
-        if row["views"] == views:
-            table.add_row(f"quoted: {row['method']}", row["group"], *_metrics(row), style="dim")
+        if row["views"] == views and row["method"].startswith(OWN):
+            table.add_row(f"paper: {row['method']}", row["group"], *_metrics(row), style="dim")
     return table
 
 

@@ -1,13 +1,12 @@
 """The summary of a run's folder as Markdown, CSV and JSON, with a table for each number of views."""
 
 import csv
-import json
 import statistics
 from collections.abc import Iterable, Sequence
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+from querysplat_cli.evaluation import published
 from querysplat_cli.evaluation.generate import SCALES
 from querysplat_cli.evaluation.metrics import CORRECTED, METRICS
 from querysplat_cli.evaluation.results import RowFolder, mean, read_json, row_folders, write_json
@@ -39,7 +38,7 @@ def summarise(out: Path) -> dict[str, Any]:
         "protocol": sorted({entry["config"]["protocol"] for entry in found}),
         "lpips": sorted({_about_lpips(entry["config"]) for entry in found}),
         "machine": sorted({entry["config"]["machine"] for entry in found}),
-        "quoted": published(),
+        "quoted": quoted(rows),
     }
     write_json(out / "summary.json", summary)
     write_table(out / "summary.csv", SUMMARY_COLUMNS, rows)
@@ -128,10 +127,17 @@ def averages(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     ]
 
 
-def published() -> dict[str, Any]:
-    """The paper's rows, with their source: quoted, never measured."""
-    content: dict[str, Any] = json.loads((files("querysplat_cli.evaluation") / "published.json").read_text())
-    return content
+def quoted(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """The paper's figures of the same numbers of views and scales: quoted, never measured.
+
+    `rows` stand beside the averages, as means over the scales of the splits that were run; `splits` by split.
+    """
+    scales: dict[int, set[str]] = {}
+    for row in rows:
+        scales.setdefault(row["views"], set()).add(row["scale"])
+    splits = {row["split"]: published.rows((row["scale"],), row["views"]) for row in rows if row["scale"] in SCALES}
+    averages = [row for views, chosen in sorted(scales.items()) for row in published.rows(chosen, views)]
+    return {**published.about(), "rows": averages, "splits": splits}
 
 
 def markdown(summary: dict[str, Any]) -> str:
@@ -142,15 +148,12 @@ def markdown(summary: dict[str, Any]) -> str:
     for views in sorted({row["views"] for row in summary["averages"]}):
         rows = [row for row in summary["averages"] if row["views"] == views]
         parts += ["", f"## {views} views, average of the splits", "", *_table(rows)]
-        quoted = [row for row in summary["quoted"]["rows"] if row["views"] == views]
-        if quoted:
-            parts += ["", f"*Quoted, not measured here ({summary['quoted']['note']}):*", ""]
-            parts += ["| method | views | PSNR / SSIM / LPIPS | where |", "| --- | --- | --- | --- |"]
-            parts += [f"| {row['method']} | {TITLES[row['group']]} | {cell(row)} | {row['where']} |" for row in quoted]
+        parts += _quoted_table([row for row in summary["quoted"]["rows"] if row["views"] == views])
     by_split = sorted(summary["rows"], key=lambda row: (row["views"], _rank(row["scale"]), row["split"]))
     for split in dict.fromkeys(row["split"] for row in by_split):
         rows = [row for row in by_split if row["split"] == split]
-        parts += ["", f"## {split}", "", *_table(rows)]
+        parts += ["", f"## {split}", "", *_table(rows), *_quoted_table(summary["quoted"]["splits"].get(split, []))]
+    parts += ["", f"Quoted figures: {summary['quoted']['source']}. {summary['quoted']['note']}"]
     if summary["failures"]:
         parts += ["", "## Failed cases", ""]
         parts += [f"- {each['row']}, {each['split']}, {each['case']}: {each['error']}" for each in summary["failures"]]
@@ -207,6 +210,22 @@ def _table(rows: Sequence[dict[str, Any]]) -> list[str]:
             _number(some["peak_memory_gib"], ".2f"),
         ]
         lines.append(f"| {name} | {' | '.join(numbers)} |")
+    return lines
+
+
+def _quoted_table(rows: Sequence[dict[str, Any]]) -> list[str]:
+    """The paper's figures, a line for each method; nothing where the paper has none."""
+    if not rows:
+        return []
+    lines = ["", "*Quoted from the paper, not measured here:*", ""]
+    lines += [f"| method | cameras | {' | '.join(TITLES.values())} | where |", f"|{' --- |' * 6}"]
+    together: dict[tuple[str, bool], dict[str, dict[str, Any]]] = {}
+    for row in rows:
+        together.setdefault((row["method"], row["pose_free"]), {})[row["group"]] = row
+    for (method, pose_free), groups in together.items():
+        cells = [cell(groups[group]) if group in groups else "–" for group in GROUPS]
+        where = ", ".join(dict.fromkeys(row["where"] for row in groups.values()))
+        lines.append(f"| {method} | {'free' if pose_free else 'given'} | {' | '.join(cells)} | {where} |")
     return lines
 
 
