@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from querysplat_cli.evaluation.baseline import back_project
 from querysplat_cli.evaluation.cameras import to_frame_of
 from querysplat_cli.evaluation.judge import Judge, RowResult
+from querysplat_cli.evaluation.metrics import Meter
 from querysplat_cli.evaluation.policy import EVALUATION_POLICY
 from querysplat_cli.evaluation.predictions import score_prediction
 from querysplat_cli.evaluation.protocol import Protocol
@@ -40,7 +41,7 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> CapturedScene:
 @pytest.fixture(params=["release", "text"])
 def judge(room: CapturedScene, request: pytest.FixtureRequest) -> Judge:
     groups = {group: [room.frames[i] for i in rows] for group, rows in PICKED.items()}
-    return Judge(groups, room.cameras, Protocol(request.param), None)
+    return Judge(groups, room.cameras, Protocol(request.param), Meter())
 
 
 @pytest.fixture

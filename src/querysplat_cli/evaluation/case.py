@@ -53,19 +53,20 @@ class CaseRunner:
 
     def _run(self, row: Row, settings: ReconstructSettings) -> RowResult:
         key = same_parts(settings)
-        model, own = parts(key)
-        encoder = self._encoders.setdefault(key, MemoisedEncoder(own))
+        model, unshared = parts(key)
+        encoder = self._encoders.setdefault(key, MemoisedEncoder(unshared))
         if row.cameras == "posed" and not self._judge.known:
             raise QuerySplatError("the dataset has no cameras of these photos", "Leave the posed rows out.")
+        own = settings.max_size or encoder.size
         poses_known = row.cameras == "posed" and not encoder.own_frame
         posed = self._estimate_cameras(encoder, settings, self._judge.names("input"), poses_known=poses_known)
         gaussians, costs, warnings = self._build(row, model, encoder, posed, settings)
         if row.cameras == "posed":
             cameras = to_frame_of(cameras_by_name(posed), self._judge.known)
-            result = self._judge.score_scene(gaussians, cameras, "the dataset has no camera of it")
+            result = self._judge.score_scene(gaussians, cameras, "the dataset has no camera of it", own_size=own)
         else:
             cameras, why = self._free_targets(encoder, posed, settings)
-            result = self._judge.score_scene(gaussians, cameras, "it has no camera", why)
+            result = self._judge.score_scene(gaussians, cameras, "it has no camera", why, own_size=own)
         costs = {"cameras": encoder.cost_of(posed), **costs}
         return replace(result, costs=costs, warnings=(*posed.warnings, *warnings))
 
