@@ -36,7 +36,8 @@ def _table(summary: dict[str, Any], views: int) -> Table:
             table.add_row(*_cells(row))
     for row in summary["quoted"]["rows"]:
         if row["views"] == views and row["method"].startswith(OWN):
-            table.add_row(f"paper: {row['method']}", row["group"], *_metrics(row), style="dim")
+            method = row["method"].replace(OWN, "paper").replace(" + ", ", ")
+            table.add_row(method, row["group"], *_metrics(row), style="dim")
     return table
 
 

@@ -123,8 +123,10 @@ def plan_jobs(
             scene = scenes[case.scene]
             groups = resolve(case, scene)
         except QuerySplatError as error:
+            asked = {group: len(refs) for group, refs in case.groups.items()}
             for row in open_rows:
-                write_failure(RowFolder(request.out, row.name, split.name).case(case.name), case.scene, error.message)
+                folder = RowFolder(request.out, row.name, split.name).case(case.name)
+                write_failure(folder, case.scene, error.message, asked=asked)
             continue
         wanted = {frame.name for frames in groups.values() for frame in frames}
         cameras = {name: camera for name, camera in scene.cameras.items() if name in wanted}
