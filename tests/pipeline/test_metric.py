@@ -6,13 +6,15 @@ import numpy as np
 import pytest
 import torch
 
-from querysplat_cli.pipeline.metric import in_metres, metres_of, read_scale
+from querysplat_cli.encoders.base import PosedViews
+from querysplat_cli.pipeline.metric import in_metres, metres_of
 from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.lengths import read_scale
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.exif import Gps
 from querysplat_cli.scene.metres import Metres
 from querysplat_cli.scene.sim3 import Sim3
-from querysplat_cli.scene.views import Photo
+from querysplat_cli.scene.views import Photo, Views
 
 NAMES = ("a.jpg", "b.jpg", "c.jpg", "d.jpg", "e.jpg")
 EAST = 74_628.0
@@ -24,6 +26,13 @@ def in_a_row() -> Cameras:
     w2c[:, 0, 3] = -2.0 * torch.arange(5)
     w2c[:, 2, 3] = torch.tensor([0.0, 1.0, 0.0, 3.0, 0.0])
     return Cameras(w2c, torch.eye(3).repeat(5, 1, 1), 10, 10)
+
+
+def posed(cameras: Cameras) -> PosedViews:
+    count = len(cameras)
+    masks = torch.ones(count, 10, 10, dtype=torch.bool)
+    views = Views(torch.zeros(count, 3, 10, 10), masks, NAMES, ((10, 10),) * count)
+    return PosedViews(views, cameras, torch.zeros(0, 3), (torch.zeros(0, dtype=torch.long),) * count)
 
 
 @pytest.mark.parametrize("text", ["gps", "a.jpg,b.jpg=1.5", "a.jpg,b.jpg=1.5;c.jpg,d.jpg=2"])
@@ -40,7 +49,8 @@ def test_what_it_cannot_be(text: str) -> None:
 
 
 def test_a_distance_between_two_cameras() -> None:
-    found = metres_of("a.jpg,c.jpg=1.0", NAMES, in_a_row(), [])
+    found = metres_of("a.jpg,c.jpg=1.0", posed(in_a_row()), [])
+    assert found is not None
     assert found.per_unit == pytest.approx(0.25)
 
 
@@ -51,9 +61,14 @@ def test_gps_of_the_photos() -> None:
         Photo(name, Path(name), np.zeros((64, 64, 3), np.uint8), gps=Gps(48 + z / 111_208, 11 + x / EAST, -y))
         for name, (x, y, z) in zip(NAMES, places, strict=True)
     ]
-    assert metres_of("gps", NAMES, cameras, photos).per_unit == pytest.approx(10, rel=1e-3)
+    found = metres_of("gps", posed(cameras), photos)
+    assert found is not None
+    assert found.per_unit == pytest.approx(10, rel=1e-3)
     with pytest.raises(QuerySplatError, match="0 of the 5 photos"):
-        metres_of("gps", NAMES, cameras, [])
+        metres_of("gps", posed(cameras), [])
+    with pytest.raises(QuerySplatError, match="unit already"):
+        metres_of("gps", posed(cameras), photos, poses_known=True)
+    assert metres_of(None, posed(cameras), photos) is None
 
 
 def test_lengths_become_metres_and_axes_stay() -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from querysplat_cli.cli.terminal import say
 from querysplat_cli.cli.verb import Printing
@@ -36,10 +37,18 @@ def lines(report: Report) -> Iterator[str]:
         more = f", and {len(left_out) - 1} more" if left_out[1:] else ""
         yield f"left out: {first['name']} ({first['why']}){more}"
     yield from (f"warning: {warning}" for warning in report.warnings)
+    if report.scale:
+        yield _scale(report.scale)
     yield "; ".join(_quality(report))
     yield _time(report)
     yield f"{report.ply}; {Path(report.scene) / 'preview.png'} shows photos beside renders, report.json has the rest"
     yield f"next: querysplat render {report.ply} -o film.mp4, or querysplat tto {report.scene} for a better scene"
+
+
+def _scale(scale: dict[str, Any]) -> str:
+    off = "" if scale["residual_m"] is None else f", off by {scale['residual_m']:.3g} m in the median"
+    what = "photos" if scale["source"] == "gps" else "distances"
+    return f"lengths are in metres, by {scale['source']} ({scale['count']} {what}{off})"
 
 
 def _quality(report: Report) -> Iterator[str]:

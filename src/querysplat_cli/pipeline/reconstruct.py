@@ -1,7 +1,7 @@
 """`reconstruct`: photos in, a scene out."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import torch
@@ -17,6 +17,7 @@ from querysplat_cli.pipeline.full_size import LargePhotos, full_size_quality
 from querysplat_cli.pipeline.gaussian_files import check_scene_target, folder_of_scene
 from querysplat_cli.pipeline.given_frame import given_frame
 from querysplat_cli.pipeline.memory import MemoryNeeds, within_memory
+from querysplat_cli.pipeline.metric import Metres, in_metres, metres_of
 from querysplat_cli.pipeline.scene_folder import StoredScene, refuse_foreign, write_scene
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.prune.resolution import Blurred, blurred
@@ -120,14 +121,16 @@ def _reconstruct(settings: ReconstructSettings, device: torch.device, stages: St
             f"--quality {settings.quality}: this encoder cuts the photos, and large ones would not fit its cameras",
             "Use --encoder classical, or --quality standard.",
         )
+    given = inputs.known is not None
+    metres = metres_of(settings.metres_by, passes.chosen.inputs, inputs.photos, poses_known=given)
     scenes = 2 if passes.other and passes.other.heldout and not settings.one_scene else 1
     share = inputs.budget.share(scenes) if inputs.budget else None
     allowance = Allowance(share, inputs.sources, last=passes.other is None or settings.one_scene)
     scene = encode_and_build(passes.chosen.inputs, inputs.encoder, inputs.model, settings, stages, allowance)
     scores = _score(inputs, passes, scene, settings, stages)
     with stages("write"):
-        report = _report(inputs, passes, scene, scores, settings, stages)
-        write_scene(settings.ply, _stored(inputs, passes, scene, settings), scene.gaussians, report.as_dict())
+        report = replace(_report(inputs, passes, scene, scores, settings, stages), scale=metres and metres.entry())
+        write_scene(settings.ply, _stored(inputs, passes, scene, settings, metres), scene.gaussians, report.as_dict())
     return report
 
 
@@ -266,9 +269,14 @@ def _omissions(settings: ReconstructSettings, scene: BuiltScene, finest: Blurred
     return found
 
 
-def _stored(inputs: _Inputs, passes: HoldoutCameras, scene: BuiltScene, settings: ReconstructSettings) -> StoredScene:
+def _stored(
+    inputs: _Inputs, passes: HoldoutCameras, scene: BuiltScene, settings: ReconstructSettings, metres: Metres | None
+) -> StoredScene:
     heldout = _heldout_photos(inputs, passes.chosen, scene)
     files = [*scene.files, *(heldout.files if heldout else ())]
+    frame = given_frame(passes.chosen.inputs, inputs.known)
+    if metres:
+        frame = in_metres(frame, metres)
     return StoredScene(
         scene.posed.views,
         scene.adapted.cameras,
@@ -279,7 +287,7 @@ def _stored(inputs: _Inputs, passes: HoldoutCameras, scene: BuiltScene, settings
         scene.prepared.map,
         scene.adapted.kept,
         {file.name: file for file in files},
-        given_frame(passes.chosen.inputs, inputs.known),
+        frame,
         len(scene.backdrop) if scene.backdrop else 0,
         scene.exposures,
     )

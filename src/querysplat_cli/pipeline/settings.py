@@ -16,6 +16,7 @@ from querysplat_cli.runtime.choices import (
     Space,
     Target,
 )
+from querysplat_cli.runtime.lengths import read_scale
 from querysplat_cli.runtime.options import (
     Device,
     Force,
@@ -137,6 +138,17 @@ class ReconstructSettings:
             "Known cameras: a transforms.json, or the folder of a COLMAP model.",
             metavar="FILE|DIR",
             default="estimated from the photos",
+        ),
+    ] = None
+    metres_by: Annotated[
+        str | None,
+        Option(
+            "Make the unit of the scene a metre: by gps in EXIF, or by the distance between the places of two "
+            "photos, such as a.jpg,b.jpg=1.5.",
+            ("--scale",),
+            metavar="gps|A,B=M",
+            default="no metres",
+            parse=read_scale,
         ),
     ] = None
     lens: Annotated[
