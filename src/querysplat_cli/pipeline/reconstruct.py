@@ -129,7 +129,8 @@ def _reconstruct(settings: ReconstructSettings, device: torch.device, stages: St
     scene = encode_and_build(passes.chosen.inputs, inputs.encoder, inputs.model, settings, stages, allowance)
     scores = _score(inputs, passes, scene, settings, stages)
     with stages("write"):
-        report = replace(_report(inputs, passes, scene, scores, settings, stages), scale=metres and metres.entry())
+        report = _report(inputs, passes, scene, scores, settings, stages)
+        report = replace(report, scale=metres.entry() if metres else None)
         write_scene(settings.ply, _stored(inputs, passes, scene, settings, metres), scene.gaussians, report.as_dict())
     return report
 
