@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from lpips_weights import AFTER, reference, write_weights
+from lpips_weights import AFTER, WIDTHS, reference, write_weights
 from querysplat_cli.runtime.errors import MissingPart, QuerySplatError
 from querysplat_cli.splat.lpips import BACKBONES, Lpips, LpipsFiles, find_lpips, load_lpips
 
