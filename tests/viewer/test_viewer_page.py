@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-
 from chromium import CHROMIUM, Browser
+
 from querysplat_cli.cli import run
 from querysplat_cli.commands.view_server import serving
 from querysplat_cli.commands.viewed_scene import viewed_scene

@@ -34,7 +34,7 @@ def export_scene(request: ExportRequest) -> Exported:
         raise QuerySplatError(f"{target}: not the name of a page", "Use a name that ends in .html.")
     refuse_existing([target], force=request.force)
     scene = viewed_scene(scene_path)
-    if not request.photos:
+    if not request.with_photos:
         scene = without_photos(scene)
     page = single_page(scene)
     with atomic_path(target) as draft:

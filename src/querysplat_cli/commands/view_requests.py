@@ -32,7 +32,7 @@ class ExportRequest:
     output: Annotated[
         Path | None, Option("The file to write.", ("--output", "-o"), metavar="FILE.html", default="SCENE.html")
     ] = None
-    photos: Annotated[
+    with_photos: Annotated[
         bool, Option("Put small copies of the photos into the file, beside their cameras.", ("--photos/--no-photos",))
     ] = True
     force: Force = False
