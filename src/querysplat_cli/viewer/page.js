@@ -99,7 +99,7 @@ class Page {
     const largest = share < 1 ? Math.exp(low + share * (high - low)) : Infinity;
     const leastOpacity = Number(element("opacity").value);
     element("opacity-value").textContent = `${Math.round(100 * leastOpacity)} %`;
-    element("size-value").textContent = share < 1 ? `${largest.toPrecision(2)} units` : "nothing";
+    element("size-value").textContent = share < 1 ? `${largest.toPrecision(2)} units` : "any";
     this.view.set({ leastOpacity, largestSize: largest, depth: element("depth").checked ? 1 : 0 });
   }
 
