@@ -37,6 +37,10 @@ Lens = Literal["auto", "equirectangular"]
 """What took the photos. auto: cameras with a pinhole or the lens of --poses, and panoramas that say that they are some.
 equirectangular: every photo is a panorama of 360°."""
 
+Frame = Literal["predicted", "first_view"]
+"""The frame of a learned VGM's cameras. predicted: as the network gives them, the first one near the origin (the
+release). first_view: moved so that the first one is the origin (the paper)."""
+
 Precision = Literal["fp32", "tf32", "bf16"]
 """fp32: as the release. tf32: the same, with 10-bit mantissas inside matrix products on GPUs that have them.
 bf16: matrix products and attention in bfloat16; norms, softmax, residuals, rotations and heads in float32."""
