@@ -11,6 +11,7 @@ from querysplat_cli.runtime.choices import (
     Fit,
     FullSizeLevel,
     HoldoutProtocol,
+    Matcher,
     Quality,
     Space,
     Target,
@@ -111,6 +112,13 @@ class ReconstructSettings:
             "The vision geometric model: classical, vggt or vggt_omega.", metavar="NAME", default="the preset's own"
         ),
     ] = None
+    matcher: Annotated[
+        Matcher,
+        Option(
+            "With classical: how photos are matched. auto takes SIFT, and for photos that it matches badly a network "
+            "(`querysplat weights` has the command that installs one) or affine SIFT; the others are used for all photos."
+        ),
+    ] = "auto"
     weights: Weights = None
     precision: NetworkPrecision = "fp32"
     depth: Annotated[bool, Option("Estimate depth even where the model does not need it.")] = False
