@@ -53,9 +53,9 @@ class CameraRequest:
 class Matching:
     """What was done for photos that SIFT matches badly.
 
-    The network `matcher` searched `pairs` of them again, in `seconds`. In these pairs `matches` agree, before and after.
-    With `kept` False, the cameras from before were better. `missing` says what a network lacks that would have been
-    used; `matcher` is empty then.
+    The network `matcher` searched `pairs` of them again, in `seconds`. `matches` are those of these pairs that agree,
+    before and after. With `kept` False, the cameras from before were better. `missing` says what a network lacks that
+    would have been used; `matcher` is empty then.
     """
 
     matcher: str

@@ -27,6 +27,7 @@ from querysplat_cli.reporting.report import (
     exposure_entry,
     heldout_entry,
     machine,
+    matching_entry,
     quality_entry,
     seconds_entry,
     tto_entries,
@@ -106,7 +107,13 @@ def load_parts(settings: ReconstructSettings, device: torch.device) -> tuple[Que
     if learned and settings.queries:
         model.keep_queries(settings.queries)
     options = EncoderOptions(
-        settings.weights, device, precision, settings.fit, model.layer_weights, depth=settings.depth or not learned
+        settings.weights,
+        device,
+        precision,
+        settings.fit,
+        model.layer_weights,
+        depth=settings.depth or not learned,
+        matcher=settings.matcher,
     )
     return model, find_encoder(settings.encoder or ("vggt_omega" if learned else "classical"), options)
 
@@ -244,6 +251,7 @@ def _report(
         exposure=exposure_entry(scene.colours),
         unseen=scores.unseen.entry() if scores.unseen else None,
         backdrop=len(scene.backdrop) if scene.backdrop else 0,
+        matching=matching_entry(passes.chosen.inputs.matching),
     )
 
 

@@ -116,7 +116,7 @@ class ReconstructSettings:
         Matcher,
         Option(
             "With classical: how photos are matched. auto takes SIFT, and for photos that it matches badly a network "
-            "(`querysplat weights` has the command that installs one) or affine SIFT; the others are used for all photos."
+            "(`querysplat weights` says how to install one) or affine SIFT; the others are used for all photos."
         ),
     ] = "auto"
     weights: Weights = None
