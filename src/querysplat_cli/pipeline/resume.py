@@ -148,7 +148,9 @@ def _read(settings: ResumeSettings) -> tuple[StoredScene, dict[str, Any]]:
     """The stored scene, without colour transforms where --exposure is off, and its report."""
     scene, before = read_scene(settings.scene)
     if settings.exposure == "off" and scene.exposures:
-        return replace(scene, exposures=None), {**before, "exposure": {**before["exposure"], "corrected": False}}
+        measured = before.get("exposure")
+        corrected = {**measured, "corrected": False} if measured else None
+        return replace(scene, exposures=None), {**before, "exposure": corrected}
     return scene, before
 
 

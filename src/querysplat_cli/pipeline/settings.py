@@ -109,7 +109,9 @@ class ReconstructSettings:
     encoder: Annotated[
         str | None,
         Option(
-            "The vision geometric model: classical, vggt or vggt_omega.", metavar="NAME", default="the preset's own"
+            "The vision geometric model: classical, vggt, vggt_omega, or one that another package brings.",
+            metavar="NAME",
+            default="the preset's own",
         ),
     ] = None
     matcher: Annotated[

@@ -36,12 +36,13 @@ class NoGaussian(QuerySplatError):
         super().__init__(f"{path}: no Gaussian with finite numbers", "Make or export the scene again.")
 
 
-def write_ply(path: Path, gaussians: Gaussians, comments: Sequence[str] = ()) -> int:
+def write_ply(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = ()) -> int:
     """Write `gaussians` to `path`, whole or not at all; returns how many are in the file.
 
     Rows with a NaN or an infinity are left out, so that number can be less than `len(gaussians)`. Raises
     QuerySplatError when no row is left.
     """
+    path = Path(path)
     rows = export_rows(gaussians)
     finite = rows[torch.isfinite(rows).all(1)]
     if not len(finite):
@@ -56,13 +57,14 @@ def write_ply(path: Path, gaussians: Gaussians, comments: Sequence[str] = ()) ->
     return len(finite)
 
 
-def read_ply(path: Path) -> Gaussians:
+def read_ply(path: str | Path) -> Gaussians:
     """The Gaussians in any 3DGS .ply (SH degree 0 to 3, binary or ASCII), float32.
 
     Saturated numbers are kept within float32: opacities below 1, scales finite. Rows with a NaN, or with a number
     beyond float32, are left out. Raises QuerySplatError when the file is no .ply, not one of Gaussians, or damaged, and
     when no row is left.
     """
+    path = Path(path)
     vertices = _vertices(path)
     present = vertices.dtype.names or ()
     rest = sum(name.startswith("f_rest_") for name in present)
