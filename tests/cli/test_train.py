@@ -44,6 +44,18 @@ def test_dry_run_measures_and_writes_nothing(config: Path, capsys: pytest.Captur
     assert plan["unmeasured"] == ""
 
 
+def test_dry_run_of_the_papers_training_says_how_to_name_its_scenes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The model of a thousand million numbers is not made first."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("querysplat_cli.training.run.starting_model", lambda config: pytest.fail("the model was made"))
+    assert run(["train", "--config", "paper", "--dry-run"]) == ExitCode.BAD_INPUT
+    message, hint = capsys.readouterr().err.splitlines()[-2:]
+    assert message == "error: DL3DV-10K: no such folder of scenes to train on"
+    assert hint.strip() == """Name your own with --set 'data.sources.0.places=["/path/to/scenes"]'."""
+
+
 def test_dry_run_reports_missing_encoder_weights(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     places = f'data.sources.0.places=["{tmp_path}"]'
     (tmp_path / "images").mkdir()

@@ -103,11 +103,12 @@ def plan(request: TrainRequest, stages: Stages) -> TrainPlan:
     """What `train` would take, measured on one sample and two steps. Nothing is written."""
     config = request.config
     device = find_device(request.device)
+    # A place that is not there is said at once, and not after the model was made.
+    sources = [(open_source(source), source.samples) for source in config.data.sources]
     model = starting_model(config)
     freeze(model, config)
     whole = sum(parameter.numel() for parameter in model.parameters())
     learning = sum(parameter.numel() for _, parameter in trained(model))
-    sources = [(open_source(source), source.samples) for source in config.data.sources]
     total = sum(len(source) * samples for source, samples in sources)
     try:
         ready = len(Samples(config.data, config.seed))
