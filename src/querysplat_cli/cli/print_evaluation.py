@@ -8,6 +8,7 @@ from rich.table import Table
 
 from querysplat_cli.cli.terminal import print_json, say
 from querysplat_cli.cli.verb import Printing
+from querysplat_cli.evaluation.published import OWN
 
 COLUMNS = {
     "group": 13, "PSNR": 5, "SSIM": 5, "LPIPS": 5, "scored": 10, "failed": 6, "seconds": 7, "Gaussians": 9,
@@ -32,7 +33,7 @@ def print_evaluation(summary: dict[str, Any], output: Path, printing: Printing) 
 
 
 def _tables(summary: dict[str, Any], views: int) -> Iterator[Table]:
-    """The averages of splits with `views` inputs, row by row, and then the figures that the paper quotes for them.
+    """The averages of splits with `views` inputs, row by row, and then the paper's own figures for as many views.
 
     The name of a row stands above its figures, whole: names of a sweep are long, and differ at their ends.
     """
@@ -41,7 +42,7 @@ def _tables(summary: dict[str, Any], views: int) -> Iterator[Table]:
         if row["views"] == views:
             blocks.setdefault(row["row"], []).append(_cells(row))
     for row in summary["quoted"]["rows"]:
-        if row["views"] == views:
+        if row["views"] == views and row["method"].startswith(OWN):
             blocks.setdefault(f"quoted: {row['method']}", []).append((row["group"], *_metrics(row)))
     for number, (name, rows) in enumerate(blocks.items()):
         table = Table(title=name, title_justify="left", show_header=number == 0, box=None, padding=(0, 2, 0, 0))

@@ -46,4 +46,7 @@ InputCount = Literal[2, 4, 12]
 Scale = Literal["small", "medium", "large"]
 """How far apart the inputs of a generated split are."""
 
+FurtherMetric = Literal["flip", "ssimulacra2"]
+"""Metrics of an evaluation beside PSNR, SSIM and LPIPS, from packages of their own."""
+
 Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
