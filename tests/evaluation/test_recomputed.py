@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 import torch
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
-from test_lpips import AFTER, reference, write_weights
 
+from lpips_weights import AFTER, reference, write_weights
 from querysplat_cli.evaluation.judge import ViewScore
-from querysplat_cli.evaluation.lpips import LpipsFiles, find_lpips, load_lpips
 from querysplat_cli.evaluation.metrics import Meter
 from querysplat_cli.evaluation.nerfbaselines import write_predictions
 from querysplat_cli.scene.formats.dataset import Frame
+from querysplat_cli.splat.lpips import LpipsFiles, find_lpips, load_lpips
 
 AGREEMENT = 1e-4
 GROUPS = {"input": (0,), "interp": (1, 2), "extrap": (3,)}

@@ -7,11 +7,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from querysplat_cli.evaluation.lpips import Lpips
 from querysplat_cli.evaluation.perceptual import further_metric
 from querysplat_cli.evaluation.policy import EVALUATION_POLICY
 from querysplat_cli.runtime.choices import FurtherMetric
 from querysplat_cli.splat.colour_correction import colour_corrected, left_half
+from querysplat_cli.splat.lpips import Lpips
 from querysplat_cli.splat.similarity import psnr, ssim_metric
 
 METRICS = ("psnr", "ssim", "lpips")

@@ -9,7 +9,6 @@ from querysplat_cli.evaluation.axes import FIXED
 from querysplat_cli.evaluation.case import Row, parts, same_parts
 from querysplat_cli.evaluation.generate import generate
 from querysplat_cli.evaluation.grid import rows
-from querysplat_cli.evaluation.lpips import LpipsFiles
 from querysplat_cli.evaluation.policy import EVALUATION_POLICY
 from querysplat_cli.evaluation.request import EvalRequest
 from querysplat_cli.evaluation.results import RowFolder, checkpoint_sha256, open_row_folder, run_config, write_failure
@@ -17,6 +16,7 @@ from querysplat_cli.evaluation.splits import Case, Split, read_splits, resolve
 from querysplat_cli.runtime.errors import ImpossibleScene, QuerySplatError
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.formats.dataset import CapturedScene, Frame
+from querysplat_cli.splat.lpips import LpipsFiles
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,6 @@ from typing import Any
 from querysplat_cli.evaluation.case import CaseRunner
 from querysplat_cli.evaluation.judge import Judge
 from querysplat_cli.evaluation.keeping import Keeping
-from querysplat_cli.evaluation.lpips import LpipsFiles, find_lpips, load_lpips
 from querysplat_cli.evaluation.metrics import Meter
 from querysplat_cli.evaluation.perceptual import check_installed
 from querysplat_cli.evaluation.plan import Job, plan_jobs, plan_rows, plan_splits
@@ -29,6 +28,7 @@ from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.files import check_writable
 from querysplat_cli.scene.formats.dataset import find_scenes
 from querysplat_cli.splat.compile_ahead import compile_ahead
+from querysplat_cli.splat.lpips import LpipsFiles, find_lpips, load_lpips
 
 MANY_SCENES = 100
 """With more scenes to make, the message says how to make fewer."""

@@ -36,6 +36,16 @@ REFINE_CAMERAS = Option(
 )
 
 
+TtoLpips = Annotated[
+    Path | None,
+    Option(
+        "A folder with LPIPS weights, for the loss of the optimisation; docs/cli.md lists the files.",
+        metavar="DIR",
+        default="without LPIPS; official presets: torch's hub cache",
+    ),
+]
+
+
 @dataclass(frozen=True)
 class ReconstructSettings:
     """How photos become a scene. None means that the program chooses, or that there is no limit."""
@@ -114,6 +124,7 @@ class ReconstructSettings:
         ),
     ] = None
     weights: Weights = None
+    lpips: TtoLpips = None
     precision: NetworkPrecision = "fp32"
     depth: Annotated[bool, Option("Estimate depth even where the model does not need it.")] = False
     poses: Annotated[
@@ -215,6 +226,7 @@ class ResumeSettings:
     ] = None
     refine_cameras: Annotated[bool, REFINE_CAMERAS] = False
     weights: MovedWeights = None
+    lpips: TtoLpips = None
     device: Device = "auto"
     seed: Seed = 42
     exposure: Annotated[

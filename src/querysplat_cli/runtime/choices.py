@@ -30,6 +30,10 @@ Fit = Literal["crop", "pad"]
 """How a photo fits a network. crop: the largest centred square. pad: the whole photo, on a canvas as wide as the widest
 and as high as the highest photo."""
 
+Frame = Literal["predicted", "first_view"]
+"""The frame of a learned VGM's cameras. predicted: as the network gives them, the first one near the origin (the
+release). first_view: moved so that the first one is the origin (the paper)."""
+
 Precision = Literal["fp32", "tf32", "bf16"]
 """fp32: as the release. tf32: the same, with 10-bit mantissas inside matrix products on GPUs that have them.
 bf16: matrix products and attention in bfloat16; norms, softmax, residuals, rotations and heads in float32."""
