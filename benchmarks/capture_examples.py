@@ -2,8 +2,8 @@
 
     python benchmarks/capture_examples.py [--write docs/capture.md] [--picture docs/images/capture.jpg] [--keep DIR]
 
-Each kind is seven photos of one room. Every scene is one `querysplat reconstruct --quality draft --tto 20 --max-size 224` in a
-process of its own, and is shown from a place between the photos, beside the room itself.
+Each kind is seven photos of one room. Every scene is one `querysplat reconstruct --quality draft --tto 20 --max-size
+224` in a process of its own, and is shown from a place between the photos, beside the room itself.
 """
 
 import argparse
