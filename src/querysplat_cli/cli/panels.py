@@ -38,7 +38,7 @@ PANELS = {
             "dry_run",
             "tensorboard",
         ),
-        *("force", "quiet", "json"),
+        *("with_photos", "browser", "port", "force", "quiet", "json"),
     ),
     "Machine": ("device", "seed"),
 }

@@ -7,6 +7,7 @@ from typing import Any
 import torch
 
 from querysplat_cli.pipeline.scene_folder import StoredScene
+from querysplat_cli.prune.hiding import hiding
 from querysplat_cli.queries.backdrop import backdrop
 from querysplat_cli.reporting.report import quality_entry, tto_entries
 from querysplat_cli.reporting.view_scores import score
@@ -68,7 +69,8 @@ class FullSize:
 
     size: the longer side of the largest pictures, in pixels.
     runs: one entry for each stage and round, as for other runs.
-    summary: the level, the plan, and why the optimisation ended.
+    summary: the level, the plan, why the optimisation ended, and how many Gaussians were left out because they hid what
+        photos show.
     exposures: the colour transforms of the input photos, where the scene had any.
     """
 
@@ -89,7 +91,10 @@ def take_to_full_size(
     device: torch.device,
     progress: Progress,
 ) -> FullSize:
-    """Optimise `gaussians` on `photos`. Raises QuerySplatError when photos are gone or have changed."""
+    """Optimise `gaussians`, without those that hide what `photos` show (`prune/hiding.py`), on `photos`.
+
+    Raises QuerySplatError when photos are gone or have changed.
+    """
     total = sum(stage.settings.steps for stage in plan.stages)
     taken = 0
 
@@ -103,12 +108,13 @@ def take_to_full_size(
         return to_device(photos.at(size), device)
 
     start = to_device(gaussians, device)
-    result = optimise_full_size(start, views_at, plan, seed=seed, exposures=photos.exposures, progress=show)
+    hidden = hiding(start, to_device(photos.cameras, device))
+    result = optimise_full_size(start[~hidden], views_at, plan, seed=seed, exposures=photos.exposures, progress=show)
     return FullSize(
         to_device(result.gaussians, torch.device("cpu")),
         result.runs[-1][0].max_size,
         _entries(result),
-        _summary(plan, result),
+        {**_summary(plan, result), "hiding": int(hidden.sum())},
         result.interrupted,
         result.exposures,
     )
