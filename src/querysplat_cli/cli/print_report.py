@@ -29,13 +29,15 @@ def exit_if_interrupted(report: Report) -> None:
 
 
 def lines(report: Report) -> Iterator[str]:
-    """Five lines, one more for photos that were left out, and one for each warning."""
+    """Five lines, and one more each for photos that were left out, for what a network matched, and for a warning."""
     used, left_out = report.views["used"], report.views["left_out"]
     yield f"{report.gaussians:,} Gaussians from {_counted(len(used), 'photo')}"
     if left_out:
         first = left_out[0]
         more = f", and {len(left_out) - 1} more" if left_out[1:] else ""
         yield f"left out: {first['name']} ({first['why']}){more}"
+    if report.matching:
+        yield _matching(report.matching)
     yield from (f"warning: {warning}" for warning in report.warnings)
     if report.scale:
         yield _scale(report.scale)
@@ -49,6 +51,17 @@ def _scale(scale: dict[str, Any]) -> str:
     off = "" if scale["residual_m"] is None else f", off by {scale['residual_m']:.3g} m in the median"
     what = "photos" if scale["source"] == "gps" else "distances"
     return f"lengths are in metres, by {scale['source']} ({scale['count']} {what}{off})"
+
+
+def _matching(matching: dict[str, Any]) -> str:
+    pairs = _counted(matching["pairs"], "pair")
+    if not matching["matcher"]:
+        return f"SIFT finds few matches in {pairs} of photos; a network may find more: `querysplat weights` says how"
+    before, after = matching["matches"]
+    found = (
+        f"{pairs} matched again by {matching['matcher']} in {matching['seconds']:.1f} s: {before:,} → {after:,} matches"
+    )
+    return found if matching["kept"] else f"{found}, which did not improve the cameras"
 
 
 def _quality(report: Report) -> Iterator[str]:

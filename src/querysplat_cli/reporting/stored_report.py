@@ -57,6 +57,14 @@ class _Scale:
 
 
 @dataclass(frozen=True)
+class _Matching:
+    __pydantic_config__ = STRICT_TYPES
+
+    matcher: str
+    pairs: Count
+
+
+@dataclass(frozen=True)
 class _Run:
     """One run of test-time optimisation. The curve has [step, seconds, loss, PSNR, Gaussians] of each step."""
 
@@ -126,6 +134,7 @@ class _Report:
     unseen: dict[str, float] | None = None
     scale: _Scale | None = None
     backdrop: Count = 0
+    matching: _Matching | None = None
     warnings: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
 
