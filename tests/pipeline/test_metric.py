@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from querysplat_cli.encoders.base import PosedViews
-from querysplat_cli.pipeline.metric import in_metres, metres_of
+from querysplat_cli.pipeline.metric import metres_of, rescaled_frame
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.lengths import read_scale
 from querysplat_cli.scene.cameras import Cameras
@@ -74,8 +74,8 @@ def test_gps_of_the_photos() -> None:
 def test_lengths_become_metres_and_axes_stay() -> None:
     turn = torch.tensor([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]], dtype=torch.float64)
     before = Sim3(2.0, turn, torch.tensor([1.0, 2.0, 3.0], dtype=torch.float64))
-    after = in_metres(before, Metres(0.5, "gps", 9, 0.1))
+    after = rescaled_frame(before, Metres(0.5, "gps", 9, 0.1))
     points = torch.randn(6, 3, dtype=torch.float64)
     torch.testing.assert_close(after.apply(points), before.apply(points) / 4)
-    alone = in_metres(None, Metres(0.5, "gps", 9, 0.1))
+    alone = rescaled_frame(None, Metres(0.5, "gps", 9, 0.1))
     torch.testing.assert_close(alone.apply(points), points / 2)

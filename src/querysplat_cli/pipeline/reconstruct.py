@@ -1,7 +1,7 @@
 """`reconstruct`: photos in, a scene out."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import torch
@@ -17,12 +17,12 @@ from querysplat_cli.pipeline.full_size import LargePhotos, full_size_quality
 from querysplat_cli.pipeline.gaussian_files import check_scene_target, folder_of_scene
 from querysplat_cli.pipeline.given_frame import given_frame
 from querysplat_cli.pipeline.memory import MemoryNeeds, within_memory
-from querysplat_cli.pipeline.metric import Metres, in_metres, metres_of
+from querysplat_cli.pipeline.metric import in_metres, metres_of
+from querysplat_cli.pipeline.omitted import omissions_of
 from querysplat_cli.pipeline.perceptual import optimisation_lpips
 from querysplat_cli.pipeline.scene_folder import StoredScene, refuse_foreign, write_scene
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.prune.resolution import Blurred, blurred
-from querysplat_cli.reporting import omissions
 from querysplat_cli.reporting.report import (
     Report,
     exposure_entry,
@@ -131,8 +131,7 @@ def _reconstruct(settings: ReconstructSettings, device: torch.device, stages: St
             f"--quality {settings.quality}: this encoder cuts the photos, and large ones would not fit its cameras",
             "Use --encoder classical, or --quality standard.",
         )
-    given = inputs.known is not None
-    metres = metres_of(settings.metres_by, passes.chosen.inputs, inputs.photos, poses_known=given)
+    metres = metres_of(settings.metres_by, passes.chosen.inputs, inputs.photos, poses_known=inputs.known is not None)
     scenes = 2 if passes.other and passes.other.heldout and not settings.one_scene else 1
     share = inputs.budget.share(scenes) if inputs.budget else None
     allowance = Allowance(share, inputs.sources, last=passes.other is None or settings.one_scene)
@@ -140,8 +139,10 @@ def _reconstruct(settings: ReconstructSettings, device: torch.device, stages: St
     scores = _score(inputs, passes, scene, settings, stages)
     with stages("write"):
         report = _report(inputs, passes, scene, scores, settings, stages)
-        report = replace(report, scale=metres.entry() if metres else None)
-        write_scene(settings.ply, _stored(inputs, passes, scene, settings, metres), scene.gaussians, report.as_dict())
+        stored = _stored(inputs, passes, scene, settings)
+        if metres:
+            stored, report = in_metres(stored, report, metres)
+        write_scene(settings.ply, stored, scene.gaussians, report.as_dict())
     return report
 
 
@@ -248,7 +249,7 @@ def _report(
             "heldout": heldout_entry(passes.chosen.protocol, scores.heldout, passes.difference),
             **({"full_size": scores.large} if scores.large else {}),
         },
-        left_out=[asdict(omission) for omission in _omissions(settings, scene, inputs.finest)],
+        left_out=[asdict(omission) for omission in omissions_of(settings, scene, inputs.finest)],
         warnings=[*passes.warnings, *scene.geometry.warnings],
         tto=[*tto_entries(scene.adapted.runs), *(further.runs if further else [])],
         settings={
@@ -265,33 +266,9 @@ def _report(
     )
 
 
-def _omissions(settings: ReconstructSettings, scene: BuiltScene, finest: Blurred | None) -> list[omissions.Omission]:
-    used = optimisation_lpips(settings.lpips, official=scene.prepared.anchors is None) is not None
-    found = omissions.lpips(scene.adapted, used=used, further=bool(scene.full_size))
-    found += omissions.of_adapted(scene.adapted)
-    if scene.prepared.anchor_report and not settings.keep_everything:
-        found.append(omissions.queries(scene.prepared.anchor_report, scene.adapted))
-    if scene.geometry.depth is None:
-        found.append(omissions.UNUSED_DEPTH)
-    if finest:
-        found.append(omissions.resolution(finest))
-    if settings.poses:
-        found.append(omissions.sfm(settings.poses))
-    if settings.one_scene and settings.holdout_every:
-        found.append(omissions.second_score(settings.quality))
-    elif not scene.time_for_more:
-        found.append(omissions.SECOND_SCORE)
-    return found
-
-
-def _stored(
-    inputs: _Inputs, passes: HoldoutCameras, scene: BuiltScene, settings: ReconstructSettings, metres: Metres | None
-) -> StoredScene:
+def _stored(inputs: _Inputs, passes: HoldoutCameras, scene: BuiltScene, settings: ReconstructSettings) -> StoredScene:
     heldout = _heldout_photos(inputs, passes.chosen, scene)
     files = [*scene.files, *(heldout.files if heldout else ())]
-    frame = given_frame(passes.chosen.inputs, inputs.known)
-    if metres:
-        frame = in_metres(frame, metres)
     return StoredScene(
         scene.posed.views,
         scene.adapted.cameras,
@@ -302,7 +279,7 @@ def _stored(
         scene.prepared.map,
         scene.adapted.kept,
         {file.name: file for file in files},
-        frame,
+        given_frame(passes.chosen.inputs, inputs.known),
         len(scene.backdrop) if scene.backdrop else 0,
         scene.exposures,
     )
