@@ -132,6 +132,12 @@ def test_small_photos_have_one_stage_and_few_photos_have_few_steps() -> None:
     assert not any(each.settings.keep_cover for each in plan_full_size("high", LARGE, 40_000).stages)
 
 
+def test_only_photos_that_are_shown_often_have_dropout() -> None:
+    often, seldom = plan_full_size("high", LARGE, 40_000), plan_full_size("standard", Photos(20, 336, 448, 448), 40_000)
+    assert {each.settings.dropout for each in often.stages} == {FULL_SIZE_POLICY.dropout}
+    assert {each.settings.dropout for each in seldom.stages} == {0.0}
+
+
 def test_photos_without_more_pixels_are_shown_less_often() -> None:
     def passes(width: int, count: int = 8) -> float:
         photos = Photos(count, width * 3 // 4, width, 448)

@@ -94,6 +94,8 @@ def plan_full_size(
         )
         stages.append(FullSizeStage(round(size * share), settings, more))
         expected += steps * cost
+    if sum(stage.settings.steps for stage in stages) > policy.dropout_passes * photos.count:
+        stages = [replace(stage, settings=replace(stage.settings, dropout=policy.dropout)) for stage in stages]
     if not limits.most_rounds or seconds is not None:
         return FullSizePlan(tuple(stages), expected if seconds is None else seconds, level=level)
     last = stages[-1].settings

@@ -56,6 +56,12 @@ class FullSizePolicy:
     pixels are more. More would only fit the photos themselves."""
     fewest_passes: float = 12.0
     """Photos are so small that the time lasts to show each of them so often."""
+    dropout: float = 0.15
+    """Share of the Gaussians that the last step of a stage leaves out, where the plan shows each photo often. Held out
+    on kermit and fox, shown 100 times each from working pictures of 224 pixels, SSIM gains 0.005 and 0.012, and PSNR loses
+    0.1 dB; shown 28 to 41 times, three of four cases gain up to 0.2 dB. dtu106, shown 14 times, loses 0.14 dB."""
+    dropout_passes: float = 20.0
+    """A plan that shows each photo more often than this has dropout."""
     pixels_per_gaussian: float = 10.0
     """Pixels of all photos together for each Gaussian that splitting may reach."""
     step_seconds: tuple[float, float, float] = (0.01, 0.8e-7, 0.65e-6)
