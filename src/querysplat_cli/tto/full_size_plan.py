@@ -74,7 +74,7 @@ def plan_full_size(
     pixels = photos.pixels(size)
     target = min(limits.gaussians if most is None else most, limits.gaussians)
     target = max(gaussians, min(target, int(photos.count * pixels / policy.pixels_per_gaussian)))
-    most_passes = min(policy.most_passes, policy.passes * max(1.0, size / photos.working) ** 2)
+    most_passes = min(policy.most_passes, limits.passes * max(1.0, size / photos.working) ** 2)
     if photos.count <= TTO_POLICY.few_views:
         most_passes = min(most_passes, TTO_POLICY.passes)
     shares = _stages(photos.working, size)
