@@ -1,6 +1,6 @@
 """Write docs/licences.md: every package that an installation brings, its version, licence and home.
 
-    pip install -c constraints.txt '.[heic,formats,cuda,weights,tensorboard]' && python benchmarks/licences.py
+    pip install -c constraints.txt '.[heic,formats,cuda,weights,matching,tensorboard]' && python benchmarks/licences.py
 
 The facts are those of the installed packages. A package that is not installed keeps the row of the page before.
 """
@@ -20,8 +20,10 @@ HOMES = ("homepage", "home", "source", "source code", "repository", "github", "d
 """Labels of a package's home among its links, the best first."""
 HEAD = """# Licences of others
 
-querysplat is under Apache-2.0, and so are the bundled `compact` weights, which are ours. Nothing of the packages below
-is part of this repository: `pip` fetches them. The official checkpoints have licences of their own; `querysplat
+querysplat is under Apache-2.0, and so are the bundled `compact` weights, which are ours. Released files of
+[three.js](https://threejs.org) 0.187.0 and [Spark](https://sparkjs.dev) 2.2.0 are part of it, both under the MIT
+licence; their licences lie beside them ([more](viewing.md#what-is-in-the-page)). Nothing of the packages below is part
+of this repository: `pip` fetches them. The official checkpoints have licences of their own; `querysplat
 weights` lists them.
 
 Made by

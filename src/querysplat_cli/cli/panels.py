@@ -7,7 +7,7 @@ PANELS = {
         *("quality", "budget", "tto", "tto_target", "tto_space", "steps", "lr", "space"),
         *("queries", "prune", "densify", "backdrop", "keep_everything"),
     ),
-    "Cameras": ("poses", "refine_cameras", "holdout_cameras", "cameras", "colmap"),
+    "Cameras": ("poses", "refine_cameras", "holdout_cameras", "cameras", "colmap", "matcher"),
     "Model": (
         "preset",
         "encoder",
@@ -38,7 +38,7 @@ PANELS = {
             "dry_run",
             "tensorboard",
         ),
-        *("force", "quiet", "json"),
+        *("with_photos", "browser", "port", "force", "quiet", "json"),
     ),
     "Machine": ("device", "seed"),
 }

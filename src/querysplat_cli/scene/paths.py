@@ -29,7 +29,7 @@ def orbit(cameras: Cameras, middle: Float[Tensor, "3"], frames: int) -> Cameras:
     are the medians of theirs. Raises QuerySplatError when the inputs' centres are at `middle`.
     """
     centres, target = cameras.centres.double().numpy(), middle.double().numpy()
-    up = _upright(cameras)
+    up = up_direction(cameras)
     arms = centres - target
     radius = float(np.median(np.linalg.norm(arms, axis=1)))
     if radius == 0:
@@ -111,7 +111,7 @@ def _cameras(c2w: np.ndarray, K: Tensor, like: Cameras) -> Cameras:
     return Cameras(w2c.to(like.w2c.dtype), K.clone(), like.height, like.width)
 
 
-def _upright(cameras: Cameras) -> np.ndarray:
+def up_direction(cameras: Cameras) -> Float[np.ndarray, "3"]:
     """The mean up direction of the pictures, less its part along their horizontal axes.
 
     People hold cameras level but tilt them up and down, so the x axes are at right angles to the true vertical.
