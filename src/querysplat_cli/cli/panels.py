@@ -38,7 +38,7 @@ PANELS = {
             "dry_run",
             "tensorboard",
         ),
-        *("with_photos", "browser", "port", "force", "quiet", "json"),
+        *("with_photos", "view", "browser", "port", "force", "quiet", "json"),
     ),
     "Machine": ("device", "seed"),
 }
