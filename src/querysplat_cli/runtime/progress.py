@@ -3,12 +3,13 @@
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 Progress = Callable[[str, float], None]
 """Called with a text about the current work, and the finished fraction of the stage."""
 
 
+@runtime_checkable
 class Watcher(Protocol):
     """What shows a scene while it is made. Both calls must be quick, and change nothing that they are given."""
 
