@@ -11,11 +11,12 @@ import torch
 from evaluation_scenes import write_room
 from scipy.spatial.transform import Rotation
 
+from querysplat_cli.evaluation import fitted
 from querysplat_cli.evaluation.baseline import back_project
 from querysplat_cli.evaluation.cameras import to_frame_of
 from querysplat_cli.evaluation.judge import Judge, RowResult
 from querysplat_cli.evaluation.metrics import Meter
-from querysplat_cli.evaluation.policy import EVALUATION_POLICY
+from querysplat_cli.evaluation.policy import EVALUATION_POLICY, FittingPolicy
 from querysplat_cli.evaluation.predictions import score_prediction
 from querysplat_cli.evaluation.protocol import Protocol
 from querysplat_cli.runtime.errors import QuerySplatError
@@ -169,6 +170,21 @@ def test_tokengs_scenes_are_scored_with_a_list_of_cameras(judge: Judge, scene: G
     write_transforms(case / "cameras.json", {frame.name: judge.known[frame.name] for frame in judge.groups["input"]})
     found = flat(score_prediction(judge, tmp_path, "split", "case"))
     assert found == pytest.approx(flat(judge.score_scene(scene, judge.known, "")), abs=0.05)
+
+
+def test_fitted_scores_stand_beside_those_of_the_protocol(
+    judge: Judge, room: CapturedScene, scene: Gaussians, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """For targets alone, and without any change of the protocol's scores."""
+    monkeypatch.setattr(fitted, "FITTING_POLICY", FittingPolicy(steps=2, blurs=(3, 1)))
+    plain = judge.score_scene(scene, judge.known, "")
+    both = Judge(judge.groups, room.cameras, judge.protocol, Meter(), fitted=True)
+    found = both.score_scene(scene, judge.known, "")
+    assert flat(found) == flat(plain)
+    for group, views in found.views.items():
+        for view in views:
+            assert (view.scores.psnr_fitted is None) == (group == "input")
+    assert not any(view.scores.psnr_fitted for views in plain.views.values() for view in views)
 
 
 def test_photos_in_place_of_renders_are_doubted(judge: Judge, tmp_path: Path) -> None:

@@ -1,11 +1,12 @@
 """LPIPS against an independent implementation, and against published figures where the weights are installed."""
 
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 import torch
 
-from lpips_weights import AFTER, reference, write_weights
+from lpips_weights import AFTER, WIDTHS, reference, write_weights
 from querysplat_cli.runtime.errors import MissingPart, QuerySplatError
 from querysplat_cli.splat.lpips import BACKBONES, Lpips, LpipsFiles, find_lpips, load_lpips
 
@@ -58,6 +59,27 @@ def test_missing_weights_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     (tmp_path / "hub").mkdir()
     (tmp_path / "checkpoints").rename(tmp_path / "hub" / "checkpoints")
     assert isinstance(find_lpips(None, "alex"), LpipsFiles)
+
+
+@pytest.mark.parametrize("net", sorted(BACKBONES))
+def test_the_lpips_package_brings_the_linear_layers_and_no_backbone(
+    net: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    package = find_spec("lpips")
+    if package is None or package.origin is None:
+        pytest.skip("the lpips package is not installed")
+    monkeypatch.setenv("TORCH_HOME", str(tmp_path))
+    sentence = find_lpips(None, net)
+    assert isinstance(sentence, str)
+    assert "backbone" in sentence
+    assert "linear layers" not in sentence
+    content = torch.load(
+        Path(package.origin).parent / "weights" / "v0.1" / f"{net}.pth", map_location="cpu", weights_only=True
+    )
+    shapes = {f"lin{i}.model.1.weight": (1, width, 1, 1) for i, width in enumerate(WIDTHS[net])}
+    assert {name: tuple(tensor.shape) for name, tensor in content.items()} == shapes
+    with torch.no_grad():
+        assert all(float(tensor.min()) >= 0 for tensor in content.values())
 
 
 def test_wrong_and_damaged_files_are_refused(tmp_path: Path) -> None:

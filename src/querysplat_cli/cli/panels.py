@@ -7,7 +7,7 @@ PANELS = {
         *("quality", "budget", "tto", "tto_target", "tto_space", "steps", "lr", "space"),
         *("queries", "prune", "densify", "backdrop", "keep_everything"),
     ),
-    "Cameras": ("poses", "refine_cameras", "holdout_cameras", "cameras", "colmap"),
+    "Cameras": ("poses", "refine_cameras", "holdout_cameras", "cameras", "colmap", "matcher"),
     "Model": (
         "preset",
         "encoder",
