@@ -39,7 +39,7 @@ PANELS = {
             "samples_only",
             "tensorboard",
         ),
-        *("with_photos", "browser", "port", "force", "quiet", "json"),
+        *("with_photos", "view", "browser", "port", "force", "quiet", "json"),
     ),
     "Machine": ("device", "seed", "workers"),
 }
