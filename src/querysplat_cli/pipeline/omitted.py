@@ -1,6 +1,7 @@
 """What a run of `reconstruct` left out of the scene or of the work."""
 
 from querysplat_cli.pipeline.build import BuiltScene
+from querysplat_cli.pipeline.perceptual import optimisation_lpips
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.prune.resolution import Blurred
 from querysplat_cli.reporting import omissions
