@@ -2,8 +2,8 @@
 
     python benchmarks/capture_examples.py [--write docs/capture.md] [--picture docs/images/capture.jpg] [--keep DIR]
 
-Each kind is seven photos of one room. Every scene is one `querysplat reconstruct --quality draft --max-size 224` in a
-process of its own, and is shown from a place between the photos, beside the room itself.
+Each kind is seven photos of one room. Every scene is one `querysplat reconstruct --quality draft --tto 20 --max-size
+224` in a process of its own, and is shown from a place between the photos, beside the room itself.
 """
 
 import argparse
@@ -30,6 +30,7 @@ from querysplat_cli.training.photographer import cast, walk
 from querysplat_cli.training.rooms import make_room
 
 SEED, COUNT = 42, 7
+SMALL = ("--quality", "draft", "--tto", "20", "--max-size", "224")
 HEIGHT = 150
 """Pixels of a picture in a row."""
 Pictures = list[np.ndarray]
@@ -105,7 +106,7 @@ def reconstructed(kind: Kind, room: object, path: Cameras, place: Path) -> dict[
         pictures = kind.spoil([eight_bit(cast(room, cameras[[i]])[0][0]) for i in range(len(cameras))])
         for i, picture in enumerate(pictures):
             write_picture(place / "photos" / f"{i}.png", picture)
-        options = ["-o", str(place / "scene.ply"), "--quality", "draft", "--max-size", "224", "--force", "--quiet"]
+        options = ["-o", str(place / "scene.ply"), *SMALL, "--force", "--quiet"]
         command = [sys.executable, "-m", "querysplat_cli", "reconstruct", str(place / "photos"), *options]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode:

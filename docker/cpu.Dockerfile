@@ -3,6 +3,8 @@
 #   docker run --rm -v "$PWD:/data" --user "$(id -u):$(id -g)" querysplat reconstruct photos/ -o scene.ply
 FROM python:3.11-slim-bookworm
 
+# Numba's threads use the system's OpenMP.
+RUN apt-get update && apt-get install -y --no-install-recommends libgomp1 && rm -rf /var/lib/apt/lists/*
 WORKDIR /opt/querysplat
 COPY . .
 # The index of CPU builds keeps CUDA's packages, several gigabytes, out of the image.

@@ -108,8 +108,10 @@ def test_the_examples_of_the_library_run(tmp_path: Path, monkeypatch: pytest.Mon
 
 
 @pytest.mark.slow
-def test_the_examples_that_make_a_scene_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """On the photos of the demo."""
+def test_the_examples_that_make_a_scene_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """On the photos of the demo. Doctest compares what is printed, and nothing is said elsewhere."""
     from querysplat_cli.scene.pictures import eight_bit, write_picture
     from querysplat_cli.training.photographer import cast, walk
     from querysplat_cli.training.rooms import make_room
@@ -121,6 +123,7 @@ def test_the_examples_that_make_a_scene_run(tmp_path: Path, monkeypatch: pytest.
     for i in range(0, 12, 2):
         write_picture(Path("photos") / f"{i:02}.png", eight_bit(cast(scene, cameras[[i]])[0][0]), [])
     run(blocks("python.md", "slow"), run(blocks("python.md"), {}))
+    assert capfd.readouterr().err == ""
 
 
 @pytest.mark.slow
