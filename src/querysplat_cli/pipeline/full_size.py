@@ -7,6 +7,7 @@ from typing import Any
 import torch
 
 from querysplat_cli.pipeline.scene_folder import StoredScene
+from querysplat_cli.prune.far import drawn_in
 from querysplat_cli.queries.backdrop import backdrop
 from querysplat_cli.reporting.report import quality_entry, tto_entries
 from querysplat_cli.reporting.view_scores import score
@@ -89,7 +90,10 @@ def take_to_full_size(
     device: torch.device,
     progress: Progress,
 ) -> FullSize:
-    """Optimise `gaussians` on `photos`. Raises QuerySplatError when photos are gone or have changed."""
+    """Optimise `gaussians` on `photos`, and draw the far ones in.
+
+    Raises QuerySplatError when photos are gone or have changed.
+    """
     total = sum(stage.settings.steps for stage in plan.stages)
     taken = 0
 
@@ -105,7 +109,7 @@ def take_to_full_size(
     start = to_device(gaussians, device)
     result = optimise_full_size(start, views_at, plan, seed=seed, exposures=photos.exposures, progress=show)
     return FullSize(
-        to_device(result.gaussians, torch.device("cpu")),
+        drawn_in(to_device(result.gaussians, torch.device("cpu")), photos.cameras),
         result.runs[-1][0].max_size,
         _entries(result),
         _summary(plan, result),

@@ -14,6 +14,7 @@ from querysplat_cli.model.checkpoints import load
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.pipeline.budget import Budget, working_size
 from querysplat_cli.pipeline.build import Allowance, BuiltScene, encode_and_build
+from querysplat_cli.pipeline.first_sight import first_sight
 from querysplat_cli.pipeline.full_size import LargePhotos, full_size_quality
 from querysplat_cli.pipeline.gaussian_files import check_target, folder_of_scene
 from querysplat_cli.pipeline.given_frame import given_frame
@@ -267,6 +268,9 @@ def _omissions(settings: ReconstructSettings, scene: BuiltScene, finest: Blurred
 def _stored(inputs: _Inputs, passes: HoldoutCameras, scene: BuiltScene, settings: ReconstructSettings) -> StoredScene:
     heldout = _heldout_photos(inputs, passes.chosen, scene)
     files = [*scene.files, *(heldout.files if heldout else ())]
+    frame = given_frame(passes.chosen.inputs, inputs.known)
+    if frame is None and settings.frame == "upright":
+        frame = first_sight(scene.gaussians, scene.adapted.cameras)
     return StoredScene(
         scene.posed.views,
         scene.adapted.cameras,
@@ -277,7 +281,7 @@ def _stored(inputs: _Inputs, passes: HoldoutCameras, scene: BuiltScene, settings
         scene.prepared.map,
         scene.adapted.kept,
         {file.name: file for file in files},
-        given_frame(passes.chosen.inputs, inputs.known),
+        frame,
         len(scene.backdrop) if scene.backdrop else 0,
         scene.exposures,
     )

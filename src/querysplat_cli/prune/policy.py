@@ -37,6 +37,11 @@ class PrunePolicy:
     two to count as different."""
     duplicate_overlap: float = 0.5
     """Share of a view's points that another view must see for the two to count as the same."""
+    near_share: float = 0.99
+    """Share of the Gaussians, the nearest ones, that stay where they are. This and the next were chosen on fortress,
+    kermit and fox."""
+    farthest: float = 2.0
+    """The others are drawn in to at most this many times the distance of those."""
 
 
 PRUNE_POLICY = PrunePolicy()
