@@ -44,7 +44,8 @@ from querysplat_cli.cli import run
 from querysplat_cli.cli.app import app
 
 verbs = [[], *([name] for name in get_command(app).commands)]
-assert [run([*verb, "--help"]) for verb in verbs] == [0] * 11
+assert [run([*verb, "--help"]) for verb in verbs] == [0] * len(verbs)
+assert run(["--version"]) == 0
 heavy = {"torch", "pycolmap", "numba", "cv2", "scipy"} & set(sys.modules)
 assert not heavy, heavy
 """

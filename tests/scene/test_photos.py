@@ -89,7 +89,7 @@ def test_bad_files_among_good_ones_are_left_out_by_name(tmp_path: Path) -> None:
     assert why["empty.jpg"] == "the file is empty"
     assert "not a picture" in why["text.jpg"]
     assert "10 × 10" in why["tiny.png"]
-    assert "pillow-heif" in why["phone.heic"]
+    assert "querysplat[heic]" in why["phone.heic"]
     assert "truncated" in why["cut.jpg"]
 
 

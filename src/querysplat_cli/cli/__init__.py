@@ -3,11 +3,11 @@
 import os
 import sys
 import traceback
-from typing import Any
 
 import typer
 
 from querysplat_cli.cli.app import app
+from querysplat_cli.cli.usage_errors import explained
 from querysplat_cli.runtime import signals
 from querysplat_cli.runtime.errors import ExitCode, QuerySplatError, is_out_of_memory
 from querysplat_cli.runtime.streams import tolerate_closed_streams
@@ -33,7 +33,7 @@ def run(arguments: list[str]) -> int:
         _print_error(error.message, error.hint)
         return error.code
     except typer.TyperException as error:
-        _print_usage_error(error)
+        _print_error(*explained(error))
         return ExitCode.BAD_INPUT
     except (KeyboardInterrupt, typer.Abort):
         pass
@@ -74,12 +74,6 @@ def _forget_handled_interrupt() -> None:
     no call for that, and os._exit() would skip the clean-up at exit.
     """
     exec("")
-
-
-def _print_usage_error(error: Any) -> None:
-    """`error` is typer's, whose own class of usage errors is private; one of a verb has a context."""
-    context = getattr(error, "ctx", None)
-    _print_error(error.format_message(), f"See `{context.command_path if context else 'querysplat'} --help`.")
 
 
 def _print_error(message: str, hint: str) -> None:

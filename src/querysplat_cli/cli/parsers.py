@@ -25,12 +25,22 @@ def parser_of(kind: Any, bounds: Iterable[object], option: Option) -> Parser:
     if get_origin(kind) is tuple:
         item = parser_of(get_args(kind)[0], bounds, option)
         return item if option.repeated or option.argument else _comma_separated(item)
-    parts = [part for part in get_args(kind) if part is not NoneType] if _is_union(kind) else [kind]
-    words = {str(word): word for part in parts if get_origin(part) is Literal for word in get_args(part)}
-    values = [part for part in parts if get_origin(part) is not Literal]
-    if option.auto:
-        words["auto"] = None
+    values = [part for part in _parts(kind) if get_origin(part) is not Literal]
+    words = words_of(kind, option)
     return _value_or_word(values[0], bounds, words) if values else _word(words)
+
+
+def words_of(kind: Any, option: Option) -> dict[str, Any]:
+    """The words that a setting of type `kind` can be, with their values; of a tuple, those of its items."""
+    if get_origin(kind) is tuple:
+        return words_of(get_args(kind)[0], option)
+    words = {str(word): word for part in _parts(kind) if get_origin(part) is Literal for word in get_args(part)}
+    return words | ({"auto": None} if option.auto else {})
+
+
+def _parts(kind: Any) -> list[Any]:
+    """The types that a value of `kind` may have, but None."""
+    return [part for part in get_args(kind) if part is not NoneType] if _is_union(kind) else [kind]
 
 
 def _is_union(kind: Any) -> bool:

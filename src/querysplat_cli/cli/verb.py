@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 import typer
 
-from querysplat_cli.cli.parsers import parser_of
+from querysplat_cli.cli.parsers import parser_of, words_of
 from querysplat_cli.runtime.limits import check_address_space
 from querysplat_cli.runtime.options import Only, Option
 
@@ -84,13 +84,19 @@ def _parameter(field: Field[Any], plain: Any, option: Option, extras: tuple[Any,
         kind = plain
         info = typer.Option(*_names(field, option), show_default=shown, **described)
     else:
-        parser = parser_of(plain, extras, option)
-        info = typer.Option(*_names(field, option), parser=parser, show_default=shown, **described)
+        described |= {"parser": parser_of(plain, extras, option), "autocompletion": _completion(plain, option)}
+        info = typer.Option(*_names(field, option), show_default=shown, **described)
     if field.default is MISSING:
         default = inspect.Parameter.empty
     return inspect.Parameter(
         field.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=Annotated[kind, info]
     )
+
+
+def _completion(plain: Any, option: Option) -> Callable[[str], list[str]]:
+    """What a shell offers for an option: its words; without any, the shell offers files."""
+    words = tuple(words_of(plain, option))
+    return lambda incomplete: [word for word in words if word.startswith(incomplete)]
 
 
 def _choices(plain: Any) -> str | None:

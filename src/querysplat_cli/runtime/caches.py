@@ -21,6 +21,13 @@ def find_caches(environment: MutableMapping[str, str] = os.environ) -> None:
         environment["MPLCONFIGDIR"] = str(_own_folder() / "matplotlib")
 
 
+def is_cached(function: object) -> bool:
+    """Whether numba's cache has an entry for the kernel, of whatever date: numba itself replaces old ones."""
+    python, stats = function.py_func, function.stats  # type: ignore[attr-defined]
+    name = f"{python.__module__.rpartition('.')[2]}.{python.__qualname__}-{python.__code__.co_firstlineno}.*.nbi"
+    return any(Path(stats.cache_path).glob(name))
+
+
 def _home(environment: MutableMapping[str, str]) -> Path | None:
     cache = environment.get("XDG_CACHE_HOME")
     try:

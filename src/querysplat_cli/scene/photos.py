@@ -255,5 +255,5 @@ def _register_heif() -> None:
 
 def _why_not_a_picture(path: Path) -> str:
     if path.suffix.lower() in HEIF_SUFFIXES:
-        return "HEIC needs one more package: pip install pillow-heif"
+        return "HEIC needs one more package: pip install 'querysplat[heic]'"
     return "not a picture that can be read"

@@ -7,7 +7,6 @@ so a thread would have to wait for the splatter's. The process leaves its result
 import atexit
 import subprocess
 import sys
-from pathlib import Path
 
 from numba import boolean, float32, float64, int64, uint8, uint16
 
@@ -15,6 +14,7 @@ from querysplat_cli.encoders.classical.consistency import _carve_view, _vote
 from querysplat_cli.encoders.classical.patchmatch import _improve
 from querysplat_cli.encoders.classical.semiglobal import _best_planes, _two_passes
 from querysplat_cli.encoders.classical.sweep import _sweep
+from querysplat_cli.runtime.caches import is_cached
 from querysplat_cli.runtime.progress import Progress
 
 F2, F3, F4 = float32[:, ::1], float32[:, :, ::1], float32[:, :, :, ::1]
@@ -34,7 +34,7 @@ LONGEST_WAIT = 120.0
 
 def start_compiling() -> "subprocess.Popen[bytes] | None":
     """The process that compiles what numba's cache lacks, or None where it lacks nothing."""
-    if all(_is_cached(function) for function, _ in SIGNATURES):
+    if all(is_cached(function) for function, _ in SIGNATURES):
         return None
     command, nowhere = [sys.executable, "-m", __name__], subprocess.DEVNULL
     process = subprocess.Popen(command, stdin=nowhere, stdout=nowhere, stderr=nowhere)
@@ -50,13 +50,6 @@ def wait_until_compiled(process: "subprocess.Popen[bytes]", progress: Progress) 
         process.wait(LONGEST_WAIT)
     except subprocess.TimeoutExpired:
         process.kill()
-
-
-def _is_cached(function: object) -> bool:
-    """Whether numba's cache has an entry for the kernel, of whatever date: numba itself replaces old ones."""
-    python, stats = function.py_func, function.stats  # type: ignore[attr-defined]
-    name = f"{python.__module__.rpartition('.')[2]}.{python.__qualname__}-{python.__code__.co_firstlineno}.*.nbi"
-    return any(Path(stats.cache_path).glob(name))
 
 
 def _compile() -> None:

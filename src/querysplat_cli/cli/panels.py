@@ -1,0 +1,25 @@
+"""Which panel of `--help` each option is shown in."""
+
+PANELS = {
+    "Scene": ("scene", "scenes", "source", "target", "first", "second"),
+    "Photos": ("inputs", "holdout_every", "max_size", "max_views", "fit", "exposure", "photos", "pictures"),
+    "Quality": (
+        *("quality", "budget", "tto", "tto_target", "tto_space", "steps", "lr", "space"),
+        *("queries", "prune", "densify", "backdrop", "keep_everything"),
+    ),
+    "Cameras": ("poses", "refine_cameras", "holdout_cameras", "cameras", "colmap"),
+    "Model": ("preset", "encoder", "weights", "precision", "folder", "verify", "config", "changes"),
+    "Cases": ("splits", "protocol", "views", "scales", "cases", "shard", "workers", "splits_only", "merge"),
+    "Rows and scores": ("sweep", "predictions", "name", "lpips", "lpips_net"),
+    "Pictures": ("frames", "seconds", "fps", "size", "background", "query"),
+    "Changes": ("up", "scale", "crop", "text"),
+    "Output": (
+        *("ply", "output", "out", "plot", "depth", "alpha", "save_pictures", "resume", "dry_run", "tensorboard"),
+        *("force", "quiet", "json"),
+    ),
+    "Machine": ("device", "seed"),
+}
+"""The options of each panel, by the names of their fields. A name means the same in every verb that has it.
+
+Help pages show the panels in this order, and the options of a panel in theirs.
+"""

@@ -1,0 +1,38 @@
+"""Wrong usage of the command line, in two lines: what is wrong, and what was probably meant."""
+
+import difflib
+from pathlib import Path
+from typing import Any
+
+CLOSE = 0.7
+"""How alike a word and an option must be to be suggested, from 0 to 1 (difflib's ratio)."""
+
+
+def explained(error: Any) -> tuple[str, str]:
+    """The message and the hint of one of typer's errors, whose own class of usage errors is private."""
+    context = getattr(error, "ctx", None)
+    path = context.command_path if context else "querysplat"
+    see = f"See `{path} --help`."
+    option = getattr(error, "option_name", None)
+    if option is not None and context is not None:
+        return f"{path.partition(' ')[2] or path} has no option {option}", f"{_meant(option, context)}{see}"
+    message = error.format_message()
+    word = message.partition("'")[2].partition("'")[0]
+    if message.startswith("No such command") and word and Path(word).exists():
+        return message.partition(" Did you mean")[0], f"To make a scene of it: querysplat reconstruct {word}"
+    return message, see
+
+
+def _meant(option: str, context: Any) -> str:
+    """The option of this verb that is most like `option`, or else the verbs that have an option of that name."""
+    near = difflib.get_close_matches(option, _names(context.command), n=2, cutoff=CLOSE)
+    verbs = getattr(context.find_root().command, "commands", {})
+    elsewhere = [name for name, command in verbs.items() if option in _names(command)]
+    if elsewhere:
+        return f"It is an option of {' and '.join(elsewhere)}. "
+    return f"Did you mean {' or '.join(near)}? " if near else ""
+
+
+def _names(command: Any) -> list[str]:
+    options = (param for param in command.params if param.param_type_name == "option")
+    return [name for option in options for name in (*option.opts, *option.secondary_opts) if name.startswith("--")]

@@ -1,0 +1,28 @@
+"""The packages that querysplat can do without: what each brings, and how to get it."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class OptionalPart:
+    """An extra of the package. `module` is what is imported, `package` what is installed."""
+
+    extra: str
+    module: str
+    package: str
+    gives: str
+
+    @property
+    def command(self) -> str:
+        """The command that installs it."""
+        return f"pip install 'querysplat[{self.extra}]'"
+
+
+OPTIONAL_PARTS = (
+    OptionalPart("heic", "pillow_heif", "pillow-heif", "HEIC photos, as phones write them"),
+    OptionalPart("formats", "gsply", "gsply", "scenes as .spz, and reading .sog"),
+    OptionalPart("cuda", "gsplat", "gsplat", "rendering and optimisation on an NVIDIA GPU (--device cuda)"),
+    OptionalPart("weights", "huggingface_hub", "huggingface_hub", "finding the official weights in the Hub's cache"),
+    OptionalPart("tensorboard", "tensorboard", "tensorboard", "TensorBoard's files of a training (--tensorboard)"),
+)
+"""One row for each extra of pyproject.toml that is for users."""
