@@ -49,5 +49,3 @@ InputCount = Literal[2, 4, 12]
 
 Scale = Literal["small", "medium", "large"]
 """How far apart the inputs of a generated split are."""
-
-Axis = Literal["x", "y", "z", "-x", "-y", "-z"]
