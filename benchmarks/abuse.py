@@ -29,6 +29,8 @@ from datetime import date
 from pathlib import Path
 from typing import Any
 
+import psutil
+
 from common.output import machine, markdown
 
 SLOW = 10.0
@@ -162,8 +164,7 @@ def _process(case: Any, work: Path, temporary: Path, log: Path) -> int:
         )
         try:
             if "signal" in place:
-                with contextlib.suppress(subprocess.TimeoutExpired):
-                    process.wait(place["seconds"])
+                _compute(process, place["seconds"])
                 if process.poll() is None:
                     process.send_signal(place["signal"])
             return process.wait(STUCK)
@@ -171,6 +172,18 @@ def _process(case: Any, work: Path, temporary: Path, log: Path) -> int:
             os.killpg(process.pid, signal.SIGKILL)
             process.wait()
             return 124
+
+
+def _compute(process: "subprocess.Popen[bytes]", seconds: float) -> None:
+    """Return when the process has computed for so long, on all cores together, or has ended or got stuck."""
+    end = time.perf_counter() + STUCK
+    with contextlib.suppress(psutil.NoSuchProcess):
+        watched = psutil.Process(process.pid)
+        while process.poll() is None and time.perf_counter() < end:
+            spent = watched.cpu_times()
+            if spent.user + spent.system >= seconds:
+                return
+            time.sleep(0.01)
 
 
 def _next_run(work: Path, temporary: Path) -> None:
@@ -236,8 +249,8 @@ def warm_up(sound: Any, folder: Path) -> None:
     run(["tto", str(folder / "s"), "--steps", "1", "-q"])
 
 
-def serve(folder: Path, families: list[str], only: str, start: int) -> None:
-    """Run the cases from number `start` on; print each outcome as a line of JSON on the original standard output."""
+def serve(folder: Path, options: argparse.Namespace) -> None:
+    """Run the cases from number `options.start` on. Each outcome is a line of JSON on the original standard output."""
     from abuse_cases import all_cases
     from abuse_inputs import Sound
 
@@ -247,19 +260,24 @@ def serve(folder: Path, families: list[str], only: str, start: int) -> None:
     sound.folder, sound.photos, sound.captured = folder, folder / "photos", folder / "captured"
     with captured(folder / "log"):
         warm_up(sound, folder / "warm")
-    chosen = [case for case in all_cases(sound) if only in case.what and (not families or case.family in families)]
-    for case in chosen[start:]:
+    every = (case for case in all_cases(sound, options.kills) if options.only in case.what)
+    chosen = [case for case in every if not options.family or case.family in options.family]
+    for case in chosen[options.start :]:
         print(json.dumps({"starts": case.what, "family": case.family}), file=results, flush=True)
         print(json.dumps(asdict(attempt(case, folder / "scratch"))), file=results, flush=True)
     print(json.dumps({"end": True}), file=results, flush=True)
 
 
-def outcomes(folder: Path, families: list[str], only: str) -> list[Outcome]:
-    """All outcomes. The cases run in one process, which is started again after a case that crashes it or gets stuck."""
+def outcomes(folder: Path, options: argparse.Namespace) -> list[Outcome]:
+    """All outcomes until the time is over. The cases run in one process, which is started again after a case that
+    crashes it or gets stuck.
+    """
     found: list[Outcome] = []
+    end = time.perf_counter() + options.minutes * 60
     while True:
-        chosen = ["--only", only, "--family", *families]
-        command = [sys.executable, __file__, "--serve", str(folder), "--start", str(len(found)), *chosen]
+        chosen = ["--only", options.only, "--kills", str(options.kills), "--family", *options.family]
+        start = str(options.start + len(found))
+        command = [sys.executable, __file__, "--serve", str(folder), "--start", start, *chosen]
         environment = {**os.environ, "PYTHONWARNINGS": "ignore"}
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as process:
             assert process.stdout is not None
@@ -275,6 +293,9 @@ def outcomes(folder: Path, families: list[str], only: str) -> list[Outcome]:
                 current = None
                 if found[-1].faults:
                     print(found[-1], file=sys.stderr, flush=True)
+                if time.perf_counter() > end:
+                    process.terminate()
+                    return found
             code = process.wait()
         if current is None:
             raise SystemExit(f"the process of the cases ended with {code}")
@@ -327,8 +348,8 @@ def page(found: list[Outcome], command: str, seconds: float) -> str:
         f"{len(found) - len(faulty):,} of {len(found):,} cases are clean.",
         intro.replace("\n", " "),
         table(found),
-        "After a kill comes what the next run does first: it sweeps what was left. No command is killed in the first "
-        "0.8 seconds, in which Python itself starts. Every case with its message, exit code, time and files is in "
+        "After a kill comes what the next run does first: it sweeps what was left. No command is killed in its first "
+        "0.8 CPU seconds, in which Python itself starts. Every case with its message, exit code, time and files is in "
         "`benchmarks/results/abuse.json`.",
         "## Cases that are not clean",
         markdown(("inputs", "case", "faults"), [(e.family, f"`{e.what}`", "; ".join(e.faults)) for e in faulty])
@@ -353,10 +374,12 @@ def main() -> None:
     parser.add_argument("--only", default="", help="only cases with this text in their description")
     parser.add_argument("--family", nargs="*", default=[], help="only these families")
     parser.add_argument("--serve", type=Path, help=argparse.SUPPRESS)
-    parser.add_argument("--start", type=int, default=0, help=argparse.SUPPRESS)
+    parser.add_argument("--kills", type=int, default=16, help="how often each signal kills each of eight commands")
+    parser.add_argument("--start", type=int, default=0, help="leave out so many of the chosen cases")
+    parser.add_argument("--minutes", type=float, default=1e6, help="begin no case after so many minutes")
     options = parser.parse_args()
     if options.serve:
-        serve(options.serve, options.family, options.only, options.start)
+        serve(options.serve, options)
         return
     if options.read:
         every = [Outcome(**each) for file in options.read for each in json.loads(file.read_text())]
@@ -370,7 +393,7 @@ def main() -> None:
         (folder / "scratch").chmod(0o777)
         prepare = f"from abuse_inputs import Sound; from pathlib import Path; Sound(Path({scratch!r}))"
         subprocess.run([sys.executable, "-c", prepare], cwd=Path(__file__).parent, check=True)
-        found = outcomes(folder, options.family, options.only)
+        found = outcomes(folder, options)
     report(found, options, time.perf_counter() - started)
 
 

@@ -1,5 +1,6 @@
 """The hostile inputs of `abuse.py`, family by family."""
 
+import json
 import random
 import signal
 from collections.abc import Callable, Iterator
@@ -25,8 +26,8 @@ LONG = "n" * 300 + ".ply"
 QUIET = "-q"
 
 
-def all_cases(sound: Sound) -> Iterator[Case]:
-    """Every case, in the order of the table."""
+def all_cases(sound: Sound, kills: int) -> Iterator[Case]:
+    """Every case, in the order of the table. Each command is killed `kills` times by each signal."""
     yield from _gaussians(sound)
     yield from _cameras(sound)
     yield from _pictures(sound)
@@ -34,7 +35,7 @@ def all_cases(sound: Sound) -> Iterator[Case]:
     yield from _settings(sound)
     yield from _options(sound)
     yield from _places(sound)
-    yield from _kills(sound)
+    yield from _kills(sound, kills)
 
 
 def _file(name: str, content: bytes) -> Callable[[Path], object]:
@@ -133,8 +134,31 @@ def _scene_folder(sound: Sound) -> Iterator[Case]:
     for part, count in (("report.json", 80), ("photos.json", 30)):
         for what, content in changed_json(sound.bytes(f"s/{part}"), part, count):
             yield _in_scene(sound, part, what, part, content, ("tto", "s", "--steps", "0", QUIET))
+    yield from _exposures(sound)
     for what, content in damaged(sound.bytes("s/images/0.png"), "image", 10, 5, head=60):
         yield _in_scene(sound, "a scene's pictures", what, "images/0.png", content, again)
+
+
+def _exposures(sound: Sound) -> Iterator[Case]:
+    """The colour transforms of a scene: read, and left out with --exposure off."""
+    rows = [[1.0, 0.0, 0.0, 0.1], [0.0, 0.9, 0.0, 0.0], [0.0, 0.0, 1.1, -0.1]]
+    whole = json.dumps({"photos": [{"name": "0.png", "matrix": rows}]}, indent=1).encode()
+    matrices = {
+        "all zeros": [[0.0] * 4] * 3,
+        "nearly singular": [[1.0, 0, 0, 0], [0, 1e-9, 0, 0], [0, 0, 1, 0]],
+        "huge": [[1e300] * 4, [-1e300] * 4, [1e300, 0, 0, 0]],
+        "mirrored": [[-1.0, 0, 0, 1], [0, -1, 0, 1], [0, 0, -1, 1]],
+        "two rows": rows[:2],
+        "one axis more": [rows],
+    }
+    lies = [(what, json.dumps({"photos": [{"name": "0.png", "matrix": m}]}).encode()) for what, m in matrices.items()]
+    twice = json.loads(whole)["photos"] * 2
+    lies += [("sound", whole), ("twice", json.dumps({"photos": twice}).encode())]
+    for what, content in (*lies, *changed_json(whole, "exposures", 40), *damaged(whole, "exposures", 20, 8)):
+        for option in ((), ("--exposure", "off")):
+            command = ("tto", "s", "--steps", "0", *option, QUIET)
+            text = f"{what}{', --exposure off' if option else ''}"
+            yield _in_scene(sound, "exposures.json", text, "exposures.json", content, command)
 
 
 TOML = b"""base = "compact"
@@ -166,7 +190,12 @@ def _settings(sound: Sound) -> Iterator[Case]:
         # There is nothing to resume, so that a training that can be read does not begin.
         made = _file("in.toml", content)
         yield Case(
-            "TOML", what, made, ("train", "in.toml", "--resume", "-o", "nowhere", QUIET), REFUSED | {0}, ("nowhere",)
+            "TOML",
+            what,
+            made,
+            ("train", "--config", "in.toml", "--resume", "-o", "nowhere", QUIET),
+            REFUSED | {0},
+            ("nowhere",),
         )
     split = (
         b'{"dataset_path": "d", "total_samples": 1, "num_input_views": 2, "scale": "small", "samples": [{"scene_id": '
@@ -279,10 +308,12 @@ def _places(sound: Sound) -> Iterator[Case]:
 
 
 KILL_SECONDS = {"reconstruct": 5.0, "tto": 6.0, "render": 4.0, "convert": 3.0, "inspect": 5.0, "demo": 6.0}
-"""How long after its start, at most, a command of each verb is killed on an idle machine of two cores."""
+"""A command of each verb is killed after so many seconds of computing at most. Clocks would tell more on a busy machine
+of how busy it is.
+"""
 
 
-def _kills(sound: Sound, count: int = 2) -> Iterator[Case]:
+def _kills(sound: Sound, count: int) -> Iterator[Case]:
     def scene(folder: Path) -> None:
         sound.scene(folder)
 
@@ -316,7 +347,7 @@ def _kills(sound: Sound, count: int = 2) -> Iterator[Case]:
                 seconds = rng.uniform(0.8, KILL_SECONDS[command[0]])
                 place = {"signal": int(number), "seconds": seconds}
                 codes = frozenset({0, -9 if number == signal.SIGKILL else 128 + number})
-                text = f"{what}: {signal.Signals(number).name} after {seconds:.1f} s"
+                text = f"{what}: {signal.Signals(number).name} after {seconds:.2f} CPU s"
                 yield Case(
                     "kills", text, scene, command, codes, ("out", "out.ply", "out.spz", "s", "s.ply"), "kill", place
                 )

@@ -12,6 +12,7 @@ from typing import Any
 
 from common.output import markdown
 from common.photo_sets import PHOTO_SETS
+from querysplat_cli.evaluation.published import OWN
 
 GROUPS = {"input": "input", "interp": "interpolation", "extrap": "extrapolation"}
 HEAD = ("views", "row", *GROUPS.values(), "views scored", "cases failed", "seconds", "Gaussians", "GiB")
@@ -45,10 +46,11 @@ def table(summary: dict[str, Any]) -> str:
         chosen = [row for row in summary["averages"] if row["views"] == views]
         for name in dict.fromkeys(row["row"] for row in chosen):
             rows.append(cells_of(views, name, {row["group"]: row for row in chosen if row["row"] == name}))
-        for row in summary["quoted"]["rows"]:
-            if row["views"] == views:
-                scores = [score(row) if row["group"] == group else "" for group in GROUPS]
-                rows.append([str(views), f"*quoted: {row['method']}*", *scores, *[""] * 5])
+        theirs = [row for row in summary["quoted"]["rows"] if row["views"] == views and row["method"].startswith(OWN)]
+        for method in dict.fromkeys(row["method"] for row in theirs):
+            groups = {row["group"]: row for row in theirs if row["method"] == method}
+            scores = [score(groups.get(group)) for group in GROUPS]
+            rows.append([str(views), f"*quoted: {method}*", *scores, *[""] * 5])
     return markdown(HEAD, rows)
 
 

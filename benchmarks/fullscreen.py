@@ -10,10 +10,10 @@ held-out photo and its renders over mid-grey beside each other, at full screen.
 """
 
 import json
-import os
 import subprocess
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,6 +21,7 @@ import numpy as np
 import torch
 
 from common.arguments import PhotoParser, folder_or_scratch
+from common.clock import children_cpu_seconds
 from common.output import Table, write_json
 from common.photo_sets import PHOTO_SETS, PhotoSet, Use
 from common.samples import HOLDOUT_EVERY
@@ -69,14 +70,25 @@ class Row:
     gaussians: int
 
 
-def measure(photo_set: PhotoSet, quality: str, data: Path, folder: Path, pictures: Path | None) -> Row | None:
-    """The row of one scene; None where the command fails, whose message is printed."""
-    ply = folder / f"{photo_set.name.replace('/', '-')}-{quality}.ply"
-    command = ["querysplat", "reconstruct", *map(str, photo_set.photos(data)), "-o", str(ply), "--quality", quality]
+def measure(
+    photo_set: PhotoSet,
+    quality: str,
+    data: Path,
+    folder: Path,
+    pictures: Path | None,
+    asked: Sequence[str] | None = None,
+) -> Row | None:
+    """The row of one scene; None where the command fails, whose message is printed.
+
+    `asked` are the options of the scene, by default `--quality`; the row then has `quality` for a name.
+    """
+    ply = folder / f"{photo_set.name.replace('/', '-')}-{quality.replace(' ', '_')}.ply"
+    command = ["querysplat", "reconstruct", *map(str, photo_set.photos(data)), "-o", str(ply)]
+    command += ["--quality", quality] if asked is None else asked
     command += ["--holdout-every", str(HOLDOUT_EVERY), "--holdout-cameras", "joint", "--json", "--quiet", "--force"]
-    before, start = os.times(), time.perf_counter()
+    before, start = children_cpu_seconds(), time.perf_counter()
     done = subprocess.run(command, capture_output=True, text=True)
-    seconds, after = time.perf_counter() - start, os.times()
+    seconds, cpu_seconds = time.perf_counter() - start, children_cpu_seconds() - before
     if done.returncode:
         print(f"{photo_set.name}: {done.stderr.strip().splitlines()[0]}", file=sys.stderr)
         return None
@@ -87,7 +99,6 @@ def measure(photo_set: PhotoSet, quality: str, data: Path, folder: Path, picture
     screen = large_views(files, *scene.heldout, FULL_SCREEN)
     if pictures:
         beside(pictures / f"{ply.stem}.jpg", gaussians, screen)
-    children = sum(getattr(after, part) - getattr(before, part) for part in ("children_user", "children_system"))
     return Row(
         photo_set.name,
         photo_set.use,
@@ -95,7 +106,7 @@ def measure(photo_set: PhotoSet, quality: str, data: Path, folder: Path, picture
         scored(gaussians, scene.heldout),
         scored(gaussians, screen),
         seconds,
-        children,
+        cpu_seconds,
         report["seconds"],
         report["peak_memory_gib"],
         report["gaussians"],

@@ -25,26 +25,21 @@ import torch
 import full_size
 from common.output import machine, markdown, write_json
 from querysplat_cli.encoders.vggt_omega.model import VGGT_OMEGA_CONFIG, VggtOmega
+from querysplat_cli.evaluation.published import efficiency
 from querysplat_cli.model.config import preset
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.pipeline.policy import PIPELINE_POLICY
 from querysplat_cli.runtime.device import peak_gib
 from querysplat_cli.runtime.precision import check_precision, matrix_products
 
-VIEWS = [1, 4, 12, 48, 100, 300]
+VIEWS = [1, 2, 3, 4, 5, 6, 8, 12, 24, 48, 72, 100, 200, 300]
 QUERIES = [1024, 8192]
 PAPER_QUERIES = 8192
 """The paper's totals are for so many queries."""
 SIZE, SPECIALS, PATCH, WIDTH = 512, 17, 16, 2048
-PAPER = {
-    1: (0.080, 0.071, 0.621, 0.703, 9.28),
-    4: (0.242, 0.085, 0.702, 0.949, 9.44),
-    12: (0.931, 0.125, 0.943, 1.890, 10.06),
-    48: (7.970, 0.297, 1.990, 10.017, 14.71),
-    100: (30.031, 0.545, 3.499, 33.645, 22.59),
-    300: (246.115, 1.501, 9.297, 255.725, 40.77),
-}
-"""Views → seconds of VGGT-Omega, decoder with 1,024 and with 8,192 queries, total; peak GiB. On an H200."""
+PAPER = {"encoder": "encoder_seconds", "total": "total_8192_seconds", "peak_gib": "peak_8192_gib"}
+PAPER |= {f"decoder_{count}": f"decoder_{count}_seconds" for count in QUERIES}
+"""The paper's figures, measured on an H200, beside those of a row."""
 
 
 def measure(
@@ -82,7 +77,7 @@ def measure(
 
 
 def _seconds(work: Callable[[], object], device: torch.device, runs: int) -> float:
-    """The median of `runs`, after one that is not counted unless there is only one."""
+    """The mean of `runs`, as in the paper, after one that is not counted unless there is only one."""
     times = []
     for _ in range(runs + (runs > 1)):
         start = time.perf_counter()
@@ -90,7 +85,7 @@ def _seconds(work: Callable[[], object], device: torch.device, runs: int) -> flo
         if device.type == "cuda":
             torch.cuda.synchronize(device)
         times.append(time.perf_counter() - start)
-    return statistics.median(times[-runs:])
+    return statistics.fmean(times[-runs:])
 
 
 def _reset_peak_memory(device: torch.device) -> None:
@@ -128,7 +123,8 @@ def table(rows: list[dict[str, Any]]) -> str:
     heads = ["encoder, s", *(f"decoder, {count:,} queries, s" for count in QUERIES), "total, s", "peak GiB"]
     lines = []
     for row in rows:
-        paper = dict(zip(columns, PAPER.get(row["views"], ()), strict=False))
+        theirs = efficiency().get(row["views"], {})
+        paper = {name: theirs[key] for name, key in PAPER.items() if key in theirs}
         cells = [
             f"{row[name]:.3g}" + (f" (paper {paper[name]:.3g})" if name in paper else "") if name in row else ""
             for name in columns
@@ -160,7 +156,7 @@ def main() -> None:
     parser.add_argument("--queries", type=int, nargs="+", default=QUERIES)
     parser.add_argument("--precision", nargs="+", default=["fp32", "tf32", "bf16"])
     parser.add_argument("--part", choices=["both", "encoder", "decoder"], default="both")
-    parser.add_argument("--runs", type=int, default=3)
+    parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     parser.add_argument("--json", type=Path)
     parser.add_argument("--row", action="store_true", help="print one row as JSON and stop")

@@ -11,38 +11,50 @@ from querysplat_cli.runtime.caches import find_caches
 from querysplat_cli.runtime.threads import wait_passively
 
 if TYPE_CHECKING:
-    from querysplat_cli.pipeline.reconstruct import reconstruct
-    from querysplat_cli.pipeline.resume import optimise_scene as optimise
+    from querysplat_cli.commands.library import Scene, open_scene, optimise, reconstruct, render
+    from querysplat_cli.encoders.registry import register_encoder
     from querysplat_cli.pipeline.settings import ReconstructSettings, ResumeSettings
+    from querysplat_cli.runtime.errors import QuerySplatError
     from querysplat_cli.scene.cameras import Cameras
     from querysplat_cli.scene.formats.ply import read_ply, write_ply
     from querysplat_cli.scene.gaussians import Gaussians
-    from querysplat_cli.splat.render import render
+    from querysplat_cli.splat.render import register_splatter
 
 __all__ = [
     "Cameras",
     "Gaussians",
+    "QuerySplatError",
     "ReconstructSettings",
     "ResumeSettings",
+    "Scene",
     "__version__",
+    "open_scene",
     "optimise",
     "read_ply",
     "reconstruct",
+    "register_encoder",
+    "register_splatter",
     "render",
     "write_ply",
 ]
 
 _PLACES = {
-    "Cameras": "scene.cameras:Cameras",
-    "Gaussians": "scene.gaussians:Gaussians",
-    "ReconstructSettings": "pipeline.settings:ReconstructSettings",
-    "ResumeSettings": "pipeline.settings:ResumeSettings",
-    "optimise": "pipeline.resume:optimise_scene",
-    "read_ply": "scene.formats.ply:read_ply",
-    "reconstruct": "pipeline.reconstruct:reconstruct",
-    "render": "splat.render:render",
-    "write_ply": "scene.formats.ply:write_ply",
+    "Cameras": "scene.cameras",
+    "Gaussians": "scene.gaussians",
+    "QuerySplatError": "runtime.errors",
+    "ReconstructSettings": "pipeline.settings",
+    "ResumeSettings": "pipeline.settings",
+    "Scene": "commands.library",
+    "open_scene": "commands.library",
+    "optimise": "commands.library",
+    "read_ply": "scene.formats.ply",
+    "reconstruct": "commands.library",
+    "register_encoder": "encoders.registry",
+    "register_splatter": "splat.render",
+    "render": "commands.library",
+    "write_ply": "scene.formats.ply",
 }
+"""The module of each name."""
 
 try:
     __version__ = version("querysplat")
@@ -57,8 +69,7 @@ find_caches()
 def __getattr__(name: str) -> Any:
     if name not in _PLACES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module, _, attribute = _PLACES[name].partition(":")
-    return getattr(import_module(f"{__name__}.{module}"), attribute)
+    return getattr(import_module(f"{__name__}.{_PLACES[name]}"), name)
 
 
 def __dir__() -> list[str]:

@@ -10,10 +10,12 @@ def test_every_row_and_every_quote_has_a_line() -> None:
         {**common, "row": "free_tto=0", "group": "input", "psnr": 20.126, "ssim": 0.5},
         {**common, "row": "free_tto=0", "group": "interp", "psnr": None, "ssim": None},
     ]
-    quoted = [{"views": 4, "method": "Paper", "group": "interp", "psnr": 24.58, "ssim": None}, {"views": 12}]
+    own = {"views": 4, "method": "QuerySplat"}
+    quoted = [{**own, "group": group, "psnr": psnr, "ssim": None} for group, psnr in (("interp", 24.58), ("input", 9))]
+    quoted += [{"views": 4, "method": "Rival", "group": "input", "psnr": 1, "ssim": 1}, {"views": 12}]
     lines = eval_table.table({"averages": averages, "quoted": {"rows": quoted}}).splitlines()
     assert lines[2] == "| 4 | free_tto=0 | 20.13 / 0.500 |  |  | 6 of 8 | 1 of 2 | 1.3 | 12,345 |  |"
-    assert lines[3].startswith("| 4 | *quoted: Paper* |  | 24.58 |  |")
+    assert lines[3].startswith("| 4 | *quoted: QuerySplat* | 9.00 | 24.58 |  |")
     assert len(lines) == 4
     assert {line.count("|") for line in lines} == {11}
 

@@ -13,6 +13,7 @@ import torch
 from querysplat_cli.cli import run
 from querysplat_cli.runtime.errors import ExitCode
 from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.formats.known import read_known_cameras
 from querysplat_cli.scene.formats.ply import write_ply
 from querysplat_cli.scene.formats.transforms import write_cameras
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
@@ -54,9 +55,8 @@ def test_the_input_cameras_with_depth_and_alpha(ball: Path, capsys: pytest.Captu
     assert run(["render", str(ball), "-o", str(out), "--depth", "--alpha", "--background", "0,0,1", "--json"]) == 0
     said = json.loads(capsys.readouterr().out)
     assert (said["frames"], said["gaussians"], said["output"]) == (2, 4, str(out))
-    assert sorted(path.name for path in out.iterdir()) == sorted(
-        f"{name}{part}.png" for name in ("left", "right") for part in ("", "_alpha", "_depth")
-    )
+    pictures = sorted(f"{name}{part}.png" for name in ("left", "right") for part in ("", "_alpha", "_depth"))
+    assert sorted(path.name for path in out.iterdir()) == ["cameras.json", *pictures]
     colour = cv2.imread(str(out / "left.png"))
     alpha = cv2.imread(str(out / "left_alpha.png"), cv2.IMREAD_UNCHANGED)
     depth = cv2.imread(str(out / "left_depth.png"), cv2.IMREAD_UNCHANGED)
@@ -75,7 +75,7 @@ def test_the_input_cameras_with_depth_and_alpha(ball: Path, capsys: pytest.Captu
 def test_names_that_differ_in_their_suffix_alone(ball: Path) -> None:
     give_cameras(ball, ("one.jpg", "one.png"))
     assert run(["render", str(ball), "-o", str(ball.parent / "frames"), "-q"]) == 0
-    assert len(list((ball.parent / "frames").iterdir())) == 2
+    assert len(list((ball.parent / "frames").glob("*.png"))) == 2
 
 
 def test_a_film_of_a_scene_without_cameras(ball: Path) -> None:
@@ -116,7 +116,7 @@ def test_an_orbit_takes_the_lens_of_the_inputs(ball: Path) -> None:
     give_cameras(ball, ("left.jpg", "right.jpg"))
     out = ball.parent / "orbit"
     assert run(["render", str(ball), "-o", str(out), "--cameras", "orbit", "--frames", "3", "-q"]) == 0
-    frames = [cv2.imread(str(path)) for path in sorted(out.iterdir())]
+    frames = [cv2.imread(str(path)) for path in sorted(out.glob("*.png"))]
     assert [frame.shape for frame in frames] == [(*SIZE, 3)] * 3
     assert all(frame[SIZE[0] // 2, SIZE[1] // 2, 2] > 200 for frame in frames)
 
@@ -141,3 +141,20 @@ def test_what_cannot_be_rendered(
     assert run(["render", str(ball), *options]) == ExitCode.BAD_INPUT
     assert said in capsys.readouterr().err
     assert [path.name for path in ball.parent.iterdir()] == ["ball.ply"]
+
+
+@pytest.mark.parametrize("size", [None, "128x96"])
+def test_the_cameras_of_the_pictures_are_written_beside_them(ball: Path, size: str | None) -> None:
+    """Rendered again from these cameras, the pictures are the same. So they can be photos of another scene."""
+    give_cameras(ball, ("left.jpg", "right.jpg"))
+    first, again = ball.parent / "first", ball.parent / "again"
+    options = ["--size", size] if size else []
+    assert run(["render", str(ball), "-o", str(first), "-q", *options]) == 0
+    cameras = read_known_cameras(first)
+    assert list(cameras) == ["left.png", "right.png"]
+    assert {(camera.height, camera.width) for camera in cameras.values()} == {(96, 128) if size else SIZE}
+    assert run(["render", str(ball), "-o", str(again), "--cameras", str(first / "cameras.json"), "-q"]) == 0
+    for name in cameras:
+        one, other = (cv2.imread(str(folder / name)).astype(int) for folder in (first, again))
+        assert one.shape == other.shape
+        assert np.abs(one - other).max() <= 1

@@ -23,7 +23,7 @@ def test_train_resume_and_refuse(config: Path, capsys: pytest.CaptureFixture[str
     assert run(command) == ExitCode.DONE
     said = capsys.readouterr()
     report = json.loads(said.out)
-    assert report["steps"] == 2
+    assert (report["steps"], report["batch"], report["processes"]) == (2, 1, 1)
     assert report["steps_per_second"] > 0
     assert 0 <= report["waiting"] <= 1
     assert report["peak_memory_gib"] > 0.1
@@ -39,9 +39,44 @@ def test_dry_run_measures_and_writes_nothing(config: Path, capsys: pytest.Captur
     plan = json.loads(capsys.readouterr().out)
     assert not (config.parent / "run").exists()
     assert plan["parameters"] > plan["samples"] == plan["ready"] == 3
+    assert [stage["distinct"] for stage in plan["stages"]] == [2]
+    assert 0 < plan["disk_gib"] < 0.01
     assert plan["seconds_per_step"] > 0
     assert plan["hours"] > 0
     assert plan["unmeasured"] == ""
+
+
+def test_dry_run_of_the_paper_states_batch_samples_disk_and_memory(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The scenes and the encoder's weights need not be there."""
+    command = ["train", "--config", "paper", "--dry-run", "--json"]
+    assert run(command) == ExitCode.DONE
+    said = capsys.readouterr()
+    plan = json.loads(said.out)
+    assert (plan["batch"], plan["processes"], plan["in_turn"]) == (64, 1, 64)
+    assert plan["scenes"] == 10_510
+    assert "DL3DV-10K" in plan["assumed"]
+    assert [stage["drawn"] for stage in plan["stages"]] == [19_200_000, *[1_920_000] * 3]
+    assert all(stage["distinct"] == stage["drawn"] for stage in plan["stages"])
+    assert (plan["online"], plan["samples"], plan["disk_gib"]) == (True, 0, 0)
+    assert plan["parameters"] == pytest.approx(1.118e9, rel=1e-3)
+    assert plan["state_gib"] == pytest.approx(5 * 4 * plan["parameters"] / 2**30)
+    for words in ("batch", "64 samples: 1 process × 64 in turn", "made in each step", "GiB in each process"):
+        assert words in said.err
+    monkeypatch.setenv("WORLD_SIZE", "32")
+    assert run([*command, "--set", "data.online=false"]) == ExitCode.DONE
+    said = capsys.readouterr()
+    plan = json.loads(said.out)
+    assert (plan["processes"], plan["in_turn"]) == (32, 2)
+    assert [stage["distinct"] for stage in plan["stages"]] == [84_080] * 4
+    assert plan["samples"] == 2 * 84_080
+    # Four inputs of 80.8 MB in the base stage, and 138 MB with seven on the mean later: 6.8 and 11.6 TB.
+    assert plan["disk_gib"] * 2**30 == pytest.approx(18.4e12, rel=0.01)
+    assert "18.4 TB on disk" in said.err
+    monkeypatch.setenv("WORLD_SIZE", "6")
+    assert run(command) == ExitCode.BAD_INPUT
+    assert "6 processes cannot share a batch of 64" in capsys.readouterr().err
 
 
 def test_dry_run_reports_missing_encoder_weights(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

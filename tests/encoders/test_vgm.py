@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from safetensors.torch import load_file, save_file
 
-from querysplat_cli.encoders.base import Encoder, EncoderOptions
+from querysplat_cli.encoders.base import CameraRequest, Encoder, EncoderOptions
 from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.encoders.transformer.config import VgmConfig
 from querysplat_cli.encoders.transformer.pose import decode_pose, encode_pose
@@ -18,6 +18,7 @@ from querysplat_cli.encoders.vggt.model import VGGT_CONFIG, Vggt
 from querysplat_cli.encoders.vggt_omega.model import VGGT_OMEGA_CONFIG, VggtOmega
 from querysplat_cli.model.memories import LayerMixer
 from querysplat_cli.runtime.errors import MissingPart, QuerySplatError
+from querysplat_cli.scene.views import Photo
 from tiny_weights import MODEL, OMEGA, VGGT, write_model, write_vgm
 
 KINDS = [(VggtOmega, OMEGA), (Vggt, VGGT)]
@@ -159,6 +160,27 @@ def test_encoders_are_exchanged_without_touching_the_decoders(tmp_path: Path) ->
         made.append(model.decode(model.encode(found.features, images, found.cameras)))
         assert len(made[-1]) == MODEL.query_count * MODEL.gaussians_per_query
     assert not torch.allclose(made[0].means, made[1].means)
+
+
+def test_cameras_relative_to_the_first_view_are_moved_rigidly(tmp_path: Path) -> None:
+    """The paper's frame: the first camera is the origin, and nothing moves against anything else."""
+    write_vgm(tmp_path / "vggt_omega_1b_512.safetensors")
+    pictures = [
+        Photo(f"{i}.png", Path(f"{i}.png"), (255 * image.permute(1, 2, 0)).byte().numpy())
+        for i, image in enumerate(photos(3, 112, 112))
+    ]
+    found = {}
+    for frame in ("predicted", "first_view"):
+        encoder = find_encoder("vggt_omega", EncoderOptions(tmp_path, frame=frame))
+        found[frame] = encoder.estimate_cameras(pictures, CameraRequest(112, 0), lambda text, fraction: None)
+    before, after = found["predicted"], found["first_view"]
+    assert not torch.allclose(before.cameras.w2c[0], torch.eye(4), atol=1e-2)
+    torch.testing.assert_close(after.cameras.w2c[0], torch.eye(4), atol=1e-6, rtol=0)
+    one, other = (each.cameras.w2c[1] @ each.cameras.w2c[0].inverse() for each in (before, after))
+    torch.testing.assert_close(one, other, atol=1e-5, rtol=1e-5)
+    torch.testing.assert_close(
+        before.cameras.local(before.points, 2), after.cameras.local(after.points, 2), atol=1e-4, rtol=1e-4
+    )
 
 
 def test_missing_weights_name_their_source(tmp_path: Path) -> None:

@@ -39,7 +39,11 @@ def test_pictures_of_a_scene(preset: str, canvas: int, tmp_path: Path, capsys: p
         "attention_geometry.png",
         "histograms.png",
         "points.png",
+        "query.png",
     }
+    # The memories of `compact` have no values before optimisation.
+    warned = [f"the values of the {name} memory are all zero" for name in ("geometry", "appearance")]
+    assert [text.split(":")[0] for text in found["warnings"]] == (warned if preset == "compact" else [])
     assert found["query"] == 2
     assert found["depth"] is True
     for shares in found["attention"].values():

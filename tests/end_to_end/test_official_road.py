@@ -110,7 +110,6 @@ def test_held_out_photos_do_not_enter_the_scene(room: Path, tmp_path: Path, caps
         (["--encoder", "vggt", "--max-size", "518"], ExitCode.BAD_INPUT, "patches of 16"),
         (["--encoder", "dino"], ExitCode.BAD_INPUT, "classical"),
         (["--holdout-every", "2", "--holdout-cameras", "joint"], ExitCode.BAD_INPUT, "--holdout-cameras isolated"),
-        (["--preset", "compact", "--tto-target", "features"], ExitCode.BAD_INPUT, "Use --tto-target kv"),
         (["--weights", "nowhere"], ExitCode.MISSING_PART, "hf download inspatio/querysplat"),
     ],
 )

@@ -10,6 +10,7 @@ from evaluation_scenes import write_room
 from querysplat_cli.encoders.base import PosedViews
 from querysplat_cli.evaluation.cameras import cameras_by_name
 from querysplat_cli.evaluation.judge import Judge
+from querysplat_cli.evaluation.metrics import Meter
 from querysplat_cli.evaluation.protocol import Protocol
 from querysplat_cli.runtime.choices import Fit
 from querysplat_cli.runtime.errors import QuerySplatError
@@ -41,7 +42,7 @@ def test_a_padded_photos_camera_is_that_of_the_photo_alone() -> None:
 def test_a_view_that_was_cropped_away_is_refused(tmp_path: Path) -> None:
     write_room(tmp_path / "room", 1)
     (scene,) = find_scenes([tmp_path])
-    judge = Judge({"input": scene.frames}, scene.cameras, Protocol("text"), None)
+    judge = Judge({"input": scene.frames}, scene.cameras, Protocol("text"), Meter())
     name = scene.frames[0].name
     _, shown = judge.photos[name]
     speck = Gaussians(*(torch.ones(1, *shape) for shape in ((3,), (4,), (3,), (), (1, 3))))

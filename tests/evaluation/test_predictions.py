@@ -1,5 +1,6 @@
 """Scores of other methods' pictures and scenes, in any frame and under any accepted file name."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,10 +11,12 @@ import torch
 from evaluation_scenes import write_room
 from scipy.spatial.transform import Rotation
 
+from querysplat_cli.evaluation import fitted
 from querysplat_cli.evaluation.baseline import back_project
 from querysplat_cli.evaluation.cameras import to_frame_of
 from querysplat_cli.evaluation.judge import Judge, RowResult
-from querysplat_cli.evaluation.policy import EVALUATION_POLICY
+from querysplat_cli.evaluation.metrics import Meter
+from querysplat_cli.evaluation.policy import EVALUATION_POLICY, FittingPolicy
 from querysplat_cli.evaluation.predictions import score_prediction
 from querysplat_cli.evaluation.protocol import Protocol
 from querysplat_cli.runtime.errors import QuerySplatError
@@ -39,7 +42,7 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> CapturedScene:
 @pytest.fixture(params=["release", "text"])
 def judge(room: CapturedScene, request: pytest.FixtureRequest) -> Judge:
     groups = {group: [room.frames[i] for i in rows] for group, rows in PICKED.items()}
-    return Judge(groups, room.cameras, Protocol(request.param), None)
+    return Judge(groups, room.cameras, Protocol(request.param), Meter())
 
 
 @pytest.fixture
@@ -117,6 +120,89 @@ def test_a_scene_alone_is_in_the_datasets_frame(judge: Judge, scene: Gaussians, 
     assert flat(score_prediction(judge, tmp_path, "split", "case")) == pytest.approx(
         flat(judge.score_scene(scene, judge.known, "")), abs=0.01
     )
+
+
+def save(file: Path, picture: torch.Tensor) -> None:
+    file.parent.mkdir(parents=True, exist_ok=True)
+    pixels = (picture.clamp(0, 1).permute(1, 2, 0).numpy() * 255).round().astype(np.uint8)
+    cv2.imwrite(str(file), pixels[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 100])
+
+
+LAYOUTS = {
+    "DepthSplat": ("color/{index:0>6}.png", "color/{index:0>6}_gt.png"),
+    "NoPoSplat": ("color/{index:0>6}.png", "context/{index:0>6}.png"),
+    "SPFSplat": ("color/{index:0>6}.png", "context/{index:0>6}.png"),
+    "YoNoSplat": ("color/{index:0>6}.png", "gt/{index:0>6}.png"),
+    "AnySplat": ("pred/{target:0>6}.jpg", "gt/{target:0>6}.jpg"),
+    "SplatWeaver": ("pred/{target:0>6}.jpg", "gt/{target:0>6}.jpg"),
+}
+"""Where a system puts its render of a target, and where the photo beside it. `target` counts targets from 0."""
+
+
+@pytest.mark.parametrize("system", LAYOUTS)
+def test_the_layouts_of_other_systems(system: str, judge: Judge, tmp_path: Path) -> None:
+    """As docs/other-methods.md shows them. Their copies of photos are never scored."""
+    case, listed, expected = tmp_path / "case", {}, {}
+    targets = [(group, frame) for group in ("interp", "extrap") for frame in judge.groups[group]]
+    for number, (group, frame) in enumerate(targets):
+        truth = judge.truth(frame)
+        render = (0.8 - 0.1 * number) * truth  # another error for each view, which JPEG keeps
+        ours, theirs = (part.format(index=frame.index, target=number) for part in LAYOUTS[system])
+        save(case / ours, render)
+        save(case / theirs, truth)
+        listed[frame.name] = ours
+        expected[group, frame.name] = -10 * float((render - truth).square().mean().log10())
+    for frame in judge.groups["input"]:
+        save(case / LAYOUTS[system][1].format(index=frame.index, target=90 + frame.index), judge.truth(frame))
+    if "target" in LAYOUTS[system][0]:
+        (case / "views.json").write_text(json.dumps(listed))
+    result = score_prediction(judge, tmp_path, "split", "case")
+    assert flat(result) == pytest.approx(expected, abs=0.3)
+    assert len(result.missing["input"]) == 3
+    assert result.warnings == ()
+
+
+def test_tokengs_scenes_are_scored_with_a_list_of_cameras(judge: Judge, scene: Gaussians, tmp_path: Path) -> None:
+    """Its evaluation writes gaussians/gaussians_0-0-0.ply. The cameras of its frame are the user's to add."""
+    case = tmp_path / "case"
+    (case / "gaussians").mkdir(parents=True)
+    write_ply(case / "gaussians" / "gaussians_0-0-0.ply", scene)
+    write_transforms(case / "cameras.json", {frame.name: judge.known[frame.name] for frame in judge.groups["input"]})
+    found = flat(score_prediction(judge, tmp_path, "split", "case"))
+    assert found == pytest.approx(flat(judge.score_scene(scene, judge.known, "")), abs=0.05)
+
+
+def test_fitted_scores_stand_beside_those_of_the_protocol(
+    judge: Judge, room: CapturedScene, scene: Gaussians, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """For targets alone, and without any change of the protocol's scores."""
+    monkeypatch.setattr(fitted, "FITTING_POLICY", FittingPolicy(steps=2, blurs=(3, 1)))
+    plain = judge.score_scene(scene, judge.known, "")
+    both = Judge(judge.groups, room.cameras, judge.protocol, Meter(), fitted=True)
+    found = both.score_scene(scene, judge.known, "")
+    assert flat(found) == flat(plain)
+    for group, views in found.views.items():
+        for view in views:
+            assert (view.scores.psnr_fitted is None) == (group == "input")
+    assert not any(view.scores.psnr_fitted for views in plain.views.values() for view in views)
+
+
+def test_photos_in_place_of_renders_are_doubted(judge: Judge, tmp_path: Path) -> None:
+    frame = judge.groups["interp"][0]
+    if judge.protocol.name == "release":
+        pytest.skip("truths of `release` are not whole bytes")
+    save(tmp_path / "case" / f"{frame.index}.png", judge.truth(frame))
+    (doubt,) = score_prediction(judge, tmp_path, "split", "case").warnings
+    assert doubt == f"1 pictures are equal to their photos ({frame.name}): are they renders?"
+
+
+@pytest.mark.parametrize("listed", ["[]", '{"a.png": 3}', '{"a.png": "nowhere.png"}', '{"a.png": "../out.png"}', "{"])
+def test_a_wrong_list_of_names_is_refused(listed: str, judge: Judge, tmp_path: Path) -> None:
+    save(tmp_path / "out.png", judge.truth(judge.groups["input"][0]))
+    (tmp_path / "case").mkdir()
+    (tmp_path / "case" / "views.json").write_text(listed)
+    with pytest.raises(QuerySplatError, match=r"views\.json"):
+        score_prediction(judge, tmp_path, "split", "case")
 
 
 def test_what_cannot_be_scored(judge: Judge, tmp_path: Path) -> None:

@@ -57,6 +57,20 @@ def test_sizes(name: str, size: tuple[int, int], shown: tuple[int, int], scored:
     assert rules.picture(specks(np.array([[0, 0, 2.0]])), lens, taken).shape == (3, *scored)
 
 
+def test_text_renders_at_the_methods_own_size() -> None:
+    """A speck that is finer than a pixel is drawn about a pixel wide: narrower in a render of four times the size."""
+    taken, points = photo(512, 768), np.random.default_rng(0).uniform([-0.3, -0.2, 1], [0.3, 0.2, 1], (200, 3))
+    scene = specks(points, 0.001)
+    lens = Protocol("text").shown_camera(camera(512, 768, (0.0, 0.0, 0.0, 0.0)), taken)
+    assert max(lens.height, lens.width) == 384
+    pictures = [Protocol("text").picture(scene, lens, taken, own_size=size) for size in (None, 384, 1536)]
+    assert {picture.shape for picture in pictures} == {(3, 512, 768)}
+    assert torch.equal(pictures[0], pictures[1])
+    assert 0 < float(pictures[2].sum()) < 0.5 * float(pictures[0].sum())
+    square = Protocol("release").shown_camera(camera(512, 768), taken)
+    assert Protocol("release").picture(scene, square, taken, own_size=1536).shape == (3, 256, 256)
+
+
 @pytest.mark.parametrize("name", ["release", "text"])
 def test_the_shown_photo_and_its_camera_agree(name: str) -> None:
     """A mark at a point's projection stays at its projection when photo and camera are cropped and reduced."""

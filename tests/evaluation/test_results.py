@@ -12,7 +12,8 @@ import torch
 
 from querysplat_cli.evaluation.costs import Cost
 from querysplat_cli.evaluation.judge import RowResult, ViewScore
-from querysplat_cli.evaluation.metrics import Scores
+from querysplat_cli.evaluation.keeping import Keeping
+from querysplat_cli.evaluation.metrics import Meter, Scores
 from querysplat_cli.evaluation.results import (
     RowFolder,
     merge,
@@ -64,11 +65,12 @@ def start(out: Path, row: str, on: Split, **changes: Any) -> RowFolder:
 def test_a_splits_figure_is_the_mean_over_views_and_the_average_that_over_splits(tmp_path: Path) -> None:
     """As in the release: a case with more scored views weighs more, a split with more cases does not."""
     small, large = split("small", "small"), split("large", "large", 1)
+    kept = Keeping(rendered=True).writer({}, lambda frame: torch.zeros(3, 4, 4), Meter())
     row_folder = start(tmp_path, "free_tto=0", small)
-    write_case(row_folder.case("s_000"), "s", result(10, 20, 30, seconds=1.0), pictures=False)
-    write_case(row_folder.case("s_001"), "s", result(40, seconds=3.0), pictures=True)
+    write_case(row_folder.case("s_000"), "s", result(10, 20, 30, seconds=1.0))
+    write_case(row_folder.case("s_001"), "s", result(40, seconds=3.0), kept)
     row_folder = start(tmp_path, "free_tto=0", large)
-    write_case(row_folder.case("s_000"), "s", result(11), pictures=False)
+    write_case(row_folder.case("s_000"), "s", result(11))
     write_failure(RowFolder(tmp_path, "free_tto=0", "large").case("s_001"), "s", "no overlap")
     summary = summarise(tmp_path)
     rows = {(row["split"], row["group"]): row for row in summary["rows"]}
@@ -93,26 +95,67 @@ def test_a_splits_figure_is_the_mean_over_views_and_the_average_that_over_splits
 
 def test_a_split_in_which_everything_failed_is_not_forgotten(tmp_path: Path) -> None:
     row_folder = start(tmp_path, "r", split("small", "small"))
-    write_case(row_folder.case("s_000"), "s", result(20), pictures=False)
+    write_case(row_folder.case("s_000"), "s", result(20))
     row_folder = start(tmp_path, "r", split("large", "large"))
     for case in range(2):
         write_failure(row_folder.case(f"s_{case:03d}"), "s", "no overlap")
     (average,) = [row for row in summarise(tmp_path)["averages"] if row["group"] == "interp"]
     assert (average["psnr"], average["splits"], average["cases"], average["failed"]) == (20, 1, 1, 2)
     text = (tmp_path / "summary.md").read_text()
-    assert "| 2 of 3 | 2 of 3 |" in text
-    assert "| r | – / – / – | – / – / – | – / – / – | 0 of 0 | 2 of 2 |" in text
+    assert "| 2 of 3 | 0 | 2 of 3 |" in text
+    assert "| r | – / – / – | – / – / – | – / – / – | 0 of 0 | 0 | 2 of 2 |" in text
+
+
+def test_views_of_failed_cases_are_asked_for_and_never_scored(tmp_path: Path) -> None:
+    row_folder = start(tmp_path, "r", split("small", "small"))
+    write_case(row_folder.case("s_000"), "s", result(20, 22))
+    write_failure(row_folder.case("s_001"), "s", "its process ended", asked={"input": 1, "interp": 2, "extrap": 1})
+    rows = {row["group"]: row for row in summarise(tmp_path)["rows"]}
+    assert (rows["interp"]["psnr"], rows["interp"]["scored"], rows["interp"]["asked"]) == (21, 2, 4)
+    assert (rows["extrap"]["scored"], rows["extrap"]["asked"]) == (0, 2)
+
+
+def test_targets_that_share_nothing_are_counted_apart(tmp_path: Path) -> None:
+    """The protocol's mean holds them; a second mean leaves them out."""
+    row_folder = start(tmp_path, "r", split("small", "small", 1))
+    found = result(10, 20, 30)
+    views = found.views | {"interp": [replace(found.views["interp"][0], apart=True), *found.views["interp"][1:]]}
+    write_case(row_folder.case("s_000"), "s", replace(found, views=views))
+    summary = summarise(tmp_path)
+    (row,) = [row for row in summary["averages"] if row["group"] == "interp"]
+    assert (row["psnr"], row["psnr_shared"], row["apart"]) == (20, 25, 1)
+    metrics = json.loads((row_folder.case("s_000") / "metrics.json").read_text())
+    assert metrics["apart"] == {"input": [], "interp": ["1.png"], "extrap": []}
+    assert (
+        "| r | 4 | interpolation | – / – / – | – / – / – | 25.00 / 0.500 / – |" in (tmp_path / "summary.md").read_text()
+    )
 
 
 def test_quoted_rows_name_their_source(tmp_path: Path) -> None:
     row_folder = start(tmp_path, "free_tto=0", split("small", "small"))
-    write_case(row_folder.case("s_000"), "s", result(20), pictures=False)
+    write_case(row_folder.case("s_000"), "s", result(20))
     summary = summarise(tmp_path)
-    assert all(row["where"] and row["views"] in (2, 4, 12) for row in summary["quoted"]["rows"])
+    assert all(row["where"] and row["views"] == 4 for row in summary["quoted"]["rows"])
+    assert summary["quoted"]["splits"]["small"] == summary["quoted"]["rows"]
     text = (tmp_path / "summary.md").read_text()
-    quoted = text[text.index("Quoted, not measured here") :]
-    assert "24.58 / 0.800 / 0.184" in quoted
+    quoted = text[text.index("Quoted from the paper") :]
+    line = "| QuerySplat | free | 29.57 / 0.923 / 0.087 | 27.19 / 0.875 / 0.118 | 23.26 / 0.789 / 0.194 | Appendix A |"
+    assert quoted.count(line) == 2  # beside the average of the one split, and beside the split
     assert not any("QuerySplat + TTO" in row["row"] for row in summary["rows"])
+
+
+def test_the_average_of_all_scales_stands_beside_the_main_table(tmp_path: Path) -> None:
+    for scale in ("small", "medium", "large"):
+        row_folder = start(tmp_path, "free_tto=0", split(scale, scale, 1))
+        write_case(row_folder.case("s_000"), "s", result(20))
+    text = summarise(tmp_path) and (tmp_path / "summary.md").read_text()
+    average = text[: text.index("## small")]
+    assert "| QuerySplat | free | 27.90 / 0.884 / 0.124 | 24.58 / 0.800 / 0.184 |" in average
+    assert (
+        "| QuerySplat, official-8192 (SH degree 1) | free | – | 24.34 / – / – | – | README of the release |" in average
+    )
+    assert "| YoNoSplat | given |" in average
+    assert "24.34" not in text[text.index("## small") :]
 
 
 def test_shards_add_up(tmp_path: Path) -> None:
@@ -120,7 +163,7 @@ def test_shards_add_up(tmp_path: Path) -> None:
     for number in range(4):
         for out in (tmp_path / "all", parts[number % 2]):
             row_folder = start(out, "free_tto=0", whole)
-            write_case(row_folder.case(f"s_{number:03d}"), "s", result(10.0 * number, 15), pictures=False)
+            write_case(row_folder.case(f"s_{number:03d}"), "s", result(10.0 * number, 15))
     merge(parts, tmp_path / "merged")
     assert summarise(tmp_path / "merged")["rows"] == summarise(tmp_path / "all")["rows"]
     assert [(row_folder.row, row_folder.split) for row_folder in row_folders(tmp_path / "merged")] == [
@@ -131,7 +174,7 @@ def test_shards_add_up(tmp_path: Path) -> None:
 def test_a_scored_case_wins_over_a_failed_one(tmp_path: Path) -> None:
     whole = split("small", "small", 1)
     write_failure(start(tmp_path / "1", "r", whole).case("s_000"), "s", "the machine was full")
-    write_case(start(tmp_path / "2", "r", whole).case("s_000"), "s", result(12), pictures=False)
+    write_case(start(tmp_path / "2", "r", whole).case("s_000"), "s", result(12))
     merge([tmp_path / "1", tmp_path / "2"], tmp_path / "merged")
     summary = summarise(tmp_path / "merged")
     assert summary["failures"] == []
@@ -154,14 +197,14 @@ def test_different_runs_do_not_mix(tmp_path: Path) -> None:
 
 def test_damaged_results_are_named(tmp_path: Path) -> None:
     row_folder = start(tmp_path, "r", split("small", "small"))
-    write_case(row_folder.case("s_000"), "s", result(12), pictures=False)
+    write_case(row_folder.case("s_000"), "s", result(12))
     (row_folder.case("s_000") / "metrics.json").write_text("{")
     with pytest.raises(QuerySplatError, match=r"s_000/metrics\.json: cannot be read as JSON"):
         summarise(tmp_path)
 
 
 def test_timing_has_every_stage(tmp_path: Path) -> None:
-    write_case(tmp_path / "c", "s", result(12, seconds=4.0), pictures=False)
+    write_case(tmp_path / "c", "s", result(12, seconds=4.0))
     timing = json.loads((tmp_path / "c" / "timing.json").read_text())
     assert timing["seconds"] == {"cameras": 1.0, "tto": 4.0, "total": 5.0}
     assert (timing["peak_memory_gib"], timing["gaussians"]) == (0.75, 10)
@@ -197,7 +240,7 @@ def test_curves_are_written(tmp_path: Path) -> None:
     for row, psnr, seconds in (("a", 10, 1.0), ("b", 20, 3.0)):
         row_folder = start(tmp_path, row, split("small", "small"))
         for case in range(2):
-            write_case(row_folder.case(f"s_{case:03d}"), "s", result(psnr + case, seconds=seconds), pictures=False)
+            write_case(row_folder.case(f"s_{case:03d}"), "s", result(psnr + case, seconds=seconds))
     points = write_curves(tmp_path)
     assert [(each.row, each.figures["psnr"].middle, each.figures["seconds"].middle) for each in points] == [
         ("a", 10.5, 2.0),

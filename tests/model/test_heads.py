@@ -115,3 +115,14 @@ def test_centres_move_in_units_of_spacing_and_rotations_turn_in_the_anchors_fram
     torch.testing.assert_close(moved, 2 * scene.spacing[:, None].expand_as(moved), rtol=1e-4, atol=1e-5)
     about_z = torch.tensor([math.cos(math.pi / 4), 0, 0, math.sin(math.pi / 4)]).expand(len(raw), 4)
     torch.testing.assert_close(made.quats, quaternion_product(scene.quats.flatten(0, 1), about_z))
+
+
+def test_anchored_scales_stay_within_the_stated_factors_of_their_prior() -> None:
+    """docs/method.md: between e⁻⁴ and e² times the prior, whatever the raw number."""
+    config = compact()
+    where = anchors(config)
+    count = where.opacities.numel()
+    appearance = torch.zeros(count, config.appearance_channels)
+    for raw, factor in ((1e4, math.exp(2)), (-1e4, math.exp(-4)), (0.5, math.exp(0.5))):
+        scales = assemble_anchored(torch.full((count, 10), raw), appearance, where, config).scales
+        torch.testing.assert_close(scales, factor * where.scales.flatten(0, 1))

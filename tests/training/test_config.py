@@ -34,7 +34,7 @@ def test_the_compact_training_is_of_the_compact_model_and_trains_something() -> 
     assert not unused, "names of no tensor"
 
 
-@pytest.mark.parametrize(("whole", "prefix"), [("paper", ""), ("small", "small-")])
+@pytest.mark.parametrize(("whole", "prefix"), [("ablation", ""), ("small", "small-")])
 def test_ablations_change_one_thing_and_are_matched_in_parameters(whole: str, prefix: str) -> None:
     def parameters(model: ModelConfig) -> int:
         with torch.device("meta"):
@@ -50,6 +50,18 @@ def test_ablations_change_one_thing_and_are_matched_in_parameters(whole: str, pr
     assert (late.losses.chamfer, late.losses.opacity_floor) == (0, 0)
     losses = replace(late.losses, chamfer=full.losses.chamfer, opacity_floor=full.losses.opacity_floor)
     assert replace(late, losses=losses) == full
+
+
+def test_the_papers_ablations_are_half_of_its_base_stage() -> None:
+    """The changes of the losses come at the same shares of the steps as in the whole training's base stage."""
+    paper, ablation = load_config("paper"), load_config("ablation")
+    (stage,) = ablation.stages
+    assert stage == replace(paper.stages[0], steps=150_000)
+    for name in ("lpips_start", "lpips_ramp", "anneal"):
+        assert 2 * getattr(ablation.losses, name) == getattr(paper.losses, name)
+    same = {name: getattr(paper.losses, name) for name in ("lpips_start", "lpips_ramp", "anneal")}
+    assert replace(ablation, stages=paper.stages, losses=replace(ablation.losses, **same)) == paper
+    assert load_config("vggt").stages == ablation.stages
 
 
 def test_a_file_changes_a_preset_and_set_changes_both(tmp_path: Path) -> None:

@@ -20,8 +20,8 @@ from querysplat_cli.training.losses import (
     nearest,
     opacity_floor,
     picture_loss,
-    unseen_loss,
 )
+from querysplat_cli.training.visibility import unseen_loss, visibility_loss
 
 
 def camera(height: int = 20, width: int = 30) -> Cameras:
@@ -84,24 +84,56 @@ def test_far_from_the_origin_the_nearest_neighbour_is_still_right() -> None:
 def test_opacity_floor_by_hand() -> None:
     opacities = torch.tensor([0.0, 0.01, 0.2, 0.9], dtype=torch.float64).requires_grad_()
     loss = opacity_floor(opacities, 0.1)
-    expected = (math.log((0.1 + EPSILON) / EPSILON) + math.log((0.1 + EPSILON) / (0.01 + EPSILON))) / 4
-    assert float(loss.detach()) == pytest.approx(expected)
+    expected = (math.log(0.1 / EPSILON) + math.log(10)) / 4
+    assert float(loss.detach()) == pytest.approx(expected, rel=1e-12)
     gradient = slope(loss, opacities)
     assert gradient.isfinite().all()
-    assert (gradient < 0).tolist() == [True, True, False, False]
+    assert (gradient < 0).tolist() == [False, True, False, False]
+    assert float(opacity_floor(torch.tensor([0.1]), 0.1)) == pytest.approx(0, abs=1e-7)
 
 
 def test_a_centre_behind_every_camera_is_pulled_forward_though_its_mirror_image_is_visible() -> None:
     centre = torch.tensor([[0.01, 0.0, -0.5]]).requires_grad_()
-    loss = unseen_loss(centre, camera(), 0.025)
+    loss = unseen_loss(centre, [camera()], 0.025)
     assert float(loss.detach()) == pytest.approx(0.525)
     assert slope(loss, centre)[0, 2] == -1
+
+
+def looking_along_x(centre: tuple[float, float, float]) -> Cameras:
+    """A camera at `centre` whose axes x, y, z point along −z, y, x of the world."""
+    rotation = torch.tensor([[0.0, 0, -1], [0, 1, 0], [1, 0, 0]])
+    w2c = torch.eye(4)
+    w2c[:3, :3], w2c[:3, 3] = rotation, -rotation @ torch.tensor(centre)
+    return Cameras(w2c[None], camera().K, 20, 30)
+
+
+def test_a_centre_behind_one_camera_and_beside_another_is_seen_by_neither() -> None:
+    """Its mirrored projection lies inside the first picture, and it is in front of the second camera."""
+    behind, beside = camera(), looking_along_x((-1.0, 0.0, -20.0))
+    centre = torch.tensor([[0.0, 0.0, -5.0]])
+    assert float(visibility_loss(centre, behind)) == 0
+    assert float((beside.w2c[0, :3] @ torch.tensor([0.0, 0, -5, 1]))[2]) == 1
+    assert float(unseen_loss(centre, [behind, beside], 0.025)) == 1
+    # Without the limit: 5.025 behind the first near plane; 15 · 25 pixels beside the second picture's middle.
+    centre.requires_grad_()
+    whole = unseen_loss(centre, [behind, beside], 0.025, limit=0.0)
+    assert float(whole.detach()) == pytest.approx(5.025)
+    assert slope(whole, centre)[0].tolist() == [0, 0, -1]
+
+
+def test_a_centre_that_any_view_sees_costs_nothing() -> None:
+    """Input views count as much as targets, and one view that sees the centre is enough."""
+    seen = torch.tensor([[0.1, 0.0, 3.0]])
+    away = looking_along_x((50.0, 0.0, 0.0))
+    assert float(unseen_loss(seen, [away], 0.025)) == 1
+    assert float(unseen_loss(seen, [camera(), away], 0.025)) == 0
+    assert float(unseen_loss(seen, [away, camera()], 0.025)) == 0
 
 
 @pytest.mark.parametrize("z", [0.0, 1e-30, -1e-30, 1e6])
 def test_centres_in_the_camera_plane_give_finite_losses(z: float) -> None:
     centre = torch.tensor([[0.3, -2.0, z]]).requires_grad_()
-    loss = unseen_loss(centre, camera(), 0.025)
+    loss = unseen_loss(centre, [camera()], 0.025)
     assert loss.isfinite()
     assert slope(loss, centre).isfinite().all()
 

@@ -14,8 +14,17 @@ from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.sim3 import Sim3
 from querysplat_cli.scene.views import Photo, Views
-from querysplat_cli.training.config import DataSettings, SourceSettings
-from querysplat_cli.training.data import RecentResults, Samples, cache_folder, prepare_samples
+from querysplat_cli.training.config import DataSettings, SourceSettings, StageSettings, load_config
+from querysplat_cli.training.data import (
+    CachedSamples,
+    Draw,
+    RecentResults,
+    Samples,
+    cache_folder,
+    prepare_samples,
+    sources_of_stages,
+)
+from querysplat_cli.training.online import OnlineSamples
 from querysplat_cli.training.passes import make_sample, read_sample, write_sample
 from training_scenes import sample, training
 
@@ -143,23 +152,110 @@ def test_what_is_prepared_once_is_not_prepared_again(tmp_path: Path) -> None:
     assert len(again.failed) == 3
     assert "nothing overlaps" in again.failed[0]
     with pytest.raises(QuerySplatError, match="no samples"):
-        Samples(data, 0)
+        CachedSamples(data, 0).path(Draw(0, 0, (2, 2)))
     assert cache_folder(data, source) != cache_folder(replace(data, max_size=72), source)
     assert cache_folder(data, source) == cache_folder(data, replace(source, scenes=9))
 
 
-def test_what_a_step_sees_depends_on_seed_step_and_process_alone(tmp_path: Path) -> None:
+def test_the_draw_of_a_step_depends_on_seed_step_and_place_in_the_batch_alone(tmp_path: Path) -> None:
     data = training(tmp_path).data
-    one, again, other = Samples(data, 1), Samples(data, 1), Samples(data, 2)
-    draws = [one.path(step, 0, rank, (1, 9)) for step in range(20) for rank in (0, 1)]
-    assert draws[::-1] == [again.path(step, 0, rank, (1, 9)) for step in range(19, -1, -1) for rank in (1, 0)]
-    assert draws != [other.path(step, 0, rank, (1, 9)) for step in range(20) for rank in (0, 1)]
-    assert draws[::2] != draws[1::2]
-    assert set(draws) == set(cache_folder(data, data.sources[0]).glob("*.safetensors"))
-    with pytest.raises(QuerySplatError, match="no sample has"):
-        one.path(0, 0, 0, (5, 6))
-    read = one.read(draws[0], following=draws[1])
-    assert torch.equal(read.views.images, read_sample(draws[0]).views.images)
+    one, again, other = CachedSamples(data, 1), CachedSamples(data, 1), CachedSamples(data, 2)
+    assert isinstance(one, Samples)
+    draws = [Draw(step, index, (1, 9)) for step in range(20) for index in (0, 1)]
+    found = [one.path(draw) for draw in draws]
+    assert found[::-1] == [again.path(draw) for draw in reversed(draws)]
+    assert found != [other.path(draw) for draw in draws]
+    assert found[::2] != found[1::2]
+    assert set(found) == set(cache_folder(data, data.sources[0]).glob("*.safetensors"))
+    with pytest.raises(QuerySplatError, match="no source has samples of 5 to 6 inputs"):
+        one.path(Draw(0, 0, (5, 6)))
+    read, path = one.get(draws[0], following=draws[1])
+    assert path == found[0]
+    assert torch.equal(read.views.images, read_sample(found[0]).views.images)
+    ahead, _ = one.get(draws[1])
+    assert torch.equal(ahead.views.images, read_sample(found[1]).views.images)
+
+
+def test_each_stage_has_samples_of_its_own_inputs(tmp_path: Path) -> None:
+    """All samples of the paper's first stage have four inputs, in the cache as well."""
+    config = load_config("paper")
+    found = [source.inputs for source in sources_of_stages(config.data, config.stages)]
+    assert found == [(4, 4), (2, 12)]
+    data = DataSettings((SourceSettings("procedural", inputs=(3, 7)),), cache=str(tmp_path))
+    stages = (StageSettings(1, 1.0, inputs=(5, 9)), StageSettings(1, 1.0, inputs=(8, 9)))
+    assert [source.inputs for source in sources_of_stages(data, stages)] == [(5, 7)]
+
+
+def test_a_sample_in_the_frame_of_its_first_view_is_the_same_scene() -> None:
+    """Inputs, targets and points of the depth move together, and the first camera becomes the origin."""
+    before = sample(0)
+    after = before.in_frame("first_view")
+    assert before.in_frame("predicted") is before
+    assert not torch.allclose(before.cameras.w2c[0], torch.eye(4), atol=0.1)
+    torch.testing.assert_close(after.cameras.w2c[0], torch.eye(4), atol=1e-6, rtol=0)
+    one, other = (each.target_cameras.w2c[1] @ each.cameras.w2c[1].inverse() for each in (before, after))
+    torch.testing.assert_close(one, other, atol=1e-5, rtol=1e-5)
+
+
+SMALL_ROOMS = SourceSettings("procedural", scenes=4, size=(60, 66), inputs=(2, 5), targets=1, cameras="posed")
+
+
+class Recorder(Surveyor):
+    """An encoder without cameras of its own that keeps the pictures of each pass."""
+
+    def __init__(self, fails: int = 0) -> None:
+        super().__init__()
+        self.pictures: list[np.ndarray] = []
+        self._fails = fails
+
+    def estimate_cameras(self, photos: Sequence[Photo], request: CameraRequest, progress: Progress) -> PosedViews:
+        if self._fails:
+            self._fails -= 1
+            raise ImpossibleScene("nothing overlaps")
+        self.pictures.append(photos[0].pixels)
+        assert request.known
+        cameras = [request.known[photo.name] for photo in photos]
+        height, width = photos[0].pixels.shape[:2]
+        w2c = torch.stack([torch.from_numpy(camera.w2c).float() for camera in cameras])
+        K = torch.stack(
+            [
+                torch.tensor([[c.focal[0], 0, c.principal[0]], [0, c.focal[1], c.principal[1]], [0, 0, 1]])
+                for c in cameras
+            ]
+        )
+        images = torch.stack([torch.from_numpy(photo.pixels).permute(2, 0, 1).float() / 255 for photo in photos])
+        names, sizes = tuple(photo.name for photo in photos), ((height, width),) * len(photos)
+        views = Views(images, torch.ones(len(photos), height, width, dtype=torch.bool), names, sizes)
+        nothing = tuple(torch.zeros(0, dtype=torch.long) for _ in photos)
+        return PosedViews(views, Cameras(w2c, K, height, width), torch.zeros(0, 3), nothing)
+
+
+def test_without_a_cache_every_draw_is_of_other_inputs_and_repeatable(tmp_path: Path) -> None:
+    data = DataSettings((SMALL_ROOMS,), online=True, cache=str(tmp_path / "none"), max_size=66)
+    encoder = Recorder()
+    samples = OnlineSamples(data, 3, lambda: encoder)
+    draws = [Draw(step, index, (2, 4)) for step in range(3) for index in (0, 1)]
+    found = [samples.get(draw) for draw in draws]
+    assert {path for _, path in found} == {None}
+    assert {len(sample.views) for sample, _ in found} <= {2, 3, 4}
+    assert len({sample.views.images.sum().item() for sample, _ in found}) == len(draws)
+    again, _ = OnlineSamples(data, 3, Recorder).get(draws[4])
+    assert torch.equal(again.views.images, found[4][0].views.images)
+    assert torch.equal(again.target_cameras.w2c, found[4][0].target_cameras.w2c)
+    assert not (tmp_path / "none").exists()
+    four, _ = samples.get(Draw(9, 0, (4, 4)))
+    assert len(four.views) == 4
+
+
+def test_a_scene_that_gives_no_sample_is_drawn_again() -> None:
+    data = DataSettings((SMALL_ROOMS,), online=True, max_size=66)
+    samples = OnlineSamples(data, 0, lambda: Recorder(fails=2))
+    samples.get(Draw(0, 0, (2, 2)))
+    assert samples.redrawn == 2
+    with pytest.raises(ImpossibleScene, match="20 scenes in a row gave no sample; the last one: nothing overlaps"):
+        OnlineSamples(data, 0, lambda: Recorder(fails=100)).get(Draw(0, 0, (2, 2)))
+    with pytest.raises(QuerySplatError, match="no source has samples"):
+        samples.get(Draw(0, 0, (8, 9)))
 
 
 def test_the_latest_results_are_kept() -> None:

@@ -8,9 +8,11 @@ import torch
 from torch import nn
 
 from querysplat_cli.model.config import ModelConfig
+from querysplat_cli.model.initialise import scratch_model
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.training.config import LossSettings, OptimiserSettings, StageSettings, load_config
 from querysplat_cli.training.schedule import Average, RankFilter, grow_queries, rate, weights
+from querysplat_cli.training.start import new_optimiser
 
 
 def test_the_rate_rises_for_a_twentieth_and_falls_along_a_cosine() -> None:
@@ -47,9 +49,38 @@ def test_the_papers_stages() -> None:
     assert config.at(300_000) == (1, 300_000)
     assert config.at(389_999) == (3, 360_000)
     optimiser = config.optimiser
+    assert optimiser.batch == 64
     assert (optimiser.clip, optimiser.ema, optimiser.keep, optimiser.precision) == (1.0, 0.9995, 0.95, "bf16")
     assert config.model.scale_cap == 0.075
     assert config.losses == LossSettings()
+
+
+def test_weight_decay_acts_on_matrices_outside_of_the_heads() -> None:
+    model = QuerySplat(ModelConfig(width=16, heads=2, mixed_layers=2, query_count=5, vgm_width=8))
+    named = dict(model.named_parameters())
+    optimiser = new_optimiser(model, OptimiserSettings(weight_decay=0.3))
+    groups = {group["weight_decay"]: {id(tensor) for tensor in group["params"]} for group in optimiser.param_groups}
+    assert set(groups) == {0.3, 0.0}
+    decaying = {name for name, tensor in named.items() if id(tensor) in groups[0.3]}
+    assert len(decaying) + len(groups[0.0]) == len(named)
+    spared = set(named) - decaying
+    assert all(named[name].ndim >= 2 for name in decaying)
+    kinds = ("bias", "norm.weight", "gamma", "_head.weight", "k_norm.weight", "q_norm.weight")
+    assert all(name.endswith(kinds) or named[name].ndim == 1 for name in spared)
+    assert {"geometry_head.weight", "geometry_memory.proj.bias", "layer_mixer.norm.weight"} <= spared
+    assert {"geometry_memory.proj.weight", "geometry_decoder.blocks.0.mlp.fc1.weight", "geometry_queries"} <= decaying
+
+
+def test_weights_from_scratch_start_as_in_the_release() -> None:
+    config = ModelConfig(width=64, heads=4, geometry_blocks=1, appearance_blocks=1, query_count=8, vgm_width=64)
+    model = scratch_model(config, seed=3)
+    assert float(model.geometry_head.weight.std()) == pytest.approx(0.002, rel=0.02)
+    assert not model.geometry_head.bias.any()
+    # torch's default for a linear layer: uniform up to 1/√width.
+    assert float(model.appearance_head.weight.abs().max()) == pytest.approx(1 / 8, rel=0.01)
+    assert float(model.geometry_queries.std()) == pytest.approx(0.01, rel=0.2)
+    assert not model.appearance_queries.any()
+    assert torch.equal(scratch_model(config, seed=3).appearance_head.weight, model.appearance_head.weight)
 
 
 def test_grown_queries_are_the_old_ones_and_perturbed_copies() -> None:

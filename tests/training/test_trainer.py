@@ -17,12 +17,13 @@ from safetensors.torch import load_file
 from querysplat_cli.model.checkpoints import load_file as load_model
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.training.config import LossSettings, OptimiserSettings, StageSettings, TrainConfig
-from querysplat_cli.training.data import Samples
+from querysplat_cli.training.data import CachedSamples, Draw
 from querysplat_cli.training.journal import Journal
 from querysplat_cli.training.processes import Processes
 from querysplat_cli.training.schedule import weights
+from querysplat_cli.training.start import starting_model
 from querysplat_cli.training.step import StepSettings, add_gradient, anchored, decoded
-from querysplat_cli.training.trainer import MODEL, STATE, Trainer, TrainReport, starting_model
+from querysplat_cli.training.trainer import MODEL, STATE, Trainer, TrainReport, samples_in_turn
 from training_scenes import TINY, sample, toml, training
 
 CPU = torch.device("cpu")
@@ -35,7 +36,7 @@ def silent(text: str, fraction: float) -> None:
 def run(config: TrainConfig, folder: Path, *, resume: bool = False) -> TrainReport:
     folder.mkdir(exist_ok=True)
     trainer = Trainer(config, folder, Processes(), CPU, resume=resume)
-    return trainer.run(Samples(config.data, config.seed), progress=silent)
+    return trainer.run(CachedSamples(config.data, config.seed), progress=silent)
 
 
 class Stop(Exception):
@@ -50,8 +51,9 @@ def stopped(config: TrainConfig, folder: Path, after: int) -> None:
             raise Stop
 
     folder.mkdir()
+    trainer = Trainer(config, folder, Processes(), CPU, resume=False)
     with pytest.raises(Stop):
-        Trainer(config, folder, Processes(), CPU, resume=False).run(Samples(config.data, config.seed), progress=stop)
+        trainer.run(CachedSamples(config.data, config.seed), progress=stop)
 
 
 def assert_same_weights(one: Path, other: Path) -> None:
@@ -101,29 +103,29 @@ def test_resuming_another_training_or_none_is_refused(tmp_path: Path) -> None:
 
 def test_a_batch_that_is_not_finite_is_skipped_and_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     config = training(tmp_path / "cache", save_every=1)
-    clean = Samples.read
+    clean = CachedSamples.get
     calls = 0
 
-    def poisoned(self: Samples, path: Path, following: Path | None = None):  # type: ignore[no-untyped-def]
+    def poisoned(self: CachedSamples, draw: Draw, following: Draw | None = None):  # type: ignore[no-untyped-def]
         nonlocal calls
         calls += 1
-        found = clean(self, path, following)
+        found, path = clean(self, draw, following)
         if calls != 3:
-            return found
+            return found, path
         images = found.targets.images.clone()
         images[0, 0, 5, 5] = math.nan
-        return replace(found, targets=replace(found.targets, images=images))
+        return replace(found, targets=replace(found.targets, images=images)), path
 
     def peek(text: str, fraction: float) -> None:
         if round(6 * fraction) in (2, 3):
             state = trainer.model.state_dict(), trainer.averaged().state_dict()
             states.append([{name: tensor.clone() for name, tensor in each.items()} for each in state])
 
-    monkeypatch.setattr(Samples, "read", poisoned)
+    monkeypatch.setattr(CachedSamples, "get", poisoned)
     states: list[list[dict[str, torch.Tensor]]] = []
     (tmp_path / "run").mkdir()
     trainer = Trainer(config, tmp_path / "run", Processes(), CPU, resume=False)
-    report = trainer.run(Samples(config.data, config.seed), progress=peek)
+    report = trainer.run(CachedSamples(config.data, config.seed), progress=peek)
     assert report.skipped == {"the loss or its gradient is not finite": 1}
     before, after = states
     for own, other in zip(before, after, strict=True):
@@ -203,9 +205,33 @@ def test_learned_queries_grow_from_stage_to_stage(tmp_path: Path) -> None:
         assert_same_weights(tmp_path / "whole", tmp_path / f"parts{after}")
 
 
+def test_a_batch_of_several_samples_is_one_step(tmp_path: Path) -> None:
+    """One process takes the samples of a batch in turn, and steps along their mean gradient."""
+    config = training(tmp_path / "cache", stages=(StageSettings(steps=1, lr=1e-3),))
+    config = replace(config, optimiser=replace(config.optimiser, batch=3, keep=1.0))
+    report = run(config, tmp_path / "run")
+    assert (report.batch, report.processes) == (3, 1)
+    moment = load_file(tmp_path / "run" / STATE)["moments.appearance_head.bias.exp_avg"]
+    samples, model = CachedSamples(config.data, config.seed), starting_model(config)
+    for index in range(3):
+        scene, _ = samples.get(Draw(0, index, config.stages[0].inputs))
+        add_gradient(model, scene, anchored(scene), StepSettings(config, weights(0, config.losses)), torch.Generator())
+    summed = model.appearance_head.bias.grad
+    torch.testing.assert_close(moment / moment.norm(), summed / summed.norm(), rtol=1e-3, atol=1e-5)
+
+
+def test_processes_that_cannot_share_a_batch_are_refused(tmp_path: Path) -> None:
+    config = training(tmp_path / "cache")
+    config = replace(config, optimiser=replace(config.optimiser, batch=64))
+    with pytest.raises(QuerySplatError, match="6 processes cannot share a batch of 64 samples"):
+        Trainer(config, tmp_path, Processes(world=6), CPU, resume=False)
+    assert [samples_in_turn(64, processes) for processes in (1, 8, 64)] == [64, 8, 1]
+
+
 @pytest.mark.slow
 def test_two_processes_resume_exactly(tmp_path: Path) -> None:
     config = training(tmp_path / "cache", stages=(StageSettings(steps=4, lr=1e-3),))
+    config = replace(config, optimiser=replace(config.optimiser, batch=2))
     path = tmp_path / "train.toml"
     path.write_text(toml(config))
     whole, parts = tmp_path / "whole", tmp_path / "parts"

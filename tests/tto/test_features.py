@@ -1,6 +1,7 @@
 """Test-time optimisation on a small textured wall whose cameras and depth are known."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -17,7 +18,7 @@ from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.render import render
 from querysplat_cli.splat.similarity import photometric_loss
-from querysplat_cli.tto.features import Start, optimise_memories
+from querysplat_cli.tto.features import Start, gaussians_of, memories_of, optimise_memories
 from querysplat_cli.tto.options import TtoSettings
 from querysplat_cli.tto.rendering_loss import RenderingLoss
 
@@ -67,6 +68,31 @@ def test_the_gradient_summed_view_by_view_is_that_of_all_views_at_once(
         one, two = getattr(gaussians, name).grad, getattr(summed.gradient, name)
         assert float(one.norm()) > 0
         assert float((one - two).norm()) <= 1e-5 * float(one.norm()), name
+
+
+def test_features_of_a_model_whose_values_are_zero_are_optimised_through_the_residual_path(
+    wall: tuple[Views, Cameras], scene: tuple[QuerySplat, Memories, Anchors]
+) -> None:
+    """Without a step the scene has the bits of that of keys and values; steps lower the loss as far as theirs."""
+    model, memories, anchors = scene
+    features = torch.randn(len(wall[0]), (SIZE // 6) ** 2, 12, generator=torch.Generator().manual_seed(0))
+    with torch.no_grad():
+        tokens = model.embed((features,), wall[0].images, wall[1])
+        plain = model.decode(memories, anchors)
+    start = Start(tokens, anchors, origin=tokens)
+    same = gaussians_of(model, start)
+    assert all(
+        torch.equal(getattr(plain, name), getattr(same, name)) for name in ("means", "scales", "opacities", "sh")
+    )
+    settings = TtoSettings(steps=12, lr=0.02, views_per_step=2)
+    after = {
+        name: optimise_memories(model, each, RenderingLoss(*wall), settings, generator=torch.Generator().manual_seed(1))
+        for name, each in (("kv", Start(memories, anchors)), ("features", start))
+    }
+    falls = {name: result.loss_before - result.loss_after for name, result in after.items()}
+    assert falls["features"] > 0.8 * falls["kv"] > 0
+    moved = memories_of(model, replace(start, variables=after["features"].variables))
+    torch.testing.assert_close(model.decode(moved, anchors).means, after["features"].gaussians.means)
 
 
 def test_the_loss_falls_and_the_network_stays_frozen(

@@ -10,7 +10,9 @@ from querysplat_cli.cli.convert import convert
 from querysplat_cli.cli.demo import demo
 from querysplat_cli.cli.doctor import doctor
 from querysplat_cli.cli.evaluate import evaluate
+from querysplat_cli.cli.export import export
 from querysplat_cli.cli.help_pages import ApplicationHelp, VerbHelp
+from querysplat_cli.cli.info import info
 from querysplat_cli.cli.inspect import inspect
 from querysplat_cli.cli.poses import poses
 from querysplat_cli.cli.reconstruct import reconstruct
@@ -18,11 +20,12 @@ from querysplat_cli.cli.render import render
 from querysplat_cli.cli.train import train
 from querysplat_cli.cli.tto import tto
 from querysplat_cli.cli.verb import verb
+from querysplat_cli.cli.view import view
 from querysplat_cli.cli.weights import weights
 
 VERBS: dict[str, tuple[Callable[..., None], ...]] = {
     "Make a scene": (reconstruct, tto, demo),
-    "See, share and change it": (render, convert, inspect),
+    "See, share and change it": (view, export, render, convert, info, inspect),
     "Measure": (evaluate, poses),
     "Models": (train, weights),
     "This machine": (doctor,),

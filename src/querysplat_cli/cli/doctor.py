@@ -41,6 +41,8 @@ def _rows(found: Any) -> Iterator[tuple[str, str]]:
     yield "temporary files", f"{found.temporary or 'nowhere'}, {found.free_disk_gib} GiB free"
     rest = "" if found.compiled == found.kernels else "; the first scene compiles the others, about half a minute"
     yield "compiled", f"{found.compiled} of {found.kernels} kernels{rest}"
+    yield "encoders", ", ".join(found.encoders)
+    yield "splatters", ", ".join(found.splatters)
     yield "devices", ", ".join(found.devices)
     if "cuda" not in found.devices:
         yield "", f"no cuda: {found.cuda}"

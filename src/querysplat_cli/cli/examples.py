@@ -11,6 +11,14 @@ EXAMPLES = {
         ("tto scene", "go on with the optimisation of a stored scene"),
         ("tto scene --quality high", "sharper at full screen; takes minutes"),
     ),
+    "view": (
+        ("view scene.ply", "the scene in the browser, its photos beside it"),
+        ("view scene.ply --no-browser --port 8000", "only serve it, for a browser elsewhere by ssh -L"),
+    ),
+    "export": (
+        ("export scene.ply", "scene.html, which opens from disk in any browser"),
+        ("export scene.spz -o small.html --no-photos", "a small file, without the photos"),
+    ),
     "render": (
         ("render scene.ply -o film.mp4", "a film along the input cameras"),
         ("render scene.ply -o frames/ --cameras orbit --frames 60", "60 pictures of a path around the scene"),
@@ -30,6 +38,10 @@ EXAMPLES = {
         ("convert scene.ply upright.ply --up z", "turn the axis that points up to -y"),
         ("convert scene.ply clean.ply --clean", "without floaters, and what that costs"),
         ("convert scene model/ --text", "the cameras as a COLMAP model"),
+    ),
+    "info": (
+        ("info scene.ply", "count, extent, histograms, and what is odd"),
+        ("info scene.ply --json --plot scene.png", "the same for programs, and drawn"),
     ),
     "inspect": (
         ("inspect scene", "attention, histograms and points, as pictures"),

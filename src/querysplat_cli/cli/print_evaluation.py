@@ -1,5 +1,6 @@
 """The tables of `querysplat eval`."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -7,6 +8,12 @@ from rich.table import Table
 
 from querysplat_cli.cli.terminal import print_json, say
 from querysplat_cli.cli.verb import Printing
+from querysplat_cli.evaluation.published import OWN
+
+COLUMNS = {
+    "group": 13, "PSNR": 5, "SSIM": 5, "LPIPS": 5, "scored": 10, "failed": 6, "seconds": 7, "Gaussians": 9,
+}  # fmt: skip
+"""The columns of the tables, and how many letters each has at least. Together they fit 80 letters."""
 
 
 def print_evaluation(summary: dict[str, Any], output: Path, printing: Printing) -> None:
@@ -15,7 +22,9 @@ def print_evaluation(summary: dict[str, Any], output: Path, printing: Printing) 
     if "averages" not in summary:
         return
     for views in sorted({row["views"] for row in summary["averages"]}):
-        say(_table(summary, views), printing)
+        say(f"{views} views", printing)
+        for table in _tables(summary, views):
+            say(table, printing)
     for text in summary["lpips"]:
         say(f"LPIPS: {text}", printing)
     if summary["failures"]:
@@ -23,26 +32,30 @@ def print_evaluation(summary: dict[str, Any], output: Path, printing: Printing) 
     say(f"{output / 'summary.md'}, .csv and .json; a folder for each case", printing)
 
 
-def _table(summary: dict[str, Any], views: int) -> Table:
-    """The averages of splits with `views` inputs, and the figures that the paper quotes for them."""
-    table = Table(title=f"{views} views", title_justify="left", box=None, padding=(0, 2, 0, 0))
-    # The names of rows differ at their ends, so they are never cut.
-    table.add_column("row", overflow="fold")
-    for column in ("group", "PSNR", "SSIM", "LPIPS", "scored", "failed", "seconds", "Gaussians"):
-        table.add_column(column)
+def _tables(summary: dict[str, Any], views: int) -> Iterator[Table]:
+    """The averages of splits with `views` inputs, row by row, and then the paper's own figures for as many views.
+
+    The name of a row stands above its figures, whole: names of a sweep are long, and differ at their ends.
+    """
+    blocks: dict[str, list[tuple[str, ...]]] = {}
     for row in summary["averages"]:
         if row["views"] == views:
-            table.add_row(*_cells(row))
+            blocks.setdefault(row["row"], []).append(_cells(row))
     for row in summary["quoted"]["rows"]:
-        if row["views"] == views:
-            table.add_row(f"quoted: {row['method']}", row["group"], *_metrics(row), style="dim")
-    return table
+        if row["views"] == views and row["method"].startswith(OWN):
+            blocks.setdefault(f"quoted: {row['method']}", []).append((row["group"], *_metrics(row)))
+    for number, (name, rows) in enumerate(blocks.items()):
+        table = Table(title=name, title_justify="left", show_header=number == 0, box=None, padding=(0, 2, 0, 0))
+        for column, width in COLUMNS.items():
+            table.add_column(column, min_width=width, no_wrap=True)
+        for cells in rows:
+            table.add_row(*cells)
+        yield table
 
 
 def _cells(row: dict[str, Any]) -> tuple[str, ...]:
     seconds, gaussians = row["seconds_median"], row["gaussians_median"]
     return (
-        row["row"],
         row["group"],
         *_metrics(row),
         f"{row['scored']} of {row['asked']}",

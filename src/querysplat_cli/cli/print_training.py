@@ -4,7 +4,7 @@ from dataclasses import asdict
 
 from querysplat_cli.cli.terminal import print_json, rows_table, say
 from querysplat_cli.cli.verb import Printing
-from querysplat_cli.training.run import TrainPlan
+from querysplat_cli.training.plan import TrainPlan
 from querysplat_cli.training.trainer import TrainReport
 
 
@@ -14,14 +14,24 @@ def print_training_plan(plan: TrainPlan, printing: Printing) -> None:
     rows = [
         ("parameters", f"{plan.parameters:,}, of which {plan.trained:,} are trained"),
         ("steps", f"{plan.steps:,}"),
-        ("samples", f"{plan.samples:,}, of which {plan.ready:,} are in the cache"),
-        ("weights, gradients, moments, average", f"{plan.state_gib:.2f} GiB"),
+        ("batch", f"{plan.batch} samples: {_counted(plan.processes, 'process', 'es')} × {plan.in_turn} in turn"),
+        ("scenes", f"{plan.scenes:,}" + (f" (assumed: {plan.assumed})" if plan.assumed else "")),
     ]
+    for number, stage in enumerate(plan.stages, 1):
+        fewest, most = stage.inputs
+        inputs = f"{fewest}" if fewest == most else f"{fewest} to {most}"
+        distinct = "every draw of other photos" if plan.online else f"{stage.distinct:,} distinct samples"
+        rows.append((f"stage {number}", f"{stage.drawn:,} samples of {inputs} inputs, {distinct}"))
+    if plan.online:
+        rows.append(("cache", "none: samples are made in each step"))
+    else:
+        rows.append(("cache", f"{plan.samples:,} samples, {_size(plan.disk_gib)} on disk; {plan.ready:,} are there"))
+    rows.append(("weights, gradients, moments, average", f"{plan.state_gib:.2f} GiB in each process"))
     measured = (
         ("peak memory", plan.peak_memory_gib, "GiB"),
         ("a sample", plan.seconds_per_sample, "s"),
         ("a step's sample", plan.seconds_per_step, "s"),
-        ("all of it, in one process", plan.hours, "h"),
+        (f"all of it, in {_counted(plan.processes, 'process', 'es')}", plan.hours, "h"),
     )
     rows += [(name, f"{value:.2f} {unit}") for name, value, unit in measured if value is not None]
     if plan.unmeasured:
@@ -29,15 +39,29 @@ def print_training_plan(plan: TrainPlan, printing: Printing) -> None:
     say(rows_table("dry run", rows), printing)
 
 
+def _counted(number: int, name: str, plural: str) -> str:
+    return f"{number} {name}{plural if number > 1 else ''}"
+
+
+def _size(gib: float) -> str:
+    """In GB, or in TB from one on."""
+    gigabytes = gib * 2**30 / 1e9
+    return f"{gigabytes / 1000:.1f} TB" if gigabytes >= 1000 else f"{gigabytes:.2f} GB"
+
+
 def print_training(report: TrainReport, printing: Printing) -> None:
     """What a training did, and where its weights are."""
     print_json(asdict(report), printing)
+    each = report.batch // report.processes
     say(
-        f"{report.steps:,} steps, loss {report.loss:.4f}, {report.psnr:.2f} dB on targets; "
+        f"{report.steps:,} steps of {report.batch} samples ({_counted(report.processes, 'process', 'es')} × {each} in "
+        f"turn), loss {report.loss:.4f}, {report.psnr:.2f} dB on targets; "
         f"{report.steps_per_second:.2f} steps a second, {100 * report.waiting:.0f} % of the time waiting for data, "
         f"{report.peak_memory_gib:.2f} GiB",
         printing,
     )
     for reason, count in report.skipped.items():
         say(f"{count} samples gave no gradient: {reason}", printing)
+    if report.redrawn:
+        say(f"{report.redrawn} scenes gave no sample, and others were drawn", printing)
     say(f"{report.model}   (for --preset; state, log and curve are beside it)", printing)

@@ -25,7 +25,7 @@ class TrainOptions:
         Path, Option("A folder for weights, state, log and curves.", ("--output", "-o"), metavar="DIR")
     ] = Path("training")
     resume: Annotated[bool, Option("Go on with the training in the folder.")] = False
-    dry_run: Annotated[bool, Option("Measure the memory and time that the training would take, and write nothing.")] = (
+    dry_run: Annotated[bool, Option("State the batch, samples, disk, memory and time of it, and write nothing.")] = (
         False
     )
     lpips: LpipsWeights = None
@@ -38,9 +38,10 @@ def train(options: TrainOptions, printing: Printing) -> None:
     """Train a model on procedural or captured scenes, alone or under torchrun."""
     from querysplat_cli.cli.print_training import print_training, print_training_plan
     from querysplat_cli.cli.terminal import showing_stages
-    from querysplat_cli.evaluation.lpips import find_lpips, load_lpips
+    from querysplat_cli.splat.lpips import find_lpips, load_lpips
     from querysplat_cli.training.config import load_config
-    from querysplat_cli.training.run import TrainRequest, plan
+    from querysplat_cli.training.plan import plan
+    from querysplat_cli.training.run import TrainRequest
     from querysplat_cli.training.run import train as run
 
     config = load_config(options.config, options.changes)

@@ -42,7 +42,8 @@ class Optional:
 class Diagnosis:
     """What was found. Memory and disk are free GiB; `compiled` counts kernels, of `kernels`.
 
-    `cuda` is the name of the GPU, or why there is none. Each of `problems` is a sentence that says what to do.
+    `cuda` is the name of the GPU, or why there is none. `encoders` and `splatters` are the names of all that are
+    installed, those of other packages too. Each of `problems` is a sentence that says what to do.
     """
 
     querysplat: str
@@ -56,6 +57,8 @@ class Diagnosis:
     compiled: int
     cuda: str
     devices: tuple[str, ...]
+    encoders: tuple[str, ...]
+    splatters: tuple[str, ...]
     optional: tuple[Optional, ...]
     problems: tuple[str, ...]
 
@@ -63,7 +66,8 @@ class Diagnosis:
 def diagnose() -> Diagnosis:
     """Look at everything. Nothing is written, compiled or fetched."""
     broken = _broken_modules()
-    kernels, compiled = (0, 0) if "numba" in broken or "torch" in broken else _kernels()
+    kernels, compiled = (0, 0) if broken else _kernels()
+    encoders, splatters = ((), ()) if broken else _backends()
     devices, cuda = (("cpu",), "torch cannot be loaded") if "torch" in broken else _devices()
     free = free_memory() / GIB
     temporary, disk = _temporary()
@@ -79,6 +83,8 @@ def diagnose() -> Diagnosis:
         compiled=compiled,
         cuda=cuda,
         devices=devices,
+        encoders=encoders,
+        splatters=splatters,
         optional=tuple(_optional(part) for part in OPTIONAL_PARTS),
         problems=(*(f"{name} cannot be loaded: {why}" for name, why in broken.items()), *_problems(free, disk)),
     )
@@ -112,6 +118,13 @@ def _kernels() -> tuple[int, int]:
 
     cached = [is_cached(function) for function, _ in (*SPLATTER, *DEPTH)]
     return len(cached), sum(cached)
+
+
+def _backends() -> tuple[tuple[str, ...], tuple[str, ...]]:
+    from querysplat_cli.encoders.registry import ENCODERS
+    from querysplat_cli.splat.render import BACKENDS
+
+    return ENCODERS.names(), BACKENDS.names()
 
 
 def _devices() -> tuple[tuple[str, ...], str]:

@@ -9,8 +9,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from querysplat_cli.commands.query_figure import draw_query
 from querysplat_cli.commands.requests import InspectRequest
-from querysplat_cli.model.attention_maps import attention_of
+from querysplat_cli.model.attention_maps import attention_of, valueless
 from querysplat_cli.pipeline.read_scene import read_scene
 from querysplat_cli.pipeline.resume import load_again
 from querysplat_cli.pipeline.scene_folder import StoredScene
@@ -37,9 +38,11 @@ DRAWN_OPACITY = 0.05
 
 @dataclass(frozen=True)
 class Inspected:
-    """What was drawn. `attention` has, for each branch, the share of the query's attention that each view gets.
+    """What was drawn. `attention` has, for each memory, the share of the query's attention that each view gets.
 
-    "special" is the share of tokens that belong to no patch. `opacity` and `scale` have quantiles.
+    "special" is the share of tokens that belong to no patch. Shares of a memory sum to 1; with one branch, those of
+    both memories do. `opacity` and `scale` have quantiles. Each of `warnings` is a sentence on what the figures cannot
+    show.
     """
 
     output: str
@@ -48,12 +51,14 @@ class Inspected:
     opacity: dict[str, float]
     scale: dict[str, float]
     depth: bool
+    warnings: tuple[str, ...] = ()
 
 
 def inspect_scene(request: InspectRequest, stages: Stages) -> Inspected:
     """Draw the attention of a query (the most opaque one by default), histograms and points of a stored scene.
 
-    Raises QuerySplatError when the scene has no such query, or was stored without what the drawings need.
+    Raises QuerySplatError when the scene has no such query, was stored without what the drawings need, or was made by a
+    model without appearance blocks.
     """
     output = request.target
     refuse_existing([output], force=request.force)
@@ -71,12 +76,12 @@ def inspect_scene(request: InspectRequest, stages: Stages) -> Inspected:
         chosen = int(by_query.sum(1).argmax()) if request.query is None else request.query
         if not 0 <= chosen < count:
             raise QuerySplatError(f"--query {chosen}: there are queries 0 to {count - 1}", "Choose one of them.")
-        geometry, appearance = attention_of(model, scene.memories, scene.anchors, chosen)
+        found = attention_of(model, scene.memories, scene.anchors, chosen)
         cameras = scene.cameras
         patches = (0, cameras.height // model.config.patch, cameras.width // model.config.patch)
         maps = {
-            "geometry": on_patches(geometry, scene.map.geometry_rows, len(scene.views), scene.map.layout),
-            "appearance": on_patches(appearance, scene.map.appearance_rows, len(scene.views), patches),
+            "geometry": on_patches(found.geometry, scene.map.geometry_rows, len(scene.views), scene.map.layout),
+            "appearance": on_patches(found.appearance, scene.map.appearance_rows, len(scene.views), patches),
         }
     with stages("draw"), atomic_folder(output) as draft:
         per_query = model.config.gaussians_per_query
@@ -84,15 +89,23 @@ def inspect_scene(request: InspectRequest, stages: Stages) -> Inspected:
         gaussians = gaussians[kept]
         for branch, weight in maps.items():
             write_picture(draft / f"attention_{branch}.png", _overlays(scene.views, cameras, weight, own))
+        draw_query(draft / "query.png", scene.views, cameras, maps, own)
         _histograms(draft / "histograms.png", gaussians)
         _points(draft / "points.png", scene, scene.map, gaussians)
     return Inspected(
         output=str(output),
         query=chosen,
-        attention={branch: _shares(weight, scene.views.names) for branch, weight in maps.items()},
+        attention={
+            "geometry": _shares(maps["geometry"], scene.views.names, float(found.geometry.sum())),
+            "appearance": _shares(maps["appearance"], scene.views.names, float(found.appearance.sum())),
+        },
         opacity=_quantiles(gaussians.opacities),
         scale=_quantiles(gaussians.scales.flatten()),
         depth=scene.map.depth.numel() > 0,
+        warnings=tuple(
+            f"the values of the {name} memory are all zero: what the query attends to there changes nothing"
+            for name in valueless(scene.memories)
+        ),
     )
 
 
@@ -107,9 +120,10 @@ def on_patches(weights: Tensor, rows: Tensor, views: int, layout: tuple[int, int
     return whole.view(views, -1)[:, special:].view(views, height, width)
 
 
-def _shares(weight: Tensor, names: tuple[str, ...]) -> dict[str, float]:
+def _shares(weight: Tensor, names: tuple[str, ...], whole: float) -> dict[str, float]:
+    """By view, and the rest of the `whole` attention to this memory, which goes to special tokens."""
     shares = {name: round(float(each), 5) for name, each in zip(names, weight.sum((1, 2)), strict=True)}
-    return {**shares, "special": round(max(0.0, 1 - float(weight.sum())), 5)}
+    return {**shares, "special": round(max(0.0, whole - float(weight.sum())), 5)}
 
 
 def _quantiles(values: Tensor) -> dict[str, float]:

@@ -14,9 +14,9 @@ from querysplat_cli.pipeline.gaussian_files import file_of_scene, folder_of_scen
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.limits import require_memory
 from querysplat_cli.runtime.progress import Stages
-from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.cameras import Cameras, PhotoCamera, rescaled
 from querysplat_cli.scene.files import atomic_folder, atomic_path, refuse_existing, with_name
-from querysplat_cli.scene.formats.transforms import NamedCameras, read_cameras, working_frame
+from querysplat_cli.scene.formats.transforms import NamedCameras, read_cameras, working_frame, write_transforms
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.paths import interpolate, opaque_centres, orbit, surround
 from querysplat_cli.scene.pictures import eight_bit, write_picture
@@ -57,6 +57,7 @@ def render_file(request: RenderRequest, stages: Stages) -> Rendered:
         gaussians = read_gaussians(file_of_scene(with_name(request.scene)))
         beside = folder_of_scene(with_name(request.scene)) / "cameras.json"
         names, cameras, sizes = _cameras(request, beside, gaussians)
+        listed = _listed(names, cameras, sizes, request.size)
         frame = working_frame(beside) if beside.is_file() else None
         if frame:  # the splatter's limits are in the units in which the scene was made
             gaussians, cameras = transform_gaussians(gaussians, frame.inverse()), cameras.transformed(frame.inverse())
@@ -72,6 +73,7 @@ def render_file(request: RenderRequest, stages: Stages) -> Rendered:
             with atomic_folder(request.target) as draft:
                 for name, picture in zip(names, pictures, strict=True):
                     _write_frame(draft / name, picture, request, unit)
+                write_transforms(draft / "cameras.json", listed)
     return Rendered(str(request.target), len(cameras), len(gaussians), stages.seconds)
 
 
@@ -132,6 +134,17 @@ def _through(inputs: NamedCameras, request: RenderRequest) -> Path3D:
 
 def _numbered(path: Cameras, size: tuple[int, int]) -> Path3D:
     return [f"frame_{i:04d}" for i in range(len(path))], path, [size] * len(path)
+
+
+def _listed(
+    names: list[str], cameras: Cameras, sizes: list[tuple[int, int]], asked: tuple[int, int] | None
+) -> dict[str, PhotoCamera]:
+    """The cameras of the pictures by their file names, in the frame of the scene's files."""
+    found = {}
+    for i, (name, (height, width)) in enumerate(zip(names, sizes, strict=True)):
+        camera = PhotoCamera.pinhole(cameras.w2c[i].double().numpy(), cameras.K[i].double().numpy(), height, width)
+        found[f"{name}.png"] = rescaled(camera, *asked) if asked else camera
+    return found
 
 
 def _render_each(

@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from querysplat_cli.runtime.choices import Fit, Precision
+from querysplat_cli.runtime.choices import Fit, Frame, Precision
 from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera
 from querysplat_cli.scene.views import LeftOut, Photo, Views
@@ -24,7 +24,7 @@ class EncoderOptions:
 
     `weights` is the folder of the checkpoints (None: the Hugging Face cache). `mixture` holds a weight for each
     cached layer: the features are then the weighted sum of the layers alone. With `depth` False, no depth map is
-    computed.
+    computed. `frame` is that of the cameras (`PosedViews`).
     """
 
     weights: Path | None = None
@@ -33,6 +33,7 @@ class EncoderOptions:
     fit: Fit = "crop"
     mixture: tuple[float, ...] | None = None
     depth: bool = True
+    frame: Frame = "predicted"
 
 
 @dataclass(frozen=True)
@@ -57,7 +58,8 @@ class PosedViews:
     - `classical`: the camera of the first photo is the origin, exactly. The median depth of the points, over all
       views that observe them, is 1. Without points the unit means nothing.
     - `vggt`, `vggt_omega`: the frame and unit of the network's pass, unchanged. The network predicts the first
-      camera like every other one, so it is the origin only approximately.
+      camera like every other one, so it is the origin only approximately. With the frame "first_view", cameras and
+      points are moved rigidly, and it is the origin exactly.
 
     A selection of the views (`holdout.select_views`) keeps the frame of the whole: its first camera may stand
     anywhere.

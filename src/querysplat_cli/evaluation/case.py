@@ -53,19 +53,20 @@ class CaseRunner:
 
     def _run(self, row: Row, settings: ReconstructSettings) -> RowResult:
         key = same_parts(settings)
-        model, own = parts(key)
-        encoder = self._encoders.setdefault(key, MemoisedEncoder(own))
+        model, unshared = parts(key)
+        encoder = self._encoders.setdefault(key, MemoisedEncoder(unshared))
         if row.cameras == "posed" and not self._judge.known:
             raise QuerySplatError("the dataset has no cameras of these photos", "Leave the posed rows out.")
+        own = self._size(encoder, settings)
         poses_known = row.cameras == "posed" and not encoder.own_frame
         posed = self._estimate_cameras(encoder, settings, self._judge.names("input"), poses_known=poses_known)
         gaussians, costs, warnings = self._build(row, model, encoder, posed, settings)
         if row.cameras == "posed":
             cameras = to_frame_of(cameras_by_name(posed), self._judge.known)
-            result = self._judge.score_scene(gaussians, cameras, "the dataset has no camera of it")
+            result = self._judge.score_scene(gaussians, cameras, "the dataset has no camera of it", own_size=own)
         else:
             cameras, why = self._free_targets(encoder, posed, settings)
-            result = self._judge.score_scene(gaussians, cameras, "it has no camera", why)
+            result = self._judge.score_scene(gaussians, cameras, "it has no camera", why, own_size=own)
         costs = {"cameras": encoder.cost_of(posed), **costs}
         return replace(result, costs=costs, warnings=(*posed.warnings, *warnings))
 
@@ -123,9 +124,13 @@ class CaseRunner:
     ) -> PosedViews:
         known = {name: camera for name, camera in self._judge.known.items() if name in names} if poses_known else None
         photos = [shown for name, (_, shown) in self._judge.photos.items() if name in names]
-        # No smaller than the protocol shows them, and no smaller than suits the encoder.
-        size = settings.max_size or max(encoder.size, *(max(shape_of(photo)) for photo in photos))
-        return encoder.estimate_cameras(photos, CameraRequest(size, settings.seed, known), _silent)
+        request = CameraRequest(self._size(encoder, settings), settings.seed, known)
+        return encoder.estimate_cameras(photos, request, _silent)
+
+    def _size(self, encoder: MemoisedEncoder, settings: ReconstructSettings) -> int:
+        """Longer side of the working pictures: no smaller than the protocol shows them, nor than suits the encoder."""
+        shown = (max(shape_of(photo)) for _, photo in self._judge.photos.values())
+        return settings.max_size or max(encoder.size, *shown)
 
 
 @lru_cache(maxsize=1)

@@ -2,12 +2,15 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import torch
 
 from querysplat_cli.evaluation.costs import Cost
-from querysplat_cli.evaluation.lpips import Lpips
-from querysplat_cli.evaluation.metrics import Scores, compare
+from querysplat_cli.evaluation.fitted import fitted_photo_camera
+from querysplat_cli.evaluation.metrics import Meter, Scores
+from querysplat_cli.evaluation.overlap import unmatched_targets
+from querysplat_cli.evaluation.policy import EVALUATION_POLICY
 from querysplat_cli.evaluation.protocol import Protocol
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import PhotoCamera, rescaled, same_shape
@@ -20,12 +23,16 @@ from querysplat_cli.scene.views import Photo
 
 @dataclass(frozen=True)
 class ViewScore:
-    """The scores of one view and the picture that was scored; `camera` is None where only the picture is given."""
+    """The scores of one view and the picture that was scored; `camera` is None where only the picture is given.
+
+    `apart` is True for a target that has no verified matches with any input.
+    """
 
     frame: Frame
     camera: PhotoCamera | None
     scores: Scores
     picture: torch.Tensor
+    apart: bool = False
 
 
 @dataclass(frozen=True)
@@ -55,10 +62,15 @@ class Judge:
         groups: Mapping[str, Sequence[Frame]],
         cameras: Mapping[str, PhotoCamera],
         protocol: Protocol,
-        lpips: Lpips | None,
+        meter: Meter,
+        *,
+        fitted: bool = False,
     ) -> None:
-        """`cameras` are the dataset's, of the whole photos. Raises QuerySplatError when a photo cannot be read."""
-        self.groups, self.protocol, self._lpips = groups, protocol, lpips
+        """`cameras` are the dataset's, of the whole photos. With `fitted`, targets are scored from fitted cameras, too.
+
+        Raises QuerySplatError when a photo cannot be read.
+        """
+        self.groups, self.protocol, self._meter, self._fitted = groups, protocol, meter, fitted
         frames = list({frame.name: frame for group in groups.values() for frame in group}.values())
         with scratch_folder() as scratch:
             loaded, unread = load_photos(fetch(frames, scratch), WHOLE)
@@ -77,6 +89,13 @@ class Judge:
     def names(self, group: str) -> set[str]:
         return {frame.name for frame in self.groups[group]}
 
+    @cached_property
+    def apart(self) -> frozenset[str]:
+        """Names of the targets that have no verified matches with any input."""
+        inputs = self.names("input")
+        targets = set().union(*(self.names(group) for group in self.groups)) - inputs
+        return unmatched_targets(*([self.photos[name][1] for name in sorted(names)] for names in (inputs, targets)))
+
     def truth(self, frame: Frame) -> torch.Tensor:
         """The picture that renders of this frame are compared with."""
         return self.protocol.truth(self.photos[frame.name][0])
@@ -87,11 +106,13 @@ class Judge:
         cameras: Mapping[str, PhotoCamera],
         otherwise: str,
         why: Mapping[str, str] | None = None,
+        *,
+        own_size: int | None = None,
     ) -> RowResult:
         """Scores of a scene's renders. `cameras` are those of the shown photos at any size, in the scene's frame.
 
-        A view without a camera is missing, with its reason in `why` or else `otherwise`. Raises QuerySplatError
-        for a camera of another aspect ratio.
+        A view without a camera is missing, with its reason in `why` or else `otherwise`. `own_size` is that of
+        `Protocol.picture`. Raises QuerySplatError for a camera of another aspect ratio.
         """
         for name, camera in cameras.items():
             height, width = shape_of(self.photos[name][1])
@@ -105,9 +126,28 @@ class Judge:
         def picture(group: str, frame: Frame) -> torch.Tensor | None:
             if frame.name not in fitted:
                 return None
-            return self.protocol.picture(gaussians, fitted[frame.name], self.photos[frame.name][0])
+            return self.protocol.picture(gaussians, fitted[frame.name], self.photos[frame.name][0], own_size)
 
-        return replace(self.score_pictures(picture, otherwise, why, fitted), gaussians=len(gaussians))
+        result = replace(self.score_pictures(picture, otherwise, why, fitted), gaussians=len(gaussians))
+        if not self._fitted:
+            return result
+        targets = {
+            group: [self._with_fitted(gaussians, view, own_size) for view in views]
+            for group, views in result.views.items()
+            if group != "input"
+        }
+        return replace(result, views=result.views | targets)
+
+    def _with_fitted(self, gaussians: Gaussians, view: ViewScore, own_size: int | None) -> ViewScore:
+        """The view with the scores of a render from the camera that fits its photo best."""
+        assert view.camera is not None
+        photo, shown = self.photos[view.frame.name]
+        size = EVALUATION_POLICY.release_target_side if self.protocol.name == "release" else max(shape_of(shown))
+        camera = fitted_photo_camera(gaussians, view.camera, shown, size)
+        picture = self.protocol.picture(gaussians, camera, photo, own_size)
+        psnr, ssim, lpips = self._meter.plain(picture, self.truth(view.frame))
+        scores = replace(view.scores, psnr_fitted=psnr, ssim_fitted=ssim, lpips_fitted=lpips)
+        return replace(view, scores=scores)
 
     def score_pictures(
         self,
@@ -125,8 +165,9 @@ class Judge:
                 if image is None:
                     missing[group][frame.name] = (why or {}).get(frame.name, otherwise)
                     continue
-                scores = compare(image, self.truth(frame), self._lpips)
-                views[group].append(ViewScore(frame, (cameras or {}).get(frame.name), scores, image))
+                scores = self._meter.compare(image, self.truth(frame))
+                apart = group != "input" and frame.name in self.apart
+                views[group].append(ViewScore(frame, (cameras or {}).get(frame.name), scores, image, apart))
         return RowResult(views, missing, {}, None, ())
 
 

@@ -1,26 +1,39 @@
-"""PSNR, SSIM and LPIPS of one picture, and PSNR and SSIM without its exposure."""
+"""PSNR, SSIM and LPIPS of one picture, the same without its exposure, and further metrics that are asked for."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from querysplat_cli.evaluation.lpips import Lpips
+from querysplat_cli.evaluation.perceptual import further_metric
 from querysplat_cli.evaluation.policy import EVALUATION_POLICY
-from querysplat_cli.splat.colour_correction import colour_corrected
+from querysplat_cli.runtime.choices import FurtherMetric
+from querysplat_cli.splat.colour_correction import colour_corrected, left_half
+from querysplat_cli.splat.lpips import Lpips
 from querysplat_cli.splat.similarity import psnr, ssim_metric
 
 METRICS = ("psnr", "ssim", "lpips")
-CORRECTED = ("psnr_cc", "ssim_cc")
-"""Of the picture after the affine colour transform that fits the photo best. They stand beside the others."""
+CORRECTED = tuple(f"{metric}_cc" for metric in METRICS)
+"""Of the picture after the affine colour transform that fits the photo best, as gsplat's trainer scores."""
+HALF = tuple(f"{metric}_half" for metric in METRICS)
+"""Of the right half of the picture, after the transform that fits the left half best, as Inria's code scores."""
+FITTED = tuple(f"{metric}_fitted" for metric in METRICS)
+"""Of a target that is rendered from a camera that was fitted to the scene. Never the score of a protocol."""
+FURTHER = ("flip", "ssimulacra2")
+ALL_METRICS = (*METRICS, *CORRECTED, *HALF, *FITTED, *FURTHER)
+"""Names of all fields of `Scores`."""
 
 
 @dataclass(frozen=True)
 class Scores:
     """PSNR in dB; SSIM as in scikit-image, with an 11-pixel Gaussian window; LPIPS is None without its weights.
 
-    `psnr_cc` and `ssim_cc` are of the colour-corrected picture; None where they were not measured.
+    What follows stands beside these three, and is None where it was not measured. `_cc` is of the picture whose colours
+    are fitted to the whole photo, `_half` of its right half with colours fitted to the left half, `_fitted` of the
+    picture from a fitted camera. `flip` is LDR-FLIP's mean error (0 is best) and `ssimulacra2` SSIMULACRA2 (100 is
+    best), both of pictures in 8 bits.
     """
 
     psnr: float
@@ -28,14 +41,43 @@ class Scores:
     lpips: float | None
     psnr_cc: float | None = None
     ssim_cc: float | None = None
+    lpips_cc: float | None = None
+    psnr_half: float | None = None
+    ssim_half: float | None = None
+    lpips_half: float | None = None
+    psnr_fitted: float | None = None
+    ssim_fitted: float | None = None
+    lpips_fitted: float | None = None
+    flip: float | None = None
+    ssimulacra2: float | None = None
 
 
-def compare(
-    picture: Float[Tensor, "3 height width"], truth: Float[Tensor, "3 height width"], lpips: Lpips | None
-) -> Scores:
-    """Scores of `picture` against `truth`, both in [0, 1]; every pixel counts."""
-    with torch.no_grad():
-        distance = float(lpips(picture[None], truth[None])) if lpips else None
-        corrected = colour_corrected(picture, truth, torch.ones(truth.shape[1:], dtype=torch.bool))
-    plain, without_exposure = (min(psnr(one, truth), EVALUATION_POLICY.psnr_limit) for one in (picture, corrected))
-    return Scores(plain, ssim_metric(picture, truth), distance, without_exposure, ssim_metric(corrected, truth))
+@dataclass(frozen=True)
+class Meter:
+    """What pictures are measured with: LPIPS where its weights are, and the further metrics that are asked for."""
+
+    lpips: Lpips | None = None
+    further: Sequence[FurtherMetric] = field(default=())
+
+    @torch.no_grad()
+    def compare(self, picture: Float[Tensor, "3 height width"], truth: Float[Tensor, "3 height width"]) -> Scores:
+        """Scores of `picture` against `truth`, both in [0, 1]; every pixel counts."""
+        everywhere = torch.ones(truth.shape[1:], dtype=torch.bool)
+        corrected = colour_corrected(picture, truth, everywhere)
+        left = left_half(everywhere)
+        right = slice(int(left[0].sum()), None)
+        half = colour_corrected(picture, truth, left)[..., right]
+        return Scores(
+            *self.plain(picture, truth),
+            *self.plain(corrected, truth),
+            *self.plain(half, truth[..., right]),
+            **{name: further_metric(name)(picture, truth) for name in self.further},
+        )
+
+    @torch.no_grad()
+    def plain(
+        self, picture: Float[Tensor, "3 height width"], truth: Float[Tensor, "3 height width"]
+    ) -> tuple[float, float, float | None]:
+        """PSNR, SSIM and LPIPS."""
+        distance = float(self.lpips(picture[None], truth[None])) if self.lpips else None
+        return min(psnr(picture, truth), EVALUATION_POLICY.psnr_limit), ssim_metric(picture, truth), distance

@@ -9,7 +9,6 @@ from querysplat_cli.evaluation.axes import FIXED
 from querysplat_cli.evaluation.case import Row, parts, same_parts
 from querysplat_cli.evaluation.generate import generate
 from querysplat_cli.evaluation.grid import rows
-from querysplat_cli.evaluation.lpips import LpipsFiles
 from querysplat_cli.evaluation.policy import EVALUATION_POLICY
 from querysplat_cli.evaluation.request import EvalRequest
 from querysplat_cli.evaluation.results import RowFolder, checkpoint_sha256, open_row_folder, run_config, write_failure
@@ -17,6 +16,7 @@ from querysplat_cli.evaluation.splits import Case, Split, read_splits, resolve
 from querysplat_cli.runtime.errors import ImpossibleScene, QuerySplatError
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.formats.dataset import CapturedScene, Frame
+from querysplat_cli.splat.lpips import LpipsFiles
 
 
 @dataclass(frozen=True)
@@ -28,6 +28,11 @@ class Job:
     groups: dict[str, list[Frame]]
     cameras: dict[str, PhotoCamera]
     rows: tuple[Row, ...]
+
+    @property
+    def asked(self) -> dict[str, int]:
+        """How many views of each group are to be scored."""
+        return {group: len(frames) for group, frames in self.groups.items()}
 
 
 def plan_splits(request: EvalRequest, scenes: Sequence[CapturedScene], say: Callable[[str], None]) -> list[Split]:
@@ -101,7 +106,7 @@ def plan_jobs(
     about_lpips = {"net": lpips.net} if isinstance(lpips, LpipsFiles) else {"missing": lpips}
     for split in splits:
         for row, settings in table:
-            config = run_config(settings, split, request.protocol, about_lpips)
+            config = run_config(settings, split, request.protocol, about_lpips) | _further(request)
             open_row_folder(RowFolder(request.out, row.name, split.name), config, force=request.force)
     number, of = request.shard or (1, 1)
     jobs = []
@@ -118,10 +123,24 @@ def plan_jobs(
             scene = scenes[case.scene]
             groups = resolve(case, scene)
         except QuerySplatError as error:
+            asked = {group: len(refs) for group, refs in case.groups.items()}
             for row in open_rows:
-                write_failure(RowFolder(request.out, row.name, split.name).case(case.name), case.scene, error.message)
+                folder = RowFolder(request.out, row.name, split.name).case(case.name)
+                write_failure(folder, case.scene, error.message, asked=asked)
             continue
         wanted = {frame.name for frames in groups.values() for frame in frames}
         cameras = {name: camera for name, camera in scene.cameras.items() if name in wanted}
         jobs.append(Job(split.name, case, groups, cameras, open_rows))
     return jobs
+
+
+def _further(request: EvalRequest) -> dict[str, Any]:
+    """Entries of run_config.json that differ from those of older runs only where their scores do."""
+    entries: dict[str, Any] = {}
+    if request.protocol == "text":
+        entries["renders"] = "at the method's own resolution"
+    if request.metrics:
+        entries["metrics"] = list(request.metrics)
+    if request.fitted:
+        entries["fitted"] = True
+    return entries

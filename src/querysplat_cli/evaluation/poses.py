@@ -11,7 +11,7 @@ import torch
 
 from querysplat_cli.evaluation.policy import EVALUATION_POLICY
 from querysplat_cli.runtime.errors import QuerySplatError
-from querysplat_cli.runtime.figures import new_figure, save_figure
+from querysplat_cli.runtime.figures import check_drawing, new_figure, save_figure
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.files import atomic_path
 from querysplat_cli.scene.rotations import rotation_angles
@@ -114,8 +114,7 @@ def draw_trajectories(errors: PoseErrors, file: Path, titles: Sequence[str]) -> 
 
     Raises QuerySplatError for another suffix.
     """
-    if file.suffix.lower() not in (".png", ".svg", ".pdf"):
-        raise QuerySplatError(f"{file}: not a kind of picture that can be drawn", "Use .png, .svg or .pdf.")
+    check_drawing(file)
     figure = new_figure(9.0, 4.2)
     plan, side = figure.subplots(1, 2, width_ratios=(1.3, 1))
     middle = errors.centres[1].mean(0)

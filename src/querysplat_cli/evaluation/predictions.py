@@ -4,17 +4,24 @@ DIR/<split>/<case>/, or DIR/<case>/, holds one of these:
 - A .ply, and a cameras.json or transforms.json in its frame, with cameras of the shown or of the whole photos by their
   names. Views that are not in that file, or all views without it, get the dataset's cameras.
 - Pictures of the views in any folder below, named like the photo or by its number in the dataset's list. One picture
-  may serve several groups. Of several pictures with one name, that in a folder of the group's name counts.
+  may serve several groups. Of several pictures with one name, that in a folder of the group's name counts. Folders in
+  which methods keep the photos themselves (`PHOTO_FOLDERS`) are left out.
+- A views.json beside the pictures, where they have other names: {photo's name: picture}. Then only these count.
+
+docs/other-methods.md has an example for each system of the paper's main table.
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import torch
 
 from querysplat_cli.evaluation.cameras import to_frame_of
 from querysplat_cli.evaluation.judge import Judge, RowResult
+from querysplat_cli.evaluation.policy import EVALUATION_POLICY
 from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.json_files import read_json, shown
 from querysplat_cli.scene.cameras import PhotoCamera, same_shape
 from querysplat_cli.scene.fit import resized
 from querysplat_cli.scene.formats.dataset import Frame
@@ -23,6 +30,10 @@ from querysplat_cli.scene.formats.ply import read_ply
 from querysplat_cli.scene.formats.transforms import read_transforms
 from querysplat_cli.scene.photos import SUFFIXES, WHOLE, load_photo
 from querysplat_cli.scene.views import LeftOut
+
+PHOTO_FOLDERS = {"gt", "gt-color", "ground_truth", "context"}
+"""Folders beside the renders in which other methods keep input and target photos."""
+NAMES_FILE = "views.json"
 
 
 def score_prediction(judge: Judge, root: Path, split: str, case: str) -> RowResult:
@@ -34,16 +45,56 @@ def score_prediction(judge: Judge, root: Path, split: str, case: str) -> RowResu
     if scenes:
         gaussians = read_ply(scenes[0])
         return judge.score_scene(gaussians, _cameras(judge, folder), "no camera of it is given, nor one by the dataset")
-    files = [file for file in sorted(folder.rglob("*")) if file.suffix.lower() in SUFFIXES]
+    pictures = _pictures(judge, folder)
+    result = judge.score_pictures(
+        lambda group, frame: _read(pictures[group].get(frame.name), judge.truth(frame)), "no picture of it is there"
+    )
+    equal = [
+        view.frame.name
+        for views in result.views.values()
+        for view in views
+        if view.scores.psnr >= EVALUATION_POLICY.psnr_limit
+    ]
+    if equal:
+        doubt = f"{len(equal)} pictures are equal to their photos ({equal[0]}): are they renders?"
+        return replace(result, warnings=(*result.warnings, doubt))
+    return result
+
+
+def _pictures(judge: Judge, folder: Path) -> dict[str, dict[str, Path]]:
+    """The file of each view, by group and by the photo's name."""
+    if (folder / NAMES_FILE).is_file():
+        named = _named(folder)
+        return {
+            group: {frame.name: named[frame.name] for frame in frames if frame.name in named}
+            for group, frames in judge.groups.items()
+        }
+    files = [
+        file
+        for file in sorted(folder.rglob("*"))
+        if file.suffix.lower() in SUFFIXES and not PHOTO_FOLDERS & set(file.relative_to(folder).parts)
+    ]
     if not files:
-        raise QuerySplatError(f"{folder}: neither a .ply nor pictures in it", "See docs/cli.md on --predictions.")
-    pictures = {
+        raise QuerySplatError(f"{folder}: neither a .ply nor pictures in it", "See docs/other-methods.md.")
+    return {
         group: {frame.name: file for frame in frames if (file := _picture_file(files, group, frame))}
         for group, frames in judge.groups.items()
     }
-    return judge.score_pictures(
-        lambda group, frame: _read(pictures[group].get(frame.name), judge.truth(frame)), "no picture of it is there"
-    )
+
+
+def _named(folder: Path) -> dict[str, Path]:
+    """The pictures by photo that views.json lists."""
+    listed = read_json(folder / NAMES_FILE, "Write it again: {photo's name: picture}.")
+    if not isinstance(listed, dict) or not all(isinstance(file, str) for file in listed.values()):
+        raise QuerySplatError(f"{folder / NAMES_FILE}: not of the form {{photo's name: picture}}", "Write it again.")
+    found = {name: folder / file for name, file in listed.items()}
+    for name, file in found.items():
+        if not (file.is_file() and file.resolve().is_relative_to(folder.resolve())):
+            raise QuerySplatError(
+                f"{folder / NAMES_FILE}: {shown(name)} has no picture {shown(listed[name])} below that folder",
+                "Correct the name, or leave the photo out.",
+            )
+    return found
 
 
 def _cameras(judge: Judge, folder: Path) -> dict[str, PhotoCamera]:
@@ -53,11 +104,11 @@ def _cameras(judge: Judge, folder: Path) -> dict[str, PhotoCamera]:
         return dict(judge.known)
     by_stem = {Path(name).stem: camera for name, camera in read_transforms(file).items()}
     given: dict[str, PhotoCamera] = {}
-    for name, (photo, shown) in judge.photos.items():
+    for name, (photo, cut) in judge.photos.items():
         camera = by_stem.get(Path(name).stem)
         if camera is None:
             continue
-        of_shown = same_shape((camera.height, camera.width), (shown.height, shown.width))
+        of_shown = same_shape((camera.height, camera.width), (cut.height, cut.width))
         given[name] = camera if of_shown else judge.protocol.shown_camera(camera, photo)
     return _completed(given, judge.known)
 

@@ -2,8 +2,8 @@
 
 `release` (the authors' evaluation script): inputs are the largest centred square at 512 × 512, renders are made at
 256 × 256, and the truth is that square, reduced to 256 × 256 with an antialiased bilinear filter. `text` (paper,
-Comparisons): inputs have a shorter side of 256, and renders, made at that size, are enlarged to the photo's own.
-Photos are never enlarged before they are shown.
+Comparisons): inputs have a shorter side of 256. Renders are made at the method's own resolution, and resized to the
+photo's own size. Photos are never enlarged before they are shown.
 """
 
 from dataclasses import dataclass, replace
@@ -76,10 +76,18 @@ class Protocol:
         side = EVALUATION_POLICY.release_target_side
         return resized(_tensor(self.shown(photo).pixels), (side, side))
 
-    def picture(self, gaussians: Gaussians, camera: PhotoCamera, photo: Photo) -> Float[Tensor, "3 height width"]:
-        """The render that `truth(photo)` is compared with; `camera` is that of `shown(photo)`, in the scene's frame."""
+    def picture(
+        self, gaussians: Gaussians, camera: PhotoCamera, photo: Photo, own_size: int | None = None
+    ) -> Float[Tensor, "3 height width"]:
+        """The render that `truth(photo)` is compared with; `camera` is that of `shown(photo)`, in the scene's frame.
+
+        `own_size` is the longer side in pixels at which the method renders, by default that of `shown(photo)`. It is
+        for `text` alone.
+        """
         if self.name == "text":
-            return resized(photograph(gaussians, camera), (photo.height, photo.width))
+            scale = (own_size or max(camera.height, camera.width)) / max(camera.height, camera.width)
+            own = rescaled(camera, round(scale * camera.height), round(scale * camera.width))
+            return resized(photograph(gaussians, own), (photo.height, photo.width))
         side = EVALUATION_POLICY.release_target_side
         return photograph(gaussians, rescaled(camera, side, side))
 

@@ -8,7 +8,7 @@ from annotated_types import Ge
 
 from querysplat_cli.evaluation.axes import Axis, read_axis
 from querysplat_cli.pipeline.settings import ReconstructSettings
-from querysplat_cli.runtime.choices import CameraSource, InputCount, ProtocolName, Scale
+from querysplat_cli.runtime.choices import CameraSource, FurtherMetric, InputCount, ProtocolName, Scale
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.json_files import shown
 from querysplat_cli.runtime.options import Force, LpipsWeights, Only, Option
@@ -104,7 +104,21 @@ class EvalRequest:
     )
     lpips: LpipsWeights = None
     lpips_net: Annotated[Literal["vgg", "alex"], Option("The backbone of LPIPS.")] = "vgg"
+    metrics: Annotated[
+        tuple[FurtherMetric, ...],
+        Option(
+            "A further metric: flip or ssimulacra2 (pip install 'querysplat[metrics]'). May be repeated.",
+            default="none",
+            repeated=True,
+        ),
+    ] = ()
+    fitted: Annotated[
+        bool, Option("Score targets also from cameras that are fitted to the finished scene, beside the protocol.")
+    ] = False
     save_pictures: Annotated[bool, Option("Keep the renders that are scored.")] = False
+    nerfbaselines: Annotated[
+        bool, Option("Keep renders and photos in NerfBaselines' layout, so that others can score them again.")
+    ] = False
     splits_only: Annotated[bool, Option("Write the splits, and stop.")] = False
     shard: Annotated[
         tuple[int, int] | None,

@@ -9,12 +9,13 @@ out/
     <case>/timing.json           seconds by stage, peak memory, Gaussians
     <case>/cameras.npz           the cameras of the scored pictures
     <case>/failure.json          instead of these, where no scene could be made
+    <case>/rendered/, <case>/nerfbaselines/   pictures that were asked for
 """
 
 import hashlib
 import json
 import shutil
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from importlib.resources import files
@@ -25,13 +26,12 @@ import numpy as np
 import torch
 
 from querysplat_cli.evaluation.judge import RowResult, ViewScore
-from querysplat_cli.evaluation.metrics import CORRECTED, METRICS
+from querysplat_cli.evaluation.metrics import ALL_METRICS
 from querysplat_cli.evaluation.splits import GROUPS, Split
 from querysplat_cli.reporting.report import machine
 from querysplat_cli.runtime import json_files
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.files import atomic_folder, atomic_path
-from querysplat_cli.scene.pictures import eight_bit, write_picture
 
 NOT_COMPARED = ("machine", "torch", "querysplat")
 """Entries that may differ between shards of one run."""
@@ -111,8 +111,10 @@ def checkpoint_sha256(preset: str) -> str | None:
     return digest.hexdigest()
 
 
-def write_case(folder: Path, scene: str, result: RowResult, *, pictures: bool) -> None:
-    """Write one case's scores, times and cameras, and its renders if `pictures`."""
+def write_case(
+    folder: Path, scene: str, result: RowResult, write_pictures: Callable[[Path, RowResult], None] | None = None
+) -> None:
+    """Write one case's scores, times and cameras, and what `write_pictures` adds to the folder."""
     with atomic_folder(folder) as draft:
         metrics = {
             "scene_id": scene,
@@ -123,21 +125,25 @@ def write_case(folder: Path, scene: str, result: RowResult, *, pictures: bool) -
             "per_view": {group: [vars(view.scores) for view in views] for group, views in result.views.items()},
             "mean": {group: _mean(views) for group, views in result.views.items()},
             "missing": result.missing,
+            "apart": {
+                group: [view.frame.name for view in views if view.apart] for group, views in result.views.items()
+            },
             "doubts": list(result.warnings),
         }
         write_json(draft / "metrics.json", metrics)
         write_json(draft / "timing.json", _timing(result))
         _write_cameras(draft / "cameras.npz", result)
-        if pictures:
-            for group, views in result.views.items():
-                for view in views:
-                    name = Path(view.frame.name).with_suffix(".png")
-                    write_picture(draft / "rendered" / group / name, eight_bit(view.picture))
+        if write_pictures:
+            write_pictures(draft, result)
 
 
-def write_failure(folder: Path, scene: str, message: str, hint: str = "") -> None:
+def write_failure(
+    folder: Path, scene: str, message: str, hint: str = "", *, asked: Mapping[str, int] | None = None
+) -> None:
+    """Write why a case has no scores; `asked` are the numbers of its views by group."""
     with atomic_folder(folder) as draft:
-        write_json(draft / "failure.json", {"scene_id": scene, "error": message, "hint": hint})
+        content = {"scene_id": scene, "error": message, "hint": hint, "asked": dict(asked or {})}
+        write_json(draft / "failure.json", content)
 
 
 def row_folders(out: Path) -> list[RowFolder]:
@@ -177,7 +183,7 @@ def write_json(path: Path, content: Any) -> None:
 
 
 def _mean(views: Sequence[ViewScore]) -> dict[str, float | None]:
-    return {metric: mean(getattr(view.scores, metric) for view in views) for metric in (*METRICS, *CORRECTED)}
+    return {metric: mean(getattr(view.scores, metric) for view in views) for metric in ALL_METRICS}
 
 
 def mean(values: Iterable[float | None]) -> float | None:

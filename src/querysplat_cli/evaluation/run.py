@@ -9,7 +9,9 @@ from typing import Any
 
 from querysplat_cli.evaluation.case import CaseRunner
 from querysplat_cli.evaluation.judge import Judge
-from querysplat_cli.evaluation.lpips import LpipsFiles, find_lpips, load_lpips
+from querysplat_cli.evaluation.keeping import Keeping
+from querysplat_cli.evaluation.metrics import Meter
+from querysplat_cli.evaluation.perceptual import check_installed
 from querysplat_cli.evaluation.plan import Job, plan_jobs, plan_rows, plan_splits
 from querysplat_cli.evaluation.predictions import score_prediction
 from querysplat_cli.evaluation.protocol import Protocol
@@ -19,12 +21,14 @@ from querysplat_cli.evaluation.splits import Split, spacing, write_index, write_
 from querysplat_cli.evaluation.summary import summarise
 from querysplat_cli.evaluation.workers import Workers
 from querysplat_cli.pipeline.settings import ReconstructSettings
+from querysplat_cli.runtime.choices import FurtherMetric
 from querysplat_cli.runtime.device import find_device
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.files import check_writable
 from querysplat_cli.scene.formats.dataset import find_scenes
 from querysplat_cli.splat.compile_ahead import compile_ahead
+from querysplat_cli.splat.lpips import LpipsFiles, find_lpips, load_lpips
 
 MANY_SCENES = 100
 """With more scenes to make, the message says how to make fewer."""
@@ -38,7 +42,9 @@ class Setup:
     protocol: Protocol
     settings: ReconstructSettings
     lpips: LpipsFiles | None
-    save_pictures: bool
+    metrics: tuple[FurtherMetric, ...]
+    fitted: bool
+    keeping: Keeping
     predictions: Path | None
 
 
@@ -65,6 +71,8 @@ def evaluate(request: EvalRequest, stages: Stages, say: Callable[[str], None]) -
             load_lpips(lpips)
         else:
             say(lpips)
+        for metric in request.metrics:
+            check_installed(metric)
         table = plan_rows(request, scenes.values(), say)
     jobs = plan_jobs(request, splits, scenes, table, lpips)
     _write_splits(request.out, splits)
@@ -74,7 +82,9 @@ def evaluate(request: EvalRequest, stages: Stages, say: Callable[[str], None]) -
         Protocol(request.protocol),
         request.settings,
         lpips if isinstance(lpips, LpipsFiles) else None,
-        request.save_pictures,
+        request.metrics,
+        request.fitted,
+        Keeping(request.save_pictures, request.nerfbaselines),
         request.predictions,
     )
     with stages("cases") as progress:
@@ -88,7 +98,7 @@ def evaluate(request: EvalRequest, stages: Stages, say: Callable[[str], None]) -
                 for row in job.rows:
                     row_folder = RowFolder(request.out, row.name, job.split)
                     if not row_folder.is_done(job.case.name):
-                        write_failure(row_folder.case(job.case.name), job.case.scene, died)
+                        write_failure(row_folder.case(job.case.name), job.case.scene, died, asked=job.asked)
             progress(f"{finished} of {len(jobs)}: {job.split}, {job.case.name}", finished / len(jobs))
 
         if jobs:
@@ -99,29 +109,31 @@ def evaluate(request: EvalRequest, stages: Stages, say: Callable[[str], None]) -
 
 def handler(setup: Setup) -> Callable[[Job], None]:
     """The function that runs one job in a worker."""
-    lpips = load_lpips(setup.lpips) if setup.lpips else None
+    meter = Meter(load_lpips(setup.lpips) if setup.lpips else None, setup.metrics)
     if find_device(setup.settings.device).type == "cpu" and not setup.predictions:
         compile_ahead().join()  # otherwise the first case's seconds would include it
-    return partial(_work, setup, lpips)
+    return partial(_work, setup, meter)
 
 
-def _work(setup: Setup, lpips: Any, job: Job) -> None:
+def _work(setup: Setup, meter: Meter, job: Job) -> None:
     judge: Judge | None = None
     runner: CaseRunner | None = None
     for row in job.rows:
         folder = RowFolder(setup.out, row.name, job.split).case(job.case.name)
         try:
-            judge = judge or Judge(job.groups, job.cameras, setup.protocol, lpips)
+            judge = judge or Judge(job.groups, job.cameras, setup.protocol, meter, fitted=setup.fitted)
             if setup.predictions:
                 result = score_prediction(judge, setup.predictions, job.split, job.case.name)
             else:
                 runner = runner or CaseRunner(judge, setup.settings)
                 result = runner.run(row)
-            write_case(folder, job.case.scene, result, pictures=setup.save_pictures)
+            about = {"row": row.name, "split": job.split, "case": job.case.name, "protocol": setup.protocol.name}
+            write_case(folder, job.case.scene, result, setup.keeping.writer(about, judge.truth, meter))
         except QuerySplatError as error:
-            write_failure(folder, job.case.scene, error.message, error.hint)
+            write_failure(folder, job.case.scene, error.message, error.hint, asked=job.asked)
         except Exception as error:
-            write_failure(folder, job.case.scene, f"a bug: {type(error).__name__}: {error}", format_exc())
+            why = f"a bug: {type(error).__name__}: {error}"
+            write_failure(folder, job.case.scene, why, format_exc(), asked=job.asked)
 
 
 def _count(jobs: Sequence[Job], splits: int, workers: int) -> str:

@@ -1,27 +1,27 @@
 """The summary of a run's folder as Markdown, CSV and JSON, with a table for each number of views."""
 
 import csv
-import json
 import statistics
 from collections.abc import Iterable, Sequence
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+from querysplat_cli.evaluation import published
 from querysplat_cli.evaluation.generate import SCALES
-from querysplat_cli.evaluation.metrics import CORRECTED, METRICS
+from querysplat_cli.evaluation.metrics import ALL_METRICS, METRICS
 from querysplat_cli.evaluation.results import RowFolder, mean, read_json, row_folders, write_json
 from querysplat_cli.evaluation.splits import GROUPS
+from querysplat_cli.evaluation.summary_page import markdown
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.files import atomic_path
 
+SHARED = tuple(f"{metric}_shared" for metric in METRICS)
+"""Means without the targets that are `apart`, because they have no verified matches with any input."""
 SUMMARY_COLUMNS = (
-    "row", "split", "views", "scale", "group", *METRICS, *CORRECTED, "scored", "asked", "cases", "failed",
+    "row", "split", "views", "scale", "group", *ALL_METRICS, *SHARED, "scored", "apart", "asked", "cases", "failed",
     "seconds_median", "seconds_low", "seconds_high", "gaussians_median", "peak_memory_gib",
 )  # fmt: skip
-SCORES = (*METRICS, *CORRECTED)
-TITLES = {"input": "input views", "interp": "interpolation", "extrap": "extrapolation"}
-SCORE_DIGITS = {"psnr": 2, "ssim": 3, "lpips": 3}
+SCORES = (*ALL_METRICS, *SHARED)
 
 
 def summarise(out: Path) -> dict[str, Any]:
@@ -39,7 +39,7 @@ def summarise(out: Path) -> dict[str, Any]:
         "protocol": sorted({entry["config"]["protocol"] for entry in found}),
         "lpips": sorted({_about_lpips(entry["config"]) for entry in found}),
         "machine": sorted({entry["config"]["machine"] for entry in found}),
-        "quoted": published(),
+        "quoted": quoted(rows),
     }
     write_json(out / "summary.json", summary)
     write_table(out / "summary.csv", SUMMARY_COLUMNS, rows)
@@ -61,23 +61,23 @@ def _row(row_folder: RowFolder) -> dict[str, Any]:
     config = read_json(row_folder.path / "run_config.json")
     split = config["split"]
     scores: dict[str, dict[str, list[float]]] = {group: {metric: [] for metric in SCORES} for group in GROUPS}
-    asked, timings, failures, cases = dict.fromkeys(GROUPS, 0), [], [], 0
+    asked, apart, timings, failures, cases = dict.fromkeys(GROUPS, 0), dict.fromkeys(GROUPS, 0), [], [], 0
     for folder in sorted(entry for entry in row_folder.path.iterdir() if entry.is_dir() and entry.name[0] != "."):
         if (folder / "failure.json").is_file():
             failure = read_json(folder / "failure.json")
             failures.append(
                 {"row": row_folder.row, "split": row_folder.split, "case": folder.name, "error": failure["error"]}
             )
+            for group, count in failure.get("asked", {}).items():  # results of older versions have no counts
+                asked[group] += count
             continue
         metrics = read_json(folder / "metrics.json")
         timings.append(read_json(folder / "timing.json"))
         cases += 1
         for group, views in metrics["per_view"].items():
             asked[group] += len(views) + len(metrics["missing"].get(group, {}))
-            for view in views:
-                for metric in SCORES:
-                    if view.get(metric) is not None:  # results of older versions have no corrected scores
-                        scores[group][metric].append(view[metric])
+            _collect(scores[group], views, _apart(metrics, group))
+            apart[group] += len(_apart(metrics, group))
     seconds = [timing["seconds"]["total"] for timing in timings if len(timing["seconds"]) > 1]
     low, middle, high = spread(seconds)
     common = {
@@ -99,12 +99,30 @@ def _row(row_folder: RowFolder) -> dict[str, Any]:
             "group": group,
             **{metric: mean(scores[group][metric]) for metric in SCORES},
             "scored": len(scores[group]["psnr"]),
+            "apart": apart[group],
             "asked": asked[group],
         }
         for group in GROUPS
         if asked[group] or failures
     ]
     return {"config": config, "groups": groups, "failures": failures}
+
+
+def _apart(metrics: dict[str, Any], group: str) -> set[int]:
+    """Places in the group's list of the views that share nothing with the inputs; older results name none."""
+    names = set(metrics.get("apart", {}).get(group, []))
+    return {place for place, frame in enumerate(metrics["frames"][group]) if frame["name"] in names}
+
+
+def _collect(into: dict[str, list[float]], views: Sequence[dict[str, Any]], apart: set[int]) -> None:
+    """Add the scores of a group's views; results of older versions lack some of them."""
+    for place, view in enumerate(views):
+        for metric in ALL_METRICS:
+            if view.get(metric) is not None:
+                into[metric].append(view[metric])
+        for metric, shared in zip(METRICS, SHARED, strict=True):
+            if place not in apart and view.get(metric) is not None:
+                into[shared].append(view[metric])
 
 
 def averages(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -119,7 +137,7 @@ def averages(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
             "group": group,
             "splits": sum(part["scored"] > 0 for part in parts),
             **{metric: mean(part[metric] for part in parts) for metric in SCORES},
-            **{key: sum(part[key] for part in parts) for key in ("scored", "asked", "cases", "failed")},
+            **{key: sum(part[key] for part in parts) for key in ("scored", "apart", "asked", "cases", "failed")},
             "seconds_median": mean(part["seconds_median"] for part in parts),
             "gaussians_median": mean(part["gaussians_median"] for part in parts),
             "peak_memory_gib": max(not_none(part["peak_memory_gib"] for part in parts), default=None),
@@ -128,38 +146,17 @@ def averages(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     ]
 
 
-def published() -> dict[str, Any]:
-    """The paper's rows, with their source: quoted, never measured."""
-    content: dict[str, Any] = json.loads((files("querysplat_cli.evaluation") / "published.json").read_text())
-    return content
+def quoted(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """The paper's figures of the same numbers of views and scales: quoted, never measured.
 
-
-def markdown(summary: dict[str, Any]) -> str:
-    """The averages, the splits, what is quoted, and what failed."""
-    parts = [f"Protocol: {', '.join(summary['protocol'])}. Machine: {'; '.join(summary['machine'])}.", ""]
-    parts += [f"LPIPS: {text}." for text in summary["lpips"]]
-    parts += ["", "Each cell is PSNR in dB / SSIM / LPIPS, the mean over the views that were scored."]
-    for views in sorted({row["views"] for row in summary["averages"]}):
-        rows = [row for row in summary["averages"] if row["views"] == views]
-        parts += ["", f"## {views} views, average of the splits", "", *_table(rows)]
-        quoted = [row for row in summary["quoted"]["rows"] if row["views"] == views]
-        if quoted:
-            parts += ["", f"*Quoted, not measured here ({summary['quoted']['note']}):*", ""]
-            parts += ["| method | views | PSNR / SSIM / LPIPS | where |", "| --- | --- | --- | --- |"]
-            parts += [f"| {row['method']} | {TITLES[row['group']]} | {cell(row)} | {row['where']} |" for row in quoted]
-    by_split = sorted(summary["rows"], key=lambda row: (row["views"], _rank(row["scale"]), row["split"]))
-    for split in dict.fromkeys(row["split"] for row in by_split):
-        rows = [row for row in by_split if row["split"] == split]
-        parts += ["", f"## {split}", "", *_table(rows)]
-    if summary["failures"]:
-        parts += ["", "## Failed cases", ""]
-        parts += [f"- {each['row']}, {each['split']}, {each['case']}: {each['error']}" for each in summary["failures"]]
-    return "\n".join(parts) + "\n"
-
-
-def cell(row: dict[str, Any]) -> str:
-    """PSNR / SSIM / LPIPS, a dash for what there is not."""
-    return " / ".join("–" if row[metric] is None else f"{row[metric]:.{SCORE_DIGITS[metric]}f}" for metric in METRICS)
+    `rows` stand beside the averages, as means over the scales of the splits that were run; `splits` by split.
+    """
+    scales: dict[int, set[str]] = {}
+    for row in rows:
+        scales.setdefault(row["views"], set()).add(row["scale"])
+    splits = {row["split"]: published.rows((row["scale"],), row["views"]) for row in rows if row["scale"] in SCALES}
+    averages = [row for views, chosen in sorted(scales.items()) for row in published.rows(chosen, views)]
+    return {**published.about(), "rows": averages, "splits": splits}
 
 
 def spread(values: Sequence[float]) -> tuple[float | None, float | None, float | None]:
@@ -180,47 +177,9 @@ def write_table(path: Path, columns: Sequence[str], rows: Sequence[dict[str, Any
         table.writerows(rows)
 
 
-def _table(rows: Sequence[dict[str, Any]]) -> list[str]:
-    by_row: dict[str, dict[str, dict[str, Any]]] = {}
-    for row in rows:
-        by_row.setdefault(row["row"], {})[row["group"]] = row
-    groups = [group for group in GROUPS if any(group in cells for cells in by_row.values())]
-    titles = [
-        "row",
-        *(TITLES[group] for group in groups),
-        "views scored",
-        "cases failed",
-        "seconds",
-        "Gaussians",
-        "GiB",
-    ]
-    lines = [f"| {' | '.join(titles)} |", f"|{' --- |' * len(titles)}"]
-    for name, cells in by_row.items():
-        some = next(iter(cells.values()))
-        scored, asked = (sum(part[key] for part in cells.values()) for key in ("scored", "asked"))
-        numbers = [
-            *(cell(cells[group]) if group in cells else "–" for group in groups),
-            f"{scored} of {asked}",
-            f"{some['failed']} of {some['failed'] + some['cases']}",
-            _number(some["seconds_median"], ".1f"),
-            _number(some["gaussians_median"], ",.0f"),
-            _number(some["peak_memory_gib"], ".2f"),
-        ]
-        lines.append(f"| {name} | {' | '.join(numbers)} |")
-    return lines
-
-
-def _rank(scale: str) -> int:
-    return SCALES.index(scale) if scale in SCALES else len(SCALES)
-
-
 def not_none(values: Iterable[float | None]) -> list[float]:
     """The values that are not None."""
     return [float(value) for value in values if value is not None]
-
-
-def _number(value: float | None, form: str) -> str:
-    return "–" if value is None else format(value, form)
 
 
 def _about_lpips(config: dict[str, Any]) -> str:

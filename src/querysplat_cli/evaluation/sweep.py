@@ -7,7 +7,8 @@ from typing import Any
 
 from querysplat_cli.evaluation.metrics import METRICS
 from querysplat_cli.evaluation.results import RowFolder, read_json, row_folders, write_json
-from querysplat_cli.evaluation.summary import TITLES, not_none, spread, write_table
+from querysplat_cli.evaluation.summary import not_none, spread, write_table
+from querysplat_cli.evaluation.summary_page import TITLES
 from querysplat_cli.runtime.figures import new_figure, save_figure
 from querysplat_cli.scene.files import atomic_path
 

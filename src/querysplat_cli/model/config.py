@@ -5,6 +5,7 @@ from dataclasses import dataclass, fields
 from importlib import resources
 from typing import Any, Literal
 
+from querysplat_cli.runtime.choices import Frame
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.tables import STRICT, from_tables
 
@@ -17,7 +18,8 @@ class ModelConfig:
     "anchored" makes a token for each anchor from its `anchor_features` numbers and predicts changes to the
     anchor's prior, whose colour was projected from the photos (`colour_prior`). With `branches` "one", a single
     decoder reads both memories. That, and `appearance_blocks` 0, are the paper's ablations. `special_tokens` are the
-    camera and register tokens in front of a view's patches; `vgm_width` is the width of the VGM's tokens.
+    camera and register tokens in front of a view's patches; `vgm_width` is the width of the VGM's tokens. `frame` is
+    that of a learned VGM's cameras: as it predicts them (the release), or relative to the first view (the paper).
     """
 
     __pydantic_config__ = STRICT
@@ -41,6 +43,7 @@ class ModelConfig:
     scale_cap: float = 0.075
     z_offset: float = 1.0
     sh_rest_scale: float = 0.1
+    frame: Frame = "predicted"
 
     def __post_init__(self) -> None:
         """Raises QuerySplatError when a size is not positive, or the heads do not share the width evenly."""
@@ -61,6 +64,7 @@ class ModelConfig:
             "queries": ("learned", "anchored"),
             "colour_prior": ("none", "projected"),
             "branches": ("two", "one"),
+            "frame": ("predicted", "first_view"),
         }
         for name, allowed in choices.items():
             if getattr(self, name) not in allowed:

@@ -24,8 +24,23 @@ INITIAL_GAINS = {"centre": 6.0, "scale": 3.0, "quaternion": 4.0, "sh_0": 1.0, "s
 Chosen by held-out photos of fortress, dtu106 and kermit after 60 steps of test-time optimisation. Shape has to
 change faster than colour, since otherwise colours adapt to wrong depth before depth is corrected.
 """
+HEAD_SPREAD = 0.002
+"""Standard deviation of the geometry head's weights before a training from scratch (the release)."""
 KEY_GAIN = 0.1
 """Size of normed keys: so small that at first only distance decides what a query attends to."""
+
+
+def scratch_model(config: ModelConfig, seed: int) -> QuerySplat:
+    """Weights drawn as in the release, to train all of them; the same for the same seed.
+
+    Those of the geometry head are small, and its bias is zero, so that Gaussians start at the middle of their ranges.
+    """
+    with torch.random.fork_rng():
+        torch.manual_seed(seed)
+        model = QuerySplat(config)
+        torch.nn.init.trunc_normal_(model.geometry_head.weight, std=HEAD_SPREAD)
+        torch.nn.init.zeros_(model.geometry_head.bias)
+    return model
 
 
 def initial_model(config: ModelConfig, seed: int) -> QuerySplat:

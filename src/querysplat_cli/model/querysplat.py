@@ -120,9 +120,21 @@ class QuerySplat(nn.Module):
         """Tokens of both branches: the first half of `encode`."""
         return Features(self.layer_mixer(features, self.eye_token), self.photo_embedding(images, cameras))
 
-    def keys_and_values(self, features: Features) -> Memories:
-        """Keys and values of tokens: the second half of `encode`."""
-        return Memories(*self.geometry_memory(features.geometry), *self.appearance_memory(features.appearance))
+    def keys_and_values(self, features: Features, origin: Features | None = None) -> Memories:
+        """Keys and values of tokens: the second half of `encode`.
+
+        With an `origin`, the values also have a residual path: the change of the tokens since then is added to them,
+        channel by channel. Without a change it adds exactly nothing.
+        """
+        found = Memories(*self.geometry_memory(features.geometry), *self.appearance_memory(features.appearance))
+        if origin is None:
+            return found
+        geometry, appearance = features.geometry - origin.geometry, features.appearance - origin.appearance
+        return replace(
+            found,
+            geometry_values=found.geometry_values + geometry.view_as(found.geometry_values),
+            appearance_values=found.appearance_values + appearance.view_as(found.appearance_values),
+        )
 
     def decode(self, memories: Memories | Features, anchors: Anchors | None = None) -> Gaussians:
         """Everything after the memories (or features): queries × Gaussians per query, query by query.
@@ -138,7 +150,7 @@ class QuerySplat(nn.Module):
             after = self.appearance_tokens(tokens, memories)
             return assemble(*self._raw(tokens, after), self.config)
         embedded = self.geometry_queries + self.anchor_embedding(anchors.features)
-        tokens = self.geometry_decoder(embedded, self._first_memory(memories, anchors), anchors.queries)
+        tokens = self.geometry_decoder(embedded, self.first_memory(memories, anchors), anchors.queries)
         start = tokens + self.appearance_queries
         after = self.appearance_decoder(start, memories.appearance(anchors.appearance), anchors.queries)
         # The anchor's prior already holds what the embedding holds, so the heads read only what the decoders added.
@@ -149,7 +161,7 @@ class QuerySplat(nn.Module):
         """Learned queries after the geometry decoder. The eye token takes part as one more query."""
         assert self.eye_token is not None
         tokens = torch.cat([self.eye_token, self.geometry_queries])
-        return self.geometry_decoder(tokens, self._first_memory(memories, None))[1:]
+        return self.geometry_decoder(tokens, self.first_memory(memories, None))[1:]
 
     def appearance_tokens(
         self, geometry: Float[Tensor, "queries width"], memories: Memories
@@ -158,7 +170,7 @@ class QuerySplat(nn.Module):
         start = geometry + self.appearance_queries
         return self.appearance_decoder(start, memories.appearance())
 
-    def _first_memory(self, memories: Memories, anchors: Anchors | None) -> Memory:
+    def first_memory(self, memories: Memories, anchors: Anchors | None) -> Memory:
         """What the first decoder reads: the geometry memory, or both where there is one branch."""
         geometry = memories.geometry(None if anchors is None else anchors.geometry)
         if self.config.branches == "two":

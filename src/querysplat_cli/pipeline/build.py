@@ -8,10 +8,12 @@ import torch
 
 from querysplat_cli.encoders.base import Encoder, Geometry, PosedViews
 from querysplat_cli.encoders.holdout import PosedSplit, select_views
+from querysplat_cli.model.memories import Features
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.pipeline.budget import BudgetShare, OptimisingTime
 from querysplat_cli.pipeline.full_size import FullSize, LargePhotos, take_to_full_size
 from querysplat_cli.pipeline.optimise import optimise_start
+from querysplat_cli.pipeline.perceptual import optimisation_lpips
 from querysplat_cli.pipeline.policy import PIPELINE_POLICY
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.prune.gaussians import target_count
@@ -204,13 +206,15 @@ def _optimised(
     The optimisation takes as much of the time `share` as leaves enough for the other scenes of the same budget.
     """
     with stages("tto") as progress:
-        options = _options(settings, posed)
+        perceptual = optimisation_lpips(settings.lpips, official=prepared.anchors is None)
+        options = replace(_options(settings, posed), perceptual=perceptual)
         count = _gaussian_count(prepared, model)
         time = share.optimising(count) if share else None
         plan = _plan(prepared, count, posed.cameras, options, time.seconds if time else None)
         optimised = any(run.settings.steps for run in plan)
         variables = prepared.variables.map(torch.Tensor.float) if optimised else prepared.variables
-        start = Start(variables, prepared.anchors)
+        origin = variables if isinstance(variables, Features) and prepared.anchors is not None else None
+        start = Start(variables, prepared.anchors, origin=origin)
         photos = posed.views, posed.cameras
         return optimise_start(model, start, photos, plan, options, progress, exposures), time
 

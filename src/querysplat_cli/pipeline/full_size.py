@@ -8,6 +8,7 @@ import torch
 
 from querysplat_cli.pipeline.scene_folder import StoredScene
 from querysplat_cli.prune.far import drawn_in
+from querysplat_cli.prune.hiding import hiding
 from querysplat_cli.queries.backdrop import backdrop
 from querysplat_cli.reporting.report import quality_entry, tto_entries
 from querysplat_cli.reporting.view_scores import score
@@ -69,7 +70,8 @@ class FullSize:
 
     size: the longer side of the largest pictures, in pixels.
     runs: one entry for each stage and round, as for other runs.
-    summary: the level, the plan, and why the optimisation ended.
+    summary: the level, the plan, why the optimisation ended, and how many Gaussians were left out because they hid what
+        photos show.
     exposures: the colour transforms of the input photos, where the scene had any.
     """
 
@@ -90,7 +92,7 @@ def take_to_full_size(
     device: torch.device,
     progress: Progress,
 ) -> FullSize:
-    """Optimise `gaussians` on `photos`, and draw the far ones in.
+    """Optimise `gaussians`, without those that hide what `photos` show (`prune/hiding.py`), and draw the far ones in.
 
     Raises QuerySplatError when photos are gone or have changed.
     """
@@ -107,12 +109,13 @@ def take_to_full_size(
         return to_device(photos.at(size), device)
 
     start = to_device(gaussians, device)
-    result = optimise_full_size(start, views_at, plan, seed=seed, exposures=photos.exposures, progress=show)
+    hidden = hiding(start, to_device(photos.cameras, device))
+    result = optimise_full_size(start[~hidden], views_at, plan, seed=seed, exposures=photos.exposures, progress=show)
     return FullSize(
         drawn_in(to_device(result.gaussians, torch.device("cpu")), photos.cameras),
         result.runs[-1][0].max_size,
         _entries(result),
-        _summary(plan, result),
+        {**_summary(plan, result), "hiding": int(hidden.sum())},
         result.interrupted,
         result.exposures,
     )

@@ -42,6 +42,8 @@ def optimise_start(
     if options.keep_all or start.anchors is None:
         options = replace(options, keep_all=True, prune="off" if options.prune == "auto" else options.prune)
     device = next(model.parameters()).device
+    if isinstance(options.perceptual, torch.nn.Module):
+        options = replace(options, perceptual=options.perceptual.to(device))
     start, (views, cameras) = to_device((start, photos), device)
     if start.anchors is None:
         target = RenderingLoss(views, cameras)
@@ -52,6 +54,7 @@ def optimise_start(
         target = replace(target, finest=_enlarged(cameras, options.finest_size))
         if options.smooth or any(run.settings.steps for run in plan):
             start = replace(start, finest=target.finest)
+    target = replace(target, perceptual=options.perceptual)
     adapted = adapt(model, start, target, plan, options, _shown(plan, progress))
     if target.finest is not None:
         finest = _enlarged(adapted.cameras, options.finest_size)

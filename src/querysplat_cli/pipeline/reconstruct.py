@@ -19,6 +19,7 @@ from querysplat_cli.pipeline.full_size import LargePhotos, full_size_quality
 from querysplat_cli.pipeline.gaussian_files import check_target, folder_of_scene
 from querysplat_cli.pipeline.given_frame import given_frame
 from querysplat_cli.pipeline.memory import MemoryNeeds, within_memory
+from querysplat_cli.pipeline.perceptual import optimisation_lpips
 from querysplat_cli.pipeline.scene_folder import StoredScene, refuse_foreign, write_scene
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.prune.resolution import Blurred, blurred
@@ -106,8 +107,9 @@ def load_parts(settings: ReconstructSettings, device: torch.device) -> tuple[Que
     learned = model.config.queries == "learned"
     if learned and settings.queries:
         model.keep_queries(settings.queries)
+    depth, frame = settings.depth or not learned, model.config.frame
     options = EncoderOptions(
-        settings.weights, device, precision, settings.fit, model.layer_weights, depth=settings.depth or not learned
+        settings.weights, device, precision, settings.fit, model.layer_weights, depth=depth, frame=frame
     )
     return model, find_encoder(settings.encoder or ("vggt_omega" if learned else "classical"), options)
 
@@ -139,6 +141,7 @@ def _read_inputs(settings: ReconstructSettings, device: torch.device, stages: St
         compile_ahead()
     with stages("model") as progress:
         model, encoder = load_parts(settings, device)
+        optimisation_lpips(settings.lpips, official=model.config.queries == "learned")  # a damaged file ends it here
         known = read_known_cameras(settings.poses) if settings.poses else None
         budget = Budget(settings.budget, stages.elapsed) if settings.budget else None
         size = settings.max_size or encoder.size
@@ -249,7 +252,9 @@ def _report(
 
 
 def _omissions(settings: ReconstructSettings, scene: BuiltScene, finest: Blurred | None) -> list[omissions.Omission]:
-    found = [omissions.LPIPS, *omissions.of_adapted(scene.adapted)]
+    used = optimisation_lpips(settings.lpips, official=scene.prepared.anchors is None) is not None
+    found = omissions.lpips(scene.adapted, used=used, further=bool(scene.full_size))
+    found += omissions.of_adapted(scene.adapted)
     if scene.prepared.anchor_report and not settings.keep_everything:
         found.append(omissions.queries(scene.prepared.anchor_report, scene.adapted))
     if scene.geometry.depth is None:

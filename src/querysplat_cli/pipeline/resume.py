@@ -11,6 +11,7 @@ from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.pipeline.full_size import LargePhotos, full_size_quality, stored_photos, take_to_full_size
 from querysplat_cli.pipeline.gaussian_files import file_of_scene, folder_of_scene
 from querysplat_cli.pipeline.optimise import optimise_start
+from querysplat_cli.pipeline.perceptual import optimisation_lpips
 from querysplat_cli.pipeline.read_scene import check_model, read_scene, read_scene_gaussians
 from querysplat_cli.pipeline.scene_folder import StoredScene, write_scene
 from querysplat_cli.pipeline.settings import ResumeSettings
@@ -57,8 +58,10 @@ def optimise_scene(settings: ResumeSettings, stages: Stages | None = None) -> Re
         _check(path, options, space, count, apart=apart)
         gaussians = _without_backdrop(path, scene) if apart else None
     with stages("tto") as progress:
+        perceptual = optimisation_lpips(settings.lpips, official=scene.anchors is None)
         options = replace(
             options,
+            perceptual=perceptual,
             finest_size=_finest_size(scene, before),
             smooth=bool(spaces) and "backdrop" in before,  # scenes of earlier versions were not smoothed
         )
@@ -67,7 +70,8 @@ def optimise_scene(settings: ResumeSettings, stages: Stages | None = None) -> Re
         photos = scene.views, scene.cameras
         adapted = optimise_start(model, start, photos, plan, options, progress, scene.exposures)
         stored, gaussians = _behind(_with(scene, adapted), adapted.gaussians)
-    runs, left_out = tto_entries(adapted.runs), omissions.taken_further(before["left_out"], adapted)
+    runs = tto_entries(adapted.runs)
+    left_out = omissions.taken_further(before["left_out"], adapted, with_lpips=perceptual is not None)
     return _write_back(path, stored, gaussians, before, stages, tto=runs, left_out=left_out)
 
 
@@ -148,7 +152,9 @@ def _read(settings: ResumeSettings) -> tuple[StoredScene, dict[str, Any]]:
     """The stored scene, without colour transforms where --exposure is off, and its report."""
     scene, before = read_scene(settings.scene)
     if settings.exposure == "off" and scene.exposures:
-        return replace(scene, exposures=None), {**before, "exposure": {**before["exposure"], "corrected": False}}
+        measured = before.get("exposure")
+        corrected = {**measured, "corrected": False} if measured else None
+        return replace(scene, exposures=None), {**before, "exposure": corrected}
     return scene, before
 
 
@@ -178,6 +184,10 @@ def _check_plain(settings: ResumeSettings) -> None:
         raise QuerySplatError(
             "--quality works in Gaussian space, prunes nothing and keeps the cameras",
             "Leave --space, --prune and --refine-cameras out.",
+        )
+    if settings.lpips:
+        raise QuerySplatError(
+            "--quality optimises without LPIPS, which large photos would need too much memory for", "Leave --lpips out."
         )
 
 

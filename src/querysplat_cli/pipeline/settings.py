@@ -8,8 +8,8 @@ from annotated_types import Ge, Le
 
 from querysplat_cli.runtime.choices import (
     ExposureCorrection,
+    FileFrame,
     Fit,
-    Frame,
     FullSizeLevel,
     HoldoutProtocol,
     Quality,
@@ -35,6 +35,16 @@ SPACE_HELP = (
 REFINE_CAMERAS = Option(
     "Correct poses and focal lengths during optimisation.", ("--refine-cameras/--no-refine-cameras",)
 )
+
+
+TtoLpips = Annotated[
+    Path | None,
+    Option(
+        "A folder with LPIPS weights, for the loss of the optimisation; docs/cli.md lists the files.",
+        metavar="DIR",
+        default="without LPIPS; official presets: torch's hub cache",
+    ),
+]
 
 
 @dataclass(frozen=True)
@@ -109,10 +119,13 @@ class ReconstructSettings:
     encoder: Annotated[
         str | None,
         Option(
-            "The vision geometric model: classical, vggt or vggt_omega.", metavar="NAME", default="the preset's own"
+            "The vision geometric model: classical, vggt, vggt_omega, or one that another package brings.",
+            metavar="NAME",
+            default="the preset's own",
         ),
     ] = None
     weights: Weights = None
+    lpips: TtoLpips = None
     precision: NetworkPrecision = "fp32"
     depth: Annotated[bool, Option("Estimate depth even where the model does not need it.")] = False
     poses: Annotated[
@@ -124,7 +137,7 @@ class ReconstructSettings:
         ),
     ] = None
     frame: Annotated[
-        Frame,
+        FileFrame,
         Option(
             "The frame of the scene's files: upright and around the origin (upright), or the first camera's own (vgm). "
             "Scenes of --poses keep the frame of the given cameras."
@@ -221,6 +234,7 @@ class ResumeSettings:
     ] = None
     refine_cameras: Annotated[bool, REFINE_CAMERAS] = False
     weights: MovedWeights = None
+    lpips: TtoLpips = None
     device: Device = "auto"
     seed: Seed = 42
     exposure: Annotated[

@@ -21,6 +21,14 @@ class PrunePolicy:
     hidden_change: float = 0.01
     """Least change of colour, of 1, that removing a Gaussian is counted as. Without it, Gaussians that coincide would
     all be removed, because removing any one of them changes nothing."""
+    in_front: float = 0.5
+    """A Gaussian that no photo shows counts as in front of what they show where it keeps more than this share of the
+    blending weight that it has without that."""
+    hidden_share: float = 0.3
+    """A Gaussian that no photo shows is left out where more than this share of what it covers, seen from between two
+    photos, is something that the photos show."""
+    hiding_neighbours: int = 2
+    """Each photo is paired with so many nearest others for that."""
     psnr_of_bands: float = 0.02
     """dB on the input views that leaving out SH bands may cost."""
     tested_views: int = 8

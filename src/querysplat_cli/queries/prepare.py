@@ -15,7 +15,6 @@ from querysplat_cli.queries.coverage import AnchorReport
 from querysplat_cli.queries.rendering_error import with_rendering_error
 from querysplat_cli.runtime.choices import Target
 from querysplat_cli.runtime.device import to_device
-from querysplat_cli.runtime.errors import QuerySplatError
 
 CPU = torch.device("cpu")
 FARTHEST = 6e4
@@ -87,17 +86,8 @@ def prepare(
         memories, anchors = attended_rows(memories, anchors)
     variables: Memories | Features = memories
     if target == "features":
-        _check_values_depend_on_features(model)
         variables = Features(features.geometry.cpu()[rows[0]], features.appearance.cpu()[rows[1]])
     return PreparedQueries(variables, anchors, report, _memory_map(rows, geometry, cameras.height, cameras.width))
-
-
-def _check_values_depend_on_features(model: QuerySplat) -> None:
-    memories = (model.geometry_memory, model.appearance_memory)
-    if not any(bool(memory.proj.weight[model.config.width :].any()) for memory in memories):
-        raise QuerySplatError(
-            "--tto-target features: this checkpoint's values do not depend on features yet", "Use --tto-target kv."
-        )
 
 
 def _memory_map(

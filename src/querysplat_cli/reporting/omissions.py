@@ -31,9 +31,24 @@ class Omission:
 
 
 PRUNED_GAUSSIANS, IDLE_BANDS = "Gaussians", "SH bands"
-LPIPS = Omission("LPIPS loss", "its weights are not part of this package", "the network's run in every step")
+LPIPS = "LPIPS loss"
 SECOND_SCORE = Omission("the other cameras' score", "--budget leaves no time for a second scene", "a second scene")
 UNUSED_DEPTH = Omission("depth", "learned queries do not need it", "the depth head")
+
+
+def lpips(adapted: Adapted, *, used: bool, further: bool) -> list[Omission]:
+    """LPIPS, where steps were taken without it; `further`: in Gaussian space on large photos, which never use it."""
+    return without_lpips(stepped=any(run.settings.steps for run, _ in adapted.runs), used=used, further=further)
+
+
+def without_lpips(*, stepped: bool, used: bool, further: bool) -> list[Omission]:
+    """The entry of LPIPS, by whether there were steps, whether they used it, and whether large photos followed."""
+    saved = "the network's run in every step"
+    if used and further:
+        return [Omission(LPIPS, "it is part of the optimisation on small pictures only", saved)]
+    if used or not (stepped or further):
+        return []
+    return [Omission(LPIPS, "its weights are not part of this package; --lpips DIR uses them", saved)]
 
 
 def second_score(quality: str) -> Omission:
@@ -94,9 +109,14 @@ def of_adapted(adapted: Adapted) -> list[Omission]:
     return found
 
 
-def taken_further(before: list[dict[str, Any]], adapted: Adapted) -> list[dict[str, Any]]:
-    """The omissions of a scene that was optimised further: bands are chosen again, pruned Gaussians stay removed."""
-    return [*(line for line in before if line["what"] != IDLE_BANDS), *map(asdict, of_adapted(adapted))]
+def taken_further(before: list[dict[str, Any]], adapted: Adapted, *, with_lpips: bool) -> list[dict[str, Any]]:
+    """The omissions of a scene that was optimised further: bands are chosen again, pruned Gaussians stay removed.
+
+    LPIPS is left out where the last optimisation was without it.
+    """
+    again = [*lpips(adapted, used=with_lpips, further=False), *of_adapted(adapted)]
+    gone = {IDLE_BANDS, *([LPIPS] if with_lpips or any(line.what == LPIPS for line in again) else [])}
+    return [*(line for line in before if line["what"] not in gone), *map(asdict, again)]
 
 
 def ply_bytes(bands: int) -> int:

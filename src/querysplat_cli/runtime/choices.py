@@ -26,13 +26,17 @@ FullSizeLevel = Literal["standard", "high", "max"]
 ExposureCorrection = Literal["auto", "off"]
 """Whether each photo has a colour transform. auto: where photos show the same surfaces in different colours."""
 
-Frame = Literal["upright", "vgm"]
+FileFrame = Literal["upright", "vgm"]
 """The frame of the files of a scene. upright: as viewers expect it. vgm: that of the vision geometric model, with the
 first camera at the origin."""
 
 Fit = Literal["crop", "pad"]
 """How a photo fits a network. crop: the largest centred square. pad: the whole photo, on a canvas as wide as the widest
 and as high as the highest photo."""
+
+Frame = Literal["predicted", "first_view"]
+"""The frame of a learned VGM's cameras. predicted: as the network gives them, the first one near the origin (the
+release). first_view: moved so that the first one is the origin (the paper)."""
 
 Precision = Literal["fp32", "tf32", "bf16"]
 """fp32: as the release. tf32: the same, with 10-bit mantissas inside matrix products on GPUs that have them.
@@ -49,3 +53,6 @@ InputCount = Literal[2, 4, 12]
 
 Scale = Literal["small", "medium", "large"]
 """How far apart the inputs of a generated split are."""
+
+FurtherMetric = Literal["flip", "ssimulacra2"]
+"""Metrics of an evaluation beside PSNR, SSIM and LPIPS, from packages of their own."""

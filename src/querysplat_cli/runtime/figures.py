@@ -3,6 +3,8 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from querysplat_cli.runtime.errors import QuerySplatError
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -15,6 +17,12 @@ def new_figure(width: float, height: float) -> "Figure":
     figure = Figure(figsize=(width, height), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
+
+
+def check_drawing(path: Path) -> None:
+    """Raise QuerySplatError unless `path` names a kind of picture that can be drawn."""
+    if path.suffix.lower() not in (".png", ".svg", ".pdf"):
+        raise QuerySplatError(f"{path}: not a kind of picture that can be drawn", "Use .png, .svg or .pdf.")
 
 
 def save_figure(figure: "Figure", path: Path) -> None:

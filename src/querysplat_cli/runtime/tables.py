@@ -1,9 +1,12 @@
 """Frozen dataclasses from the tables of a TOML or JSON file, with every type and bound checked by pydantic."""
 
+import difflib
 import json
 from collections.abc import Mapping
-from typing import Any, TypeVar
+from dataclasses import fields
+from typing import Annotated, Any, TypeVar, get_args, get_origin, get_type_hints
 
+from annotated_types import Ge, Le
 from pydantic import TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 
@@ -28,6 +31,37 @@ def from_tables(kind: type[T], values: Mapping[str, Any], *, what: str, docs: st
     except (RecursionError, ValueError) as error:
         raise QuerySplatError(f"the {what} cannot be read: {error}", f"See {docs}.") from error
     return made
+
+
+def from_values(kind: type[T], values: Mapping[str, Any], *, what: str) -> T:
+    """The dataclass `kind` made of Python values: text may stand for a path, and a list for a tuple.
+
+    Raises QuerySplatError for an unknown name, a wrong type or a value out of its bounds. `what` is the function that
+    the user called.
+    """
+    names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
+    for name in values:
+        if name not in names:
+            near = difflib.get_close_matches(name, names, n=1)
+            meant = f"Did you mean {near[0]}?" if near else f"The settings are: {', '.join(names)}."
+            raise QuerySplatError(f"{what} has no setting '{name}'", meant)
+    hints = get_type_hints(kind, include_extras=True)
+    return kind(**{name: _checked(name, value, hints[name], what) for name, value in values.items()})
+
+
+def _checked(name: str, value: Any, hint: Any, what: str) -> Any:
+    """The value as its type has it, within the bounds of `annotated_types`, which hold for numbers alone."""
+    plain, *extras = get_args(hint) if get_origin(hint) is Annotated else (hint,)
+    try:
+        found = TypeAdapter(plain).validate_python(value)
+    except ValidationError as error:
+        raise _in_words({**error.errors()[0], "loc": (name,)}, what, "docs/cli.md") from error
+    for bound in extras if isinstance(found, int | float) else ():
+        if isinstance(bound, Ge) and not found >= bound.ge:
+            raise QuerySplatError(f"{name} cannot be {found}", f"It must be at least {bound.ge}. See docs/cli.md.")
+        if isinstance(bound, Le) and not found <= bound.le:
+            raise QuerySplatError(f"{name} cannot be {found}", f"It must be at most {bound.le}. See docs/cli.md.")
+    return found
 
 
 def _not_json(value: object) -> dict[str, str]:

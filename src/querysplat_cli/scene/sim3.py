@@ -50,6 +50,11 @@ class Sim3:
         return moved.to(points.dtype)
 
 
+def rigid(w2c: Float[Tensor, "4 4"]) -> Sim3:
+    """The motion of the world after which the camera `w2c` is the origin. Lengths stay as they are."""
+    return Sim3(1.0, w2c[:3, :3].double(), w2c[:3, 3].double())
+
+
 def align_cameras(source: Float[Tensor, "n 4 4"], target: Float[Tensor, "n 4 4"]) -> Sim3:
     """Similarity that maps the world of `source` onto the world of `target`, from n shared cameras.
 

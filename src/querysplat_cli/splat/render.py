@@ -2,21 +2,30 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
-from importlib import import_module
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.registry import Registry
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.splat.conventions import RenderSettings
 
 __all__ = ["RenderSettings", "Rendering", "render"]
 
-BACKENDS = {"reference": "reference", "cpu": "cpu", "gsplat": "gsplat_backend"}
-"""Name → module of this package with a function `blend`; imported when first used."""
+Blend = Callable[[Gaussians, Cameras, RenderSettings], tuple[Tensor, Tensor, Tensor]]
+BACKENDS = Registry(
+    "splatter",
+    "querysplat.splatters",
+    {
+        "reference": "querysplat_cli.splat.reference:blend",
+        "cpu": "querysplat_cli.splat.cpu:blend",
+        "gsplat": "querysplat_cli.splat.gsplat_backend:blend",
+    },
+)
+"""Functions `blend` by the name of their splatter."""
 
 
 @dataclass(frozen=True)
@@ -51,18 +60,25 @@ def render(
     _refuse_wrong_shapes(gaussians)
     _refuse_non_finite({field.name: getattr(gaussians, field.name) for field in fields(gaussians)})
     _refuse_non_finite({"w2c": cameras.w2c, "K": cameras.K})
-    blend: Callable[..., tuple[Tensor, Tensor, Tensor]] = _backend(gaussians, backend).blend
+    blend: Blend = BACKENDS.find(_chosen(gaussians) if backend == "auto" else backend)
     colour, alpha, weighted_depth = blend(gaussians, cameras, settings or RenderSettings())
     black = Rendering(colour, alpha, weighted_depth / alpha.clamp_min(1e-10))
     return replace(black, colour=black.over(background))
 
 
-def _backend(gaussians: Gaussians, name: str):  # type: ignore[no-untyped-def]
-    if name == "auto":
-        name = "gsplat" if gaussians.means.is_cuda else "reference" if gaussians.means.dtype == torch.float64 else "cpu"
-    if name not in BACKENDS:
-        raise QuerySplatError(f"there is no splatter named '{name}'", f"Choose from: auto, {', '.join(BACKENDS)}.")
-    return import_module(f"querysplat_cli.splat.{BACKENDS[name]}")
+def register_splatter(name: str, blend: Blend) -> None:
+    """Let `render(…, backend=name)` call `blend(gaussians, cameras, settings)`, in this process.
+
+    For every view it returns the colour on black [views, 3, height, width], the coverage α [views, height, width], and
+    Σ w·z of the same shape. Raises QuerySplatError where the name is taken.
+    """
+    BACKENDS.register(name, blend)
+
+
+def _chosen(gaussians: Gaussians) -> str:
+    if gaussians.means.is_cuda:
+        return "gsplat"
+    return "reference" if gaussians.means.dtype == torch.float64 else "cpu"
 
 
 def _refuse_wrong_shapes(gaussians: Gaussians) -> None:

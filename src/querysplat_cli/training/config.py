@@ -22,9 +22,10 @@ MOST_BASES = 20
 class SourceSettings:
     """Scenes of one kind. `inputs` and `interval` (frames from one input to the next) are the least and the greatest.
 
-    `samples` are drawn of each scene. "free" cameras are found by the encoder, "posed" ones are the dataset's.
-    `scenes` and `size` (shortest and longest longer side, in pixels) are for "procedural" scenes, `places` and
-    `pictures` for "captured" ones.
+    `samples` are drawn of each scene for the cache, for every range of inputs that a stage asks for. "free" cameras are
+    found by the encoder, "posed" ones are the dataset's. `scenes` is the number of "procedural" scenes; for "captured"
+    ones it is the number that --dry-run counts with where the places are missing. `size` (shortest and longest longer
+    side, in pixels) is for "procedural" scenes, `places` and `pictures` are for "captured" ones.
     """
 
     kind: Literal["procedural", "captured"]
@@ -42,9 +43,14 @@ class SourceSettings:
 
 @dataclass(frozen=True)
 class DataSettings:
-    """Samples: passes of the frozen encoder, made once and kept in the folder `cache`."""
+    """Samples: passes of the frozen encoder over the inputs, and targets.
+
+    By default they are made once and kept in the folder `cache`. With `online`, each is made in the step that uses it,
+    of inputs drawn anew: a learned encoder's passes fill disks, and take little time on a GPU.
+    """
 
     sources: tuple[SourceSettings, ...]
+    online: bool = False
     cache: str = "passes"
     encoder: str = "vggt_omega"
     weights: str | None = None
@@ -55,15 +61,17 @@ class DataSettings:
 class LossSettings:
     """Weights of the losses (paper, section 3.4, and the appendix on parameters).
 
-    LPIPS comes in after `lpips_start` steps and reaches its weight `lpips_ramp` steps later; the Chamfer loss and the
-    opacity floor fall to zero, linearly, over the first `anneal` steps. `chamfer_points` bounds the points of either
-    side, drawn anew in each step. `background` is a grey value.
+    A centre that no view sees costs at most `visibility_limit`, and beyond that it gets no gradient, as in TokenGS;
+    0 sets no limit. LPIPS comes in after `lpips_start` steps and reaches its weight `lpips_ramp` steps later; the
+    Chamfer loss and the opacity floor fall to zero, linearly, over the first `anneal` steps. `chamfer_points` bounds
+    the points of either side, drawn anew in each step. `background` is a grey value.
     """
 
     lpips: Annotated[float, Ge(0)] = 0.05
     lpips_start: int = 100_000
     lpips_ramp: int = 10_000
     visibility: Annotated[float, Ge(0)] = 1.0
+    visibility_limit: Annotated[float, Ge(0)] = 1.0
     chamfer: Annotated[float, Ge(0)] = 1.0
     chamfer_points: Annotated[int, Ge(1)] = 16_384
     opacity_floor: float = 0.1
@@ -77,7 +85,7 @@ class StageSettings:
     """One run of the schedule: linear warm-up over `warm_up` of the steps, then a cosine to zero.
 
     `queries` is the number of learned queries; a larger one than before is reached by perturbed copies; 0 leaves
-    them. Only samples with `inputs` (fewest, most) inputs are drawn.
+    them. Samples with `inputs` (fewest, most) inputs are drawn.
     """
 
     steps: Annotated[int, Ge(1)]
@@ -91,16 +99,18 @@ class StageSettings:
 class OptimiserSettings:
     """AdamW and what surrounds it.
 
-    Gradients of `accumulate` samples of each process make a step. Once `keep_from` of all steps are done, a sample
-    whose loss ranks above `keep` of the `window` latest ones gives no gradient. `frozen` are beginnings of names of
-    tensors that stay as they are.
+    A step takes the mean gradient of `batch` samples, which the processes share evenly; each process adds up its share
+    one sample after another. `weight_decay` acts on matrices outside of the heads, and on nothing else. `ema` is the
+    decay of the average of the weights; in step t it is at most (1 + t) / (10 + t), so that the initial weights fade.
+    Once `keep_from` of all steps are done, a sample whose picture loss ranks above `keep` of the `window` latest ones
+    gives no gradient. `frozen` are beginnings of names of tensors that stay as they are.
     """
 
     weight_decay: float = 0.05
     betas: tuple[float, float] = (0.9, 0.95)
     clip: Annotated[float, Gt(0)] = 1.0
     ema: Annotated[float, Interval(ge=0, le=1)] = 0.9995
-    accumulate: Annotated[int, Ge(1)] = 1
+    batch: Annotated[int, Ge(1)] = 1
     keep: Annotated[float, Interval(ge=0.01, le=1)] = 0.95
     keep_from: Annotated[float, Interval(ge=0, le=1)] = 0.5
     window: Annotated[int, Ge(1)] = 512

@@ -1,22 +1,21 @@
-"""Training samples on disk, and the draw of the samples of each step."""
+"""Training samples in the cache, and the draw of the samples of each step."""
 
 import hashlib
 import json
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Generic, TypeVar
+from typing import Generic, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
-from safetensors import SafetensorError, safe_open
 
 from querysplat_cli.encoders.base import Encoder
 from querysplat_cli.runtime.errors import ImpossibleScene, QuerySplatError
 from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.files import atomic_path
-from querysplat_cli.training.config import DataSettings, SourceSettings
+from querysplat_cli.training.config import DataSettings, SourceSettings, StageSettings
 from querysplat_cli.training.passes import Sample, make_sample, read_sample, write_sample
 from querysplat_cli.training.sources import open_source
 
@@ -72,49 +71,97 @@ def cache_folder(data: DataSettings, source: SourceSettings) -> Path:
     return Path(data.cache).expanduser() / f"{source.kind}-{hashlib.sha256(content.encode()).hexdigest()[:12]}"
 
 
-class Samples:
-    """The samples in the cache. The draw of a step depends only on the seed, the step and the process."""
+@dataclass(frozen=True)
+class Draw:
+    """Sample `index` of the batch of a step, with `inputs` (fewest, most) inputs."""
+
+    step: int
+    index: int
+    inputs: tuple[int, int]
+
+
+@runtime_checkable
+class Samples(Protocol):
+    """Where the samples of each step come from. A draw gives the same one every time, in every process.
+
+    `redrawn` counts scenes that gave no sample, so that another was drawn in their place.
+    """
+
+    redrawn: int
+
+    def get(self, draw: Draw, following: Draw | None = None) -> tuple[Sample, Path | None]:
+        """The sample of a draw, and its file if it has one. The preparation of `following` may begin already.
+
+        Raises QuerySplatError when there is none.
+        """
+        ...
+
+
+class CachedSamples:
+    """The samples in the cache. Each stage draws from those that were made for its numbers of inputs."""
+
+    redrawn = 0
 
     def __init__(self, data: DataSettings, seed: int) -> None:
-        """Raises QuerySplatError when there is no sample."""
-        self._seed = seed
-        found = [
-            path
-            for source in data.sources
-            for path in sorted(cache_folder(data, source).glob("*.safetensors"))
-            if int(path.stem[:6]) < source.scenes or source.kind == "captured"
-        ]
-        self._paths = [(path, _inputs(path)) for path in found]
-        if not self._paths:
-            raise QuerySplatError(
-                f"{data.cache}: no samples could be made of the sources", "See the .failed files there for the reasons."
-            )
+        self._data, self._seed = data, seed
+        self._paths: dict[tuple[int, int], list[Path]] = {}
         self._reader = ThreadPoolExecutor(1)
         self._ahead: dict[Path, Future[Sample]] = {}
 
-    def __len__(self) -> int:
-        return len(self._paths)
+    def paths(self, inputs: tuple[int, int]) -> list[Path]:
+        """The files of a stage with so many inputs."""
+        if inputs not in self._paths:
+            self._paths[inputs] = [
+                path
+                for source in narrowed(self._data.sources, inputs)
+                for path in sorted(cache_folder(self._data, source).glob("*.safetensors"))
+                if int(path.stem[:6]) < source.scenes or source.kind == "captured"
+            ]
+        return self._paths[inputs]
 
-    def path(self, step: int, number: int, rank: int, inputs: tuple[int, int]) -> Path:
-        """The file that sample `number` of a step comes from.
-
-        Raises QuerySplatError when no sample has between inputs[0] and inputs[1] inputs.
-        """
-        fitting = [path for path, count in self._paths if inputs[0] <= count <= inputs[1]]
+    def path(self, draw: Draw) -> Path:
+        """The file of a draw; raises QuerySplatError when the stage has no sample."""
+        fitting = self.paths(draw.inputs)
         if not fitting:
-            raise QuerySplatError(
-                f"no sample has {inputs[0]} to {inputs[1]} inputs", "Change stages.inputs or data.sources.inputs."
-            )
-        chance = np.random.default_rng([self._seed, step, number, rank])
+            raise no_samples(self._data, draw.inputs)
+        chance = np.random.default_rng([self._seed, draw.step, draw.index])
         return fitting[int(chance.integers(len(fitting)))]
 
-    def read(self, path: Path, following: Path | None = None) -> Sample:
-        """The sample in `path`. A background thread starts to read `following`."""
+    def get(self, draw: Draw, following: Draw | None = None) -> tuple[Sample, Path | None]:
+        path = self.path(draw)
         waiting = self._ahead.pop(path, None)
         sample = waiting.result() if waiting else read_sample(path)
-        if following is not None and following not in self._ahead:
-            self._ahead[following] = self._reader.submit(read_sample, following)
-        return sample
+        ahead = None if following is None else self.path(following)
+        if ahead is not None and ahead not in self._ahead:
+            self._ahead[ahead] = self._reader.submit(read_sample, ahead)
+        return sample, path
+
+
+def narrowed(sources: Sequence[SourceSettings], inputs: tuple[int, int]) -> list[SourceSettings]:
+    """The sources with only the numbers of inputs that lie in `inputs`; without those that have none."""
+    found = []
+    for source in sources:
+        both = max(source.inputs[0], inputs[0]), min(source.inputs[1], inputs[1])
+        if both[0] <= both[1]:
+            found.append(replace(source, inputs=both))
+    return found
+
+
+def sources_of_stages(data: DataSettings, stages: Sequence[StageSettings]) -> list[SourceSettings]:
+    """Every source as the stages draw from it, each once."""
+    found = (source for stage in stages for source in narrowed(data.sources, stage.inputs))
+    return list(dict.fromkeys(found))
+
+
+def no_samples(data: DataSettings, inputs: tuple[int, int]) -> QuerySplatError:
+    if not narrowed(data.sources, inputs):
+        return QuerySplatError(
+            f"no source has samples of {inputs[0]} to {inputs[1]} inputs",
+            "Change stages.inputs or data.sources.inputs.",
+        )
+    return QuerySplatError(
+        f"{data.cache}: no samples could be made of the sources", "See the .failed files there for the reasons."
+    )
 
 
 class RecentResults(Generic[Result]):
@@ -124,18 +171,13 @@ class RecentResults(Generic[Result]):
         self._limit = limit
         self._results: OrderedDict[Path, Result] = OrderedDict()
 
-    def get(self, path: Path, make: Callable[[], Result]) -> Result:
+    def get(self, path: Path | None, make: Callable[[], Result]) -> Result:
+        """The result for a file. What has no file is made anew."""
+        if path is None:
+            return make()
         if path not in self._results:
             self._results[path] = make()
             if len(self._results) > self._limit:
                 self._results.popitem(last=False)
         self._results.move_to_end(path)
         return self._results[path]
-
-
-def _inputs(path: Path) -> int:
-    try:
-        with safe_open(path, framework="pt") as file:
-            return len(json.loads(file.metadata()["sample"])["names"][0])
-    except (OSError, SafetensorError, LookupError, TypeError, ValueError, RecursionError) as error:
-        raise QuerySplatError(f"{path} is damaged: {error}", "Delete it, and it is made again.") from error

@@ -1,6 +1,6 @@
 """The losses of training (paper, section 3.4), each a function of Gaussians and cameras, or of pictures."""
 
-from collections.abc import Callable
+import math
 
 import torch
 from jaxtyping import Float, Int
@@ -8,13 +8,11 @@ from torch import Tensor
 
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.views import Views
+from querysplat_cli.splat.lpips import Perceptual, perceptual_loss
 from querysplat_cli.splat.similarity import photometric_loss
-from querysplat_cli.training.visibility import visibility_loss
 
-Perceptual = Callable[[Float[Tensor, "n 3 h w"], Float[Tensor, "n 3 h w"]], Float[Tensor, ""]]
-"""LPIPS, or anything else that compares pictures in [0, 1]."""
 EPSILON = 1e-6
-"""Added to an opacity before its logarithm."""
+"""The least opacity whose logarithm is taken."""
 CHAMFER_PAIRS = 1 << 24
 """Distances that the Chamfer loss keeps in memory at once."""
 
@@ -29,29 +27,16 @@ def picture_loss(
     """L1 + 0.2·(1 − SSIM)/2 over the mask, and `weight` times `perceptual` in float32 (paper, section 3.4)."""
     loss = photometric_loss(picture.float(), photo, mask)
     if perceptual is not None and weight:
-        inside = torch.where(mask[:, None], picture.float(), photo)
-        with torch.autocast(picture.device.type, enabled=False):
-            loss = loss + weight * perceptual(inside, photo)
+        loss = loss + weight * perceptual_loss(perceptual, picture, photo, mask)
     return loss
 
 
-def unseen_loss(centres: Float[Tensor, "n 3"], cameras: Cameras, near: float) -> Float[Tensor, ""]:
-    """Loss of centres that no camera sees: outside all images, or behind all cameras (paper, section 3.4).
-
-    It is the sum of `visibility_loss`, and of the distance from the nearest camera's near plane for centres that
-    are behind all near planes, in scene units. The second term is needed because a centre behind a camera has
-    a mirrored projection, which may be inside the image. Each term is at most 1 for a centre.
-    """
-    axis, offset = cameras.w2c[:, 2, :3], cameras.w2c[:, 2, 3:]
-    z = centres @ axis.T + offset.T
-    behind = (near - z).amin(1).clamp(0, 1)
-    return visibility_loss(centres, cameras) + behind.mean()
-
-
 def opacity_floor(opacities: Float[Tensor, "n"], alpha_min: float) -> Float[Tensor, ""]:
-    """Mean of max(0, ln(α_min + ε) − ln(α + ε)): it raises opacities below `alpha_min`."""
-    floor = torch.log(opacities.new_tensor(alpha_min + EPSILON))
-    return (floor - torch.log(opacities + EPSILON)).clamp_min(0).mean()
+    """Mean of max(0, ln α_min − ln max(α, ε)): it raises opacities below `alpha_min` (paper, section 3.4).
+
+    An opacity below ε has no gradient.
+    """
+    return (math.log(alpha_min) - torch.log(opacities.clamp_min(EPSILON))).clamp_min(0).mean()
 
 
 def chamfer(a: Float[Tensor, "n 3"], b: Float[Tensor, "m 3"]) -> Float[Tensor, ""]:

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +14,16 @@ from torch import Tensor
 
 from querysplat_cli.encoders.base import CameraRequest, Encoder, Geometry
 from querysplat_cli.encoders.holdout import isolated_split
+from querysplat_cli.runtime.choices import Frame
 from querysplat_cli.runtime.errors import ImpossibleScene, QuerySplatError
 from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera
 from querysplat_cli.scene.files import atomic_path
+from querysplat_cli.scene.sim3 import rigid
 from querysplat_cli.scene.views import Photo, Views
+
+LARGE_FEATURES = 64
+"""Channels above which a sample's file has features in 16 bits."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +35,14 @@ class Sample:
     geometry: Geometry
     targets: Views
     target_cameras: Cameras
+
+    def in_frame(self, frame: Frame) -> "Sample":
+        """The same sample; with the frame "first_view", the first input's camera is the origin exactly."""
+        if frame == "predicted":
+            return self
+        move = rigid(self.cameras.w2c[0])
+        cameras, targets = self.cameras.transformed(move), self.target_cameras.transformed(move)
+        return replace(self, cameras=cameras, target_cameras=targets)
 
 
 def make_sample(
@@ -62,7 +75,7 @@ def make_sample(
 
 
 def write_sample(path: Path, sample: Sample) -> None:
-    """Pictures in 8 bits and depth in 16; features in 16 where they come from a network (more than 64 channels)."""
+    """Pictures in 8 bits and depth in 16; features in 16 where they come from a network (more channels than 64)."""
     geometry = sample.geometry
     tensors = {
         "views.images": _bytes(sample.views.images),
@@ -78,7 +91,7 @@ def write_sample(path: Path, sample: Sample) -> None:
         # float16 ends at 65,504. Its relative error of 0.05 % is far below that of any estimated depth.
         tensors |= {"depth": geometry.depth.clamp(1e-4, 6e4).half(), "confidence": geometry.confidence.half()}
     for i, layer in enumerate(geometry.features):
-        tensors[f"features.{i}"] = layer.bfloat16() if layer.shape[-1] > 64 else layer
+        tensors[f"features.{i}"] = layer.bfloat16() if layer.shape[-1] > LARGE_FEATURES else layer
     metadata = {
         "patch": geometry.patch,
         "names": [sample.views.names, sample.targets.names],

@@ -26,6 +26,8 @@ class TrainingPolicy:
     """Camera paths that are drawn in a procedural scene before it is given up."""
     scene_tries: int = 50
     """Procedural scenes that are drawn before a capture is given up."""
+    sample_tries: int = 20
+    """Scenes in a row that may give no sample before a training without a cache stops."""
     exposures: tuple[float, ...] = (0.0, 0.02, 0.08)
     """Standard deviation of the logarithm of the gain from photo to photo. Each capture draws one of these."""
     noise: tuple[float, float] = (0.0, 0.02)

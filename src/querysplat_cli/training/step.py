@@ -13,19 +13,19 @@ from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.queries.build import build_anchors
 from querysplat_cli.queries.rendering_error import with_rendering_error
 from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.splat.lpips import Perceptual
 from querysplat_cli.splat.render import RenderSettings, render
 from querysplat_cli.training.config import TrainConfig
 from querysplat_cli.training.losses import (
-    Perceptual,
     chamfer,
     depth_points,
     draw_indices,
     opacity_floor,
     picture_loss,
-    unseen_loss,
 )
 from querysplat_cli.training.passes import Sample
 from querysplat_cli.training.schedule import Weights
+from querysplat_cli.training.visibility import unseen_loss
 from querysplat_cli.tto.rendering_loss import tensors
 
 
@@ -33,8 +33,8 @@ from querysplat_cli.tto.rendering_loss import tensors
 class StepSettings:
     """What the samples of one training step share.
 
-    `share` scales each sample's gradient. A sample whose loss `counts` rejects gives no gradient. `perceptual` is
-    LPIPS, or None without its weights.
+    `share` scales each sample's gradient. A sample whose picture loss `counts` rejects gives no gradient.
+    `perceptual` is LPIPS, or None without its weights.
     """
 
     config: TrainConfig
@@ -53,6 +53,11 @@ class SampleLoss:
     psnr: float
     gaussians: int
     skipped: str = ""
+
+    @property
+    def pictures(self) -> float:
+        """The reconstruction loss without the regularisers; NaN where there were no pictures."""
+        return self.parts.get("pictures", math.nan)
 
 
 def anchored(sample: Sample) -> Anchors:
@@ -82,7 +87,7 @@ def add_gradient(
 
     Views are rendered a few at once. Their gradients with respect to the Gaussians are summed first, and go through
     the model once. Nothing is added where a Gaussian, the loss or a gradient is not finite, or where
-    `step.counts(loss)` is False.
+    `step.counts(picture loss)` is False.
     """
     gaussians = decoded(model, sample, anchors, step.config.optimiser.precision)
     leaves = gaussians.map(lambda field: field.detach().requires_grad_())
@@ -95,7 +100,7 @@ def add_gradient(
     result = SampleLoss(total, parts, psnr, len(gaussians))
     if not math.isfinite(total) or not all(bool(gradient.isfinite().all()) for gradient in gradients):
         return SampleLoss(total, parts, psnr, len(gaussians), "the loss or its gradient is not finite")
-    if not step.counts(total):
+    if not step.counts(pictures):
         return SampleLoss(total, parts, psnr, len(gaussians), "its loss ranks too high")
     torch.autograd.backward(tensors(gaussians), [step.share * gradient for gradient in gradients])
     return result
@@ -126,7 +131,8 @@ def _regularise(leaves: Gaussians, sample: Sample, step: StepSettings, generator
     losses: dict[str, Tensor] = {}
     weights, settings = step.weights, step.config.losses
     if weights.visibility:
-        losses["visibility"] = unseen_loss(leaves.means, sample.target_cameras, RenderSettings().near)
+        views = sample.cameras, sample.target_cameras
+        losses["visibility"] = unseen_loss(leaves.means, views, RenderSettings().near, settings.visibility_limit)
     if weights.opacity_floor:
         losses["opacity_floor"] = opacity_floor(leaves.opacities, settings.alpha_min)
     if weights.chamfer and sample.geometry.depth is not None:

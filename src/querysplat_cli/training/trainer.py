@@ -11,18 +11,19 @@ import torch
 from torch import nn
 
 from querysplat_cli.model.anchors import Anchors
-from querysplat_cli.model.checkpoints import load, save
-from querysplat_cli.model.initialise import initial_model
+from querysplat_cli.model.checkpoints import save
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.runtime.device import peak_gib, to_device
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Progress
-from querysplat_cli.training.config import TrainConfig, as_table, from_table, with_queries
-from querysplat_cli.training.data import RecentResults, Samples
+from querysplat_cli.splat.lpips import Perceptual
+from querysplat_cli.training.config import TrainConfig, as_table, from_table
+from querysplat_cli.training.data import Draw, RecentResults, Samples
 from querysplat_cli.training.journal import Journal
-from querysplat_cli.training.losses import Perceptual
+from querysplat_cli.training.passes import Sample
 from querysplat_cli.training.processes import Processes
 from querysplat_cli.training.schedule import Average, RankFilter, grow_queries, rate, trained, weights
+from querysplat_cli.training.start import freeze, new_optimiser, starting_model
 from querysplat_cli.training.state import TrainState, moments, read_state, restore_moments, write_state
 from querysplat_cli.training.step import SampleLoss, StepSettings, add_gradient, anchored
 
@@ -35,13 +36,20 @@ RESUMABLE = ("save_every", "log_every")
 
 @dataclass(frozen=True)
 class TrainReport:
-    """What a run did. `skipped` counts samples without a gradient by reason; seconds are this run's."""
+    """What a run did; seconds are this run's.
+
+    Each step took `batch` samples, shared by `processes`. `skipped` counts samples without a gradient by reason,
+    `redrawn` scenes that gave no sample.
+    """
 
     model: str
     steps: int
+    batch: int
+    processes: int
     loss: float
     psnr: float
     skipped: dict[str, int]
+    redrawn: int
     seconds: float
     steps_per_second: float
     waiting: float
@@ -61,7 +69,9 @@ class Trainer:
         resume: bool,
         perceptual: Perceptual | None = None,
     ) -> None:
-        """Raises QuerySplatError when another training is in `folder`, or its state is damaged."""
+        """Raises QuerySplatError when another training is in `folder`, its state is damaged, or the processes cannot
+        share a batch evenly."""
+        samples_in_turn(config.optimiser.batch, processes.world)
         self.config, self.folder, self.processes, self.device = config, folder, processes, device
         self._perceptual = perceptual.to(device) if isinstance(perceptual, nn.Module) else perceptual
         state = read_state(folder / STATE) if resume else None
@@ -81,7 +91,7 @@ class Trainer:
         self._seconds: float = state.facts["seconds"] if state else 0.0
         if not state:
             self._enter(0)
-        self._optimiser = self._new_optimiser()
+        self._optimiser = new_optimiser(self.model, self.config.optimiser)
         if state:
             restore_moments(self._optimiser, dict(trained(self.model)), state.part("moments"))
         processes.spread(list(self.model.state_dict().values()))
@@ -100,7 +110,7 @@ class Trainer:
             number, before = self.config.at(self.step)
             if number != self._stage:
                 self._enter(number)
-                self._optimiser = self._new_optimiser()
+                self._optimiser = new_optimiser(self.model, self.config.optimiser)
             losses, spent = self._step(samples, kept, before)
             recent, waited = recent + losses, waited + spent
             self.step += 1
@@ -122,9 +132,12 @@ class Trainer:
         return TrainReport(
             model=str(self.folder / MODEL),
             steps=self.step,
+            batch=self.config.optimiser.batch,
+            processes=self.processes.world,
             loss=final["loss"],
             psnr=final["psnr"],
             skipped=self.skipped,
+            redrawn=samples.redrawn,
             seconds=seconds,
             steps_per_second=(self.step - first) / max(seconds, 1e-9),
             waiting=waited / max(seconds, 1e-9),
@@ -134,29 +147,34 @@ class Trainer:
     def _step(self, samples: Samples, kept: RecentResults[Anchors], before: int) -> tuple[list[SampleLoss], float]:
         """One optimiser step. Returns the samples' losses, and the seconds spent on waiting for data."""
         config, stage = self.config, self.config.stages[self._stage]
-        each = config.optimiser.accumulate
-        share = 1 / (each * self.processes.world)
-        rank, waited, results = self.processes.rank, 0.0, []
-        for number in range(each):
-            path = samples.path(self.step, number, rank, stage.inputs)
-            after = (self.step, number + 1) if number + 1 < each else (self.step + 1, 0)
+        waited, results = 0.0, []
+        for index in self._indices():
+            after = Draw(self.step, index + self.processes.world, stage.inputs)
+            if after.index >= config.optimiser.batch:
+                next_stage, _ = config.at(self.step + 1)
+                after = Draw(self.step + 1, self.processes.rank, config.stages[next_stage].inputs)
             start = time.perf_counter()
-            sample = samples.read(path, samples.path(*after, rank, stage.inputs))
+            sample, path = samples.get(Draw(self.step, index, stage.inputs), after)
             waited += time.perf_counter() - start
+            sample = sample.in_frame(config.model.frame)
             anchors = None
             if self.model.config.queries == "anchored":
                 # Not in the reader's thread: the renderer's compiled code cannot run in two threads at once.
                 anchors = kept.get(path, lambda sample=sample: anchored(sample))  # type: ignore[misc]
-            results.append(self._add(to_device(sample, self.device), to_device(anchors, self.device), number, share))
+            results.append(self._add(to_device(sample, self.device), to_device(anchors, self.device), index))
         self._advance(results, rate(self.step - before, stage))
         return results, waited
 
-    def _add(self, sample: Any, anchors: Anchors | None, number: int, share: float) -> SampleLoss:
-        seeds = np.random.SeedSequence([self.config.seed, self.step, number, self.processes.rank])
+    def _indices(self) -> range:
+        """The samples of a batch that are this process's: a batch is the same however many processes share it."""
+        return range(self.processes.rank, self.config.optimiser.batch, self.processes.world)
+
+    def _add(self, sample: Sample, anchors: Anchors | None, index: int) -> SampleLoss:
+        seeds = np.random.SeedSequence([self.config.seed, self.step, index])
         step = StepSettings(
             self.config,
             weights(self.step, self.config.losses),
-            share=share,
+            share=1 / self.config.optimiser.batch,
             counts=lambda loss: self._filter.keeps(loss, self.step / self.config.steps),
             perceptual=self._perceptual,
         )
@@ -167,7 +185,9 @@ class Trainer:
         """Sum the processes' gradients and take a step, unless all samples were skipped or the sum is not finite."""
         parameters = [parameter for _, parameter in trained(self.model)]
         self.processes.sum_gradients(parameters)
-        gathered = self.processes.gather([part for each in results for part in (each.total, float(not each.skipped))])
+        gathered = self.processes.gather(
+            [part for each in results for part in (each.pictures, float(not each.skipped))]
+        )
         self._filter.add(gathered[::2])
         for each in results:
             if each.skipped:
@@ -233,39 +253,15 @@ class Trainer:
         if queries and queries != self.model.config.query_count:
             grow_queries(self.model, queries, torch.Generator().manual_seed(self.config.seed))
 
-    def _new_optimiser(self) -> torch.optim.AdamW:
-        settings = self.config.optimiser
-        return torch.optim.AdamW(
-            [parameter for _, parameter in trained(self.model)],
-            lr=0.0,
-            betas=settings.betas,
-            weight_decay=settings.weight_decay,
+
+def samples_in_turn(batch: int, processes: int) -> int:
+    """How many samples of a step each process takes, one after another; raises QuerySplatError for a remainder."""
+    if batch % processes:
+        raise QuerySplatError(
+            f"{processes} processes cannot share a batch of {batch} samples evenly",
+            f"Set optimiser.batch to a multiple of {processes}, or start another number of processes.",
         )
-
-
-def starting_model(config: TrainConfig) -> QuerySplat:
-    """The model before the first step, which depends only on `config`.
-
-    Raises QuerySplatError when the checkpoint in `config.start` cannot be read, or has another configuration.
-    """
-    wanted = with_queries(config.model, config.stages[0].queries)
-    if config.start == "prior":
-        return initial_model(wanted, config.seed)
-    if config.start == "scratch":
-        with torch.random.fork_rng():
-            torch.manual_seed(config.seed)
-            return QuerySplat(wanted)
-    model = load(config.start)
-    if with_queries(model.config, wanted.query_count) != wanted:
-        raise QuerySplatError(f"{config.start}: a model of another configuration", "Give its own [model] table.")
-    return model
-
-
-def freeze(model: QuerySplat, config: TrainConfig) -> None:
-    """Train all tensors but those whose names begin with one of `optimiser.frozen`."""
-    model.train()
-    for name, parameter in model.named_parameters():
-        parameter.requires_grad_(not name.startswith(config.optimiser.frozen))
+    return batch // processes
 
 
 def _check_same(wanted: TrainConfig, found: TrainConfig, folder: Path) -> None:

@@ -1,8 +1,11 @@
-"""The visibility loss (paper, section 3.4; taken over from TokenGS): it draws Gaussians into the images.
+"""Visibility losses: they draw Gaussians into the pictures.
 
-A Gaussian's loss is the distance of its projected centre from the nearest image, and zero inside any image. Without it,
-a Gaussian that no target view sees would get no gradient from the picture losses.
+Without one, a Gaussian that no view sees would get no gradient from the picture losses. `unseen_loss` is the paper's
+(section 3.4): a centre costs something where it is outside of every view or behind it. `visibility_loss` is the
+ancestor's (TokenGS), in which a centre behind a camera may count as seen. It stays for parity with the release.
 """
+
+from collections.abc import Sequence
 
 import torch
 from jaxtyping import Float
@@ -16,6 +19,38 @@ PLANE_Z = 1e-12
 """A point whose camera z is nearer to 0 counts as in that plane."""
 
 
+def unseen_loss(
+    centres: Float[Tensor, "n 3"], cameras: Sequence[Cameras], near: float, limit: float = 1.0
+) -> Float[Tensor, ""]:
+    """Mean over the centres of the distance to the view that is nearest to seeing them (paper, section 3.4).
+
+    For a centre in front of a view's near plane, the distance is that of its projection from the picture, in half
+    picture sizes (L1 over both axes). For one behind that plane, it is the distance to the plane, in scene units. The
+    least over all views of all `cameras` counts. Distances above `limit` count as `limit` and have no gradient; 0 means
+    no limit.
+    """
+    distances = []
+    for each in cameras:
+        behind = near - (each.w2c[:, 2, :3] @ centres.T + each.w2c[:, 2, 3:])
+        distances.append(torch.where(behind > 0, behind, outside(centres, each)))
+    return _mean_below(torch.cat(distances).min(0).values, limit)
+
+
+def visibility_loss(centres: Float[Tensor, "n 3"], cameras: Cameras, threshold: float = 1.0) -> Float[Tensor, ""]:
+    """Mean over the centres of the distance to the nearest image, in half image sizes (L1 over both axes).
+
+    Distances above `threshold` count as `threshold` and have no gradient; a threshold of 0 means no limit. A centre
+    behind a camera counts as inside when its mirrored projection is inside (TokenGS).
+    """
+    return _mean_below(outside(centres, cameras).min(0).values, threshold)
+
+
+def outside(centres: Float[Tensor, "n 3"], cameras: Cameras) -> Float[Tensor, "views n"]:
+    """How far each projection lies outside each picture, in half picture sizes; 0 inside."""
+    size = centres.new_tensor([cameras.width, cameras.height])
+    return ((2 * projected(centres, cameras) / size - 1).abs() - 1).clamp_min(0).sum(-1)
+
+
 def projected(centres: Float[Tensor, "n 3"], cameras: Cameras) -> Float[Tensor, "views n 2"]:
     """Pixels of every centre in every view. A point behind a camera gets its mirrored projection."""
     local = torch.einsum("vij,nj->vni", cameras.w2c[:, :3, :3], centres) + cameras.w2c[:, None, :3, 3]
@@ -26,13 +61,5 @@ def projected(centres: Float[Tensor, "n 3"], cameras: Cameras) -> Float[Tensor, 
     return torch.where(in_plane, PIXEL_AT_INFINITY * image[..., :2].detach().sign(), pixels)
 
 
-def visibility_loss(centres: Float[Tensor, "n 3"], cameras: Cameras, threshold: float = 1.0) -> Float[Tensor, ""]:
-    """Mean over the centres of the distance to the nearest image, in half image sizes (L1 over both axes).
-
-    Distances above `threshold` count as `threshold` and have no gradient; a threshold of 0 means no limit. A centre
-    behind a camera counts as inside when its mirrored projection is inside.
-    """
-    size = centres.new_tensor([cameras.width, cameras.height])
-    outside = ((2 * projected(centres, cameras) / size - 1).abs() - 1).clamp_min(0).sum(-1)
-    least = outside.min(0).values
-    return (least.clamp_max(threshold) if threshold else least).mean()
+def _mean_below(distances: Float[Tensor, "n"], limit: float) -> Float[Tensor, ""]:
+    return (distances.clamp_max(limit) if limit else distances).mean()

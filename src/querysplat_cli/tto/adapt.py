@@ -14,7 +14,7 @@ from querysplat_cli.prune.gaussians import Pruned
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.exposures import Exposures
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.tto.features import Start, gaussians_of, optimise_memories
+from querysplat_cli.tto.features import Start, gaussians_of, memories_of, optimise_memories
 from querysplat_cli.tto.gaussians import optimise_gaussians
 from querysplat_cli.tto.optimise import TtoResult
 from querysplat_cli.tto.options import Callbacks, OptimiseOptions, TtoStep
@@ -78,7 +78,7 @@ def adapt(
         runs.append((run, result))
         if result.interrupted:
             break
-    memories = start.variables if isinstance(start.variables, Memories) else model.keys_and_values(start.variables)
+    memories = memories_of(model, start)
     exposures = target.exposures.current if target.exposures else None
     gaussians = gaussians_of(model, start)
     return Adapted(memories, gaussians, target.cameras, tuple(runs), start.kept, pruned, exposures=exposures)

@@ -31,7 +31,8 @@ class Start(Generic[M]):
 
     `gaussians` is the scene where the variables no longer decode to it, else None. `kept` marks the decoded Gaussians
     that belong to the scene (None: all). `finest` are cameras for whose pixels decoded Gaussians are smoothed
-    (`splat/smoothing.py`; None: they stay as decoded).
+    (`splat/smoothing.py`; None: they stay as decoded). `origin` is where variable features began, for models whose
+    values have a residual path from the change of the features; None for others, and for memories.
     """
 
     variables: M
@@ -39,6 +40,7 @@ class Start(Generic[M]):
     gaussians: Gaussians | None = None
     kept: Bool[Tensor, "n"] | None = None
     finest: Cameras | None = None
+    origin: Features | None = None
 
     def narrowed(self, kept: Bool[Tensor, "m"]) -> "Start[M]":
         """With only those of the scene's Gaussians that are `kept`."""
@@ -81,7 +83,14 @@ def gaussians_of(model: QuerySplat, start: Start[M]) -> Gaussians:
         return _decoded(model, start)
 
 
+def memories_of(model: QuerySplat, start: Start[M]) -> Memories:
+    """The memories that the variables stand for."""
+    if isinstance(start.variables, Memories):
+        return start.variables
+    return model.keys_and_values(start.variables, start.origin)
+
+
 def _decoded(model: QuerySplat, start: Start[M]) -> Gaussians:
-    gaussians = model.decode(start.variables, start.anchors)
+    gaussians = model.decode(memories_of(model, start), start.anchors)
     gaussians = gaussians if start.kept is None else gaussians[start.kept]
     return gaussians if start.finest is None else convolved(gaussians, start.finest)

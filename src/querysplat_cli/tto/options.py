@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from querysplat_cli.prune.gaussians import Pruned
 from querysplat_cli.runtime.choices import Amount, Space
 from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.splat.lpips import Perceptual
 from querysplat_cli.tto.policy import TTO_POLICY
 from querysplat_cli.tto.rendering_loss import RenderingLoss
 
@@ -24,6 +25,7 @@ class OptimiseOptions:
     seed: of the order in which views are drawn.
     finest_size: longer side of the pictures, in pixels, that bound how thin a Gaussian may become; None takes the views
         themselves. A scene that was optimised on larger photos keeps their detail so.
+    perceptual: LPIPS as a part of the loss; None leaves it out.
     smooth: whether decoded Gaussians are smoothed without any step, too, because earlier steps smoothed them.
     """
 
@@ -36,6 +38,7 @@ class OptimiseOptions:
     keep_all: bool = False
     seed: int = 42
     finest_size: int | None = None
+    perceptual: Perceptual | None = None
     smooth: bool = False
 
 

@@ -24,6 +24,8 @@ class TtoPolicy:
     """For learned queries, as in the authors' release."""
     release_learning_rate: float = 5e-3
     """For learned queries, as in the authors' release."""
+    lpips: float = 0.05
+    """Weight of LPIPS in the loss, where it takes part (the paper and the release)."""
     views_per_step: int = 3
     """Views that one step renders, where there are more."""
     few_views: int = 4

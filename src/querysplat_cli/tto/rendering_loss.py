@@ -11,9 +11,11 @@ from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.conventions import MID_GREY
+from querysplat_cli.splat.lpips import Perceptual, perceptual_loss
 from querysplat_cli.splat.render import Rendering, RenderSettings, render
 from querysplat_cli.splat.similarity import photometric_loss, photometric_value
 from querysplat_cli.tto.exposure_refit import RefittedExposures
+from querysplat_cli.tto.policy import TTO_POLICY
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,7 @@ class LossAndGradient:
 
 @dataclass(frozen=True)
 class RenderingLoss:
-    """L1 + 0.2·D-SSIM between renders and photos (paper, section 3.4; the LPIPS term needs its weights).
+    """L1 + 0.2·D-SSIM + 0.05·LPIPS between renders and photos (paper, section 3.4), without LPIPS where it is None.
 
     The loss of a set of views is the mean of the views' losses. Views are rendered one after another, and their
     gradients with respect to the Gaussians are added up, so that memory does not grow with the number of views.
@@ -56,6 +58,7 @@ class RenderingLoss:
         to every render that a gradient is taken of.
     finest: cameras whose pixels bound how thin optimisation may make a Gaussian (`splat/smoothing.py`; None: nothing
         bounds that).
+    perceptual: LPIPS with its weights (None: it is left out).
     """
 
     views: Views
@@ -65,6 +68,7 @@ class RenderingLoss:
     backgrounds: torch.Generator | None = None
     exposures: RefittedExposures | None = None
     finest: Cameras | None = None
+    perceptual: Perceptual | None = None
 
     @classmethod
     def for_solid_scenes(
@@ -109,9 +113,11 @@ class RenderingLoss:
             if self.exposures:
                 self.exposures.refit(view, rendering, photo[0][0], photo[1][0])
                 rendering = self._exposed(rendering, view)
-            (photometric_loss(rendering.over(behind), *photo) / len(chosen)).backward()
+            picture = rendering.over(behind)
+            distance = self._distance(picture, photo)
+            ((photometric_loss(picture, *photo) + distance) / len(chosen)).backward()
             value, error = self._compared(rendering, photo)
-            losses.append(value)
+            losses.append(value + float(distance.detach()))
             errors.append(error)
         camera_gradient = (gradient_of(w2c), gradient_of(K)) if asked else None
         return LossAndGradient(losses, _decibels(errors), leaves.map(gradient_of), camera_gradient)
@@ -127,11 +133,20 @@ class RenderingLoss:
         return self.views.picture(view)[None], self.views.masks[[view]]
 
     def _scores(self, gaussians: Gaussians, view: int) -> tuple[float, float]:
-        return self._compared(self.render(gaussians, view), self._photo(view))
+        """The loss of a view and the mean squared error, over `background`."""
+        rendering, photo = self.render(gaussians, view), self._photo(view)
+        value, error = self._compared(rendering, photo)
+        return value + float(self._distance(rendering.over(self.background), photo)), error
+
+    def _distance(self, picture: Tensor, photo: tuple[Tensor, Tensor]) -> Tensor:
+        """LPIPS by its weight; 0 where it is left out."""
+        if self.perceptual is None:
+            return picture.new_zeros(())
+        return TTO_POLICY.lpips * perceptual_loss(self.perceptual, picture, *photo)
 
     @torch.no_grad()
     def _compared(self, rendering: Rendering, photo: tuple[Tensor, Tensor]) -> tuple[float, float]:
-        """The loss and the mean squared error over `background`."""
+        """L1 + 0.2·D-SSIM and the mean squared error, over `background`."""
         return photometric_value(rendering.over(self.background), *photo)
 
 

@@ -11,6 +11,7 @@ from querysplat_cli.runtime.errors import ImpossibleScene, QuerySplatError
 from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.runtime.weight_registry import find_weights
 from querysplat_cli.scene.fit import network_views
+from querysplat_cli.scene.sim3 import rigid
 from querysplat_cli.scene.views import Photo, Views
 
 POINT_SPACING = 16
@@ -20,8 +21,8 @@ POINT_SPACING = 16
 class FeedForwardEncoder:
     """A learned VGM as an encoder.
 
-    Cameras, depth and features are in the frame of the pass that found them, unchanged. The last pass is kept, with
-    the views that it was made for.
+    Cameras, depth and features are in the frame of the pass that found them: unchanged, or moved so that the first
+    camera is the origin (`EncoderOptions.frame`). The last pass is kept, with the views that it was made for.
     """
 
     own_frame = True
@@ -67,6 +68,9 @@ class FeedForwardEncoder:
             depth = found.depth[:, rows[:, None], columns]
             points = cameras.unproject(depth, columns + 0.5, rows + 0.5).flatten(0, 2)
             visibility = torch.arange(len(points)).split(depth[0].numel())
+        if self._options.frame == "first_view":
+            move = rigid(cameras.w2c[0])
+            cameras, points = cameras.transformed(move), move.apply(points)
         return PosedViews(views, cameras, points, visibility)
 
     def estimate_geometry(self, posed: PosedViews, *, seed: int, progress: Progress) -> Geometry:

@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import torch
 from jaxtyping import Float
-from plyfile import PlyData, PlyElement
 from torch import Tensor
 
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.files import atomic_path
+from querysplat_cli.scene.formats.ply_columns import Columns, DamagedPly, SurplusPly, read_columns, write_columns
 from querysplat_cli.scene.gaussians import Gaussians
 
 NORMALS = ["nx", "ny", "nz"]
@@ -36,35 +36,35 @@ class NoGaussian(QuerySplatError):
         super().__init__(f"{path}: no Gaussian with finite numbers", "Make or export the scene again.")
 
 
-def write_ply(path: Path, gaussians: Gaussians, comments: Sequence[str] = ()) -> int:
+def write_ply(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = ()) -> int:
     """Write `gaussians` to `path`, whole or not at all; returns how many are in the file.
 
     Rows with a NaN or an infinity are left out, so that number can be less than `len(gaussians)`. Raises
     QuerySplatError when no row is left.
     """
+    path = Path(path)
     rows = export_rows(gaussians)
     finite = rows[torch.isfinite(rows).all(1)]
     if not len(finite):
         raise NoGaussian(path)
     names = columns(gaussians.sh_degree)
-    vertices = np.zeros(len(finite), [(name, "<f4") for name in names[:3] + NORMALS + names[3:]])
-    for name, column in zip(names, finite.numpy().T, strict=True):
-        vertices[name] = column
-    element = PlyElement.describe(vertices, "vertex")
+    zero = np.zeros(len(finite), np.float32)
+    found = dict.fromkeys(names[:3] + NORMALS + names[3:], zero) | dict(zip(names, finite.numpy().T, strict=True))
     with atomic_path(path) as draft:
-        PlyData([element], byte_order="<", comments=list(comments)).write(str(draft))
+        write_columns(draft, found, comments)
     return len(finite)
 
 
-def read_ply(path: Path) -> Gaussians:
+def read_ply(path: str | Path) -> Gaussians:
     """The Gaussians in any 3DGS .ply (SH degree 0 to 3, binary or ASCII), float32.
 
     Saturated numbers are kept within float32: opacities below 1, scales finite. Rows with a NaN, or with a number
     beyond float32, are left out. Raises QuerySplatError when the file is no .ply, not one of Gaussians, or damaged, and
     when no row is left.
     """
+    path = Path(path)
     vertices = _vertices(path)
-    present = vertices.dtype.names or ()
+    present = tuple(vertices)
     rest = sum(name.startswith("f_rest_") for name in present)
     missing = [name for name in columns(0) if name not in present]
     if "packed_position" in present:
@@ -79,8 +79,6 @@ def read_ply(path: Path) -> Gaussians:
     names = columns(REST_COUNTS.get(rest, 0))
     if rest not in REST_COUNTS or not set(names) <= set(present):
         raise QuerySplatError(f"{path}: its {rest} f_rest properties fit no SH degree from 0 to 3", "Export it again.")
-    if any(vertices.dtype[name].kind not in "fiu" for name in names):
-        raise QuerySplatError(f"{path}: some properties of its Gaussians are lists", "Export it again.")
     rows = torch.from_numpy(np.stack([vertices[name] for name in names], 1).astype(np.float64))
     gaussians = _gaussians(rows[~rows.isnan().any(1)])
     gaussians = gaussians[gaussians.finite]
@@ -136,18 +134,15 @@ def _gaussians(rows: Float[Tensor, "rows columns"]) -> Gaussians:
     ).to(torch.float32)
 
 
-def _vertices(path: Path) -> np.ndarray:
+def _vertices(path: Path) -> Columns:
     if not path.is_file():
         raise QuerySplatError(f"{path}: no such file", "Give a 3D Gaussian splatting .ply.")
     try:
-        with path.open("rb") as stream:
-            data = PlyData.read(stream)
-            surplus = not data.text and stream.read(1)
-        vertices = data["vertex"].data
-    except KeyError:
-        raise QuerySplatError(f"{path}: a .ply without vertices", "Give a 3D Gaussian splatting .ply.") from None
-    except Exception as error:  # damage can raise anything in the parser
+        vertices = read_columns(path)
+    except SurplusPly as error:
+        raise QuerySplatError(f"{path}: {error}", "Export or download it again.") from None
+    except (DamagedPly, ValueError, OSError, MemoryError) as error:
         raise QuerySplatError(f"{path}: damaged, or no .ply: {error}", "Export or download it again.") from error
-    if surplus:
-        raise QuerySplatError(f"{path}: holds more data than its header says", "Export or download it again.")
+    if vertices is None:
+        raise QuerySplatError(f"{path}: a .ply without vertices", "Give a 3D Gaussian splatting .ply.")
     return vertices

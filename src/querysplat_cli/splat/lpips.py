@@ -5,18 +5,21 @@ Two files make it: a backbone as torchvision publishes it (vgg16-*.pth, alexnet-
 """
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from pickle import UnpicklingError
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
 from querysplat_cli.runtime.errors import MissingPart, QuerySplatError
+
+Perceptual = Callable[[Float[Tensor, "n 3 h w"], Float[Tensor, "n 3 h w"]], Float[Tensor, ""]]
+"""LPIPS, or anything else that compares pictures in [0, 1]."""
 
 MEAN, SPREAD = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
 """Of the pictures' colours in [−1, 1], with which the backbones were trained."""
@@ -57,10 +60,15 @@ BACKBONES = {
 
 
 class Lpips(nn.Module):
-    """The distance of pictures, 0 for equal ones. `net` is "vgg" (as papers report it) or "alex"."""
+    """The distance of pictures, 0 for equal ones. `net` is "vgg" (as papers report it) or "alex".
 
-    def __init__(self, net: str) -> None:
+    The backbones were trained on colours in [−1, 1]. `as_release` leaves those in [0, 1] as they are, which is what the
+    release of QuerySplat optimises with.
+    """
+
+    def __init__(self, net: str, *, as_release: bool = False) -> None:
         super().__init__()
+        self.as_release = as_release
         self.backbone = BACKBONES[net]
         convolutions = [layer for layer in self.backbone.layers if len(layer) == 6]
         self.features = nn.ModuleDict(
@@ -78,7 +86,7 @@ class Lpips(nn.Module):
 
     def _seen(self, image: Tensor) -> list[Tensor]:
         mean, spread = (image.new_tensor(values)[:, None, None] for values in (MEAN, SPREAD))
-        x, seen = (2 * image - 1 - mean) / spread, []
+        x, seen = ((image if self.as_release else 2 * image - 1) - mean) / spread, []
         for layer in self.backbone.layers:
             if len(layer) == 2:
                 x = F.max_pool2d(x, *layer)
@@ -128,9 +136,9 @@ def find_lpips(folder: Path | None, net: str = "vgg") -> LpipsFiles | str:
     return f"no LPIPS: {lacking} not found in {where}"
 
 
-def load_lpips(files: LpipsFiles) -> Lpips:
+def load_lpips(files: LpipsFiles, *, as_release: bool = False) -> Lpips:
     """The network with its weights; raises QuerySplatError when a file is damaged or not the right one."""
-    model = Lpips(files.net)
+    model = Lpips(files.net, as_release=as_release)
     trunk, linear = _tensors(files.backbone), _tensors(files.linear)
     wanted = model.state_dict()
     found = {name: trunk.get(name) for name in wanted if name.startswith("features.")}
@@ -142,6 +150,18 @@ def load_lpips(files: LpipsFiles) -> Lpips:
             raise QuerySplatError(f"{file}: not the weights of LPIPS {files.net} ({name})", "Download the file again.")
     model.load_state_dict(found)
     return model.eval().requires_grad_(False)
+
+
+def perceptual_loss(
+    perceptual: Perceptual,
+    picture: Float[Tensor, "views 3 height width"],
+    photo: Float[Tensor, "views 3 height width"],
+    mask: Bool[Tensor, "views height width"],
+) -> Float[Tensor, ""]:
+    """The distance of a picture from its photo in float32. Outside of the mask, the picture is the photo."""
+    inside = torch.where(mask[:, None], picture.float(), photo)
+    with torch.autocast(picture.device.type, enabled=False):
+        return perceptual(inside, photo)
 
 
 def _unit(features: Tensor) -> Tensor:

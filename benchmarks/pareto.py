@@ -1,0 +1,119 @@
+"""Error against run time: what each setting of `querysplat reconstruct` costs and brings, and a picture of the best.
+
+    python benchmarks/pareto.py [DATA] [--sets NAME ...] [--settings NAME ...] --json pareto.json [--figure FILE.svg]
+    python benchmarks/pareto.py --json pareto.json --figure docs/images/pareto.svg --sets
+
+DATA is the folder of the photo sets, by default $QUERYSPLAT_DATA. Every 4th photo is held out, with joint cameras. Each
+scene is one run of the command in a process of its own. Scores are of held-out photos: at the working size, and at
+1,600 pixels over black, over mid-grey (a scene that is see-through scores less) and colour-corrected. Scenes that
+--json has already are not made again, so that a run can be stopped and repeated. Without a set it only draws.
+"""
+
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from statistics import fmean
+from typing import Any
+
+import fullscreen
+from common.arguments import PhotoParser, folder_or_scratch
+from common.output import Table, write_json
+from common.photo_sets import PHOTO_SETS
+from querysplat_cli.runtime.figures import new_figure, save_figure
+
+SETTINGS: dict[str, tuple[str, ...]] = {
+    "default": (),
+    "feed-forward": ("--quality", "draft", "--tto", "0"),
+    "20 steps": ("--quality", "draft", "--tto", "20"),
+    "50 steps": ("--quality", "draft", "--tto", "50"),
+    **{f"quality {name}": ("--quality", name) for name in ("draft", "high", "max")},
+    **{f"{size} px": ("--max-size", str(size)) for size in (224, 448, 896, 1600)},
+    **{f"budget {seconds} s": ("--budget", str(seconds)) for seconds in (15, 30, 60, 120, 300)},
+}
+"""Options of `querysplat reconstruct` by the name of the point. `draft` with `auto` steps is "quality draft"."""
+COLOURS = {"tuned on": "#0072b2", "only reported": "#d55e00"}
+
+
+def frontier(points: Sequence[tuple[float, float]]) -> list[int]:
+    """Numbers of the points (seconds, dB) that no other point beats in both, by seconds."""
+    order = sorted(range(len(points)), key=lambda i: (points[i][0], -points[i][1]))
+    best, found = float("-inf"), []
+    for i in order:
+        if points[i][1] > best:
+            best = points[i][1]
+            found.append(i)
+    return found
+
+
+def means(rows: Sequence[dict[str, Any]], use: str) -> dict[str, tuple[float, float]]:
+    """CPU seconds and held-out dB of each setting, as means over the sets of this use that have every setting."""
+    chosen = [row for row in rows if row["use"] == use]
+    settings = list(dict.fromkeys(row["quality"] for row in chosen))
+    by_set: dict[str, dict[str, dict[str, Any]]] = {}
+    for row in chosen:
+        by_set.setdefault(row["set"], {})[row["quality"]] = row
+    whole = [found for found in by_set.values() if len(found) == len(settings)]
+    if not whole:
+        return {}
+    return {
+        name: (
+            fmean(found[name]["cpu_seconds"] for found in whole),
+            fmean(found[name]["working"]["grey"] for found in whole),
+        )
+        for name in settings
+    }
+
+
+def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
+    """Mean held-out PSNR against mean CPU seconds, one colour for sets that were tuned on and one for the others."""
+    figure = new_figure(7.0, 4.2)
+    axis = figure.subplots()
+    for use, colour in COLOURS.items():
+        points = means(rows, use)
+        places = list(points.values())
+        for name, (seconds, quality) in points.items():
+            axis.plot(seconds, quality, "o", color=colour, ms=4)
+            axis.annotate(name, (seconds, quality), xytext=(4, 3), textcoords="offset points", fontsize=7)
+        best = [places[i] for i in frontier(places)]
+        if best:
+            sets = len({row["set"] for row in rows if row["use"] == use})
+            axis.plot(*zip(*best, strict=True), color=colour, lw=1.2, label=f"{sets} sets, {use}")
+    axis.set_xscale("log")
+    axis.set_xlabel("CPU seconds of the command")
+    axis.set_ylabel("held-out PSNR on grey, dB")
+    axis.grid(alpha=0.3)
+    axis.legend(fontsize=8)
+    save_figure(figure, path)
+
+
+def main() -> None:
+    parser = PhotoParser(__doc__, passes=False)
+    parser.add_argument("--settings", nargs="*", choices=SETTINGS, default=tuple(SETTINGS), metavar="NAME")
+    parser.add_argument("--figure", type=Path, help="draw means over sets into this file")
+    parser.add_argument("--keep", type=Path, help="keep the scenes in this folder")
+    options = parser.parse()
+    rows = json.loads(options.json.read_text())["rows"] if options.json and options.json.is_file() else []
+    done = {(row["set"], row["quality"]) for row in rows}
+    scores = dict.fromkeys(("black, dB", "grey, dB", "grey at 1,600 px, dB", "cc, dB"), ".2f")
+    table = Table({"set": "", "use": "", "setting": "", **scores, "s": ".0f", "CPU s": ".0f", "GiB": ".2f"})
+    with folder_or_scratch(options.keep) as folder:
+        for name in options.sets:
+            for setting in options.settings:
+                if (name, setting) in done:
+                    continue
+                row = fullscreen.measure(PHOTO_SETS[name], setting, options.data, folder, None, SETTINGS[setting])
+                if row is None:
+                    print(f"{name}, {setting}: no scene, so no score", file=sys.stderr)
+                    continue
+                rows.append(asdict(row))
+                quality = row.working.black, row.working.grey, row.full.grey, row.full.corrected
+                table.add(row.set, row.use, setting, *quality, row.seconds, row.cpu_seconds, row.gib)
+                write_json(options.json, rows=rows)
+    if options.figure:
+        draw(rows, options.figure)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,41 @@
+"""Which pictures of a case are kept beside its scores."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from torch import Tensor
+
+from querysplat_cli.evaluation.judge import RowResult
+from querysplat_cli.evaluation.metrics import Meter
+from querysplat_cli.evaluation.nerfbaselines import write_predictions
+from querysplat_cli.scene.formats.dataset import Frame
+from querysplat_cli.scene.pictures import eight_bit, write_picture
+
+
+@dataclass(frozen=True)
+class Keeping:
+    """`rendered` keeps the renders, `nerfbaselines` the renders and photos in NerfBaselines' layout."""
+
+    rendered: bool = False
+    nerfbaselines: bool = False
+
+    def writer(
+        self, about: Mapping[str, str], truth: Callable[[Frame], Tensor], meter: Meter
+    ) -> Callable[[Path, RowResult], None]:
+        """The function that writes the pictures of a result into its case's folder."""
+
+        def write(folder: Path, result: RowResult) -> None:
+            if self.rendered:
+                _write_rendered(folder / "rendered", result)
+            if self.nerfbaselines:
+                write_predictions(folder / "nerfbaselines", about, result.views, truth, meter)
+
+        return write
+
+
+def _write_rendered(folder: Path, result: RowResult) -> None:
+    for group, views in result.views.items():
+        for view in views:
+            name = Path(view.frame.name).with_suffix(".png")
+            write_picture(folder / group / name, eight_bit(view.picture))

@@ -1,0 +1,50 @@
+"""The parts of pareto.py and views.py that take no hours: the front, means over sets, which photos are inputs."""
+
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import pareto
+import views
+from querysplat_cli.evaluation.axes import axes
+
+
+def row(name: str, use: str, setting: str, seconds: float, grey: float) -> dict[str, Any]:
+    return {"set": name, "use": use, "quality": setting, "cpu_seconds": seconds, "working": {"grey": grey}}
+
+
+def test_the_front_holds_what_nothing_beats() -> None:
+    assert pareto.frontier([(1, 20), (2, 19), (3, 25), (3, 24), (9, 25), (10, 26)]) == [0, 2, 5]
+    assert pareto.frontier([]) == []
+
+
+def test_means_are_over_sets_that_have_every_setting(tmp_path: Path) -> None:
+    rows = [row("a", "tuned on", "default", 10, 20), row("b", "tuned on", "default", 30, 24)]
+    rows += [row("a", "tuned on", "20 steps", 4, 18), row("c", "only reported", "default", 1, 1)]
+    assert pareto.means(rows, "tuned on") == {"default": (10, 20), "20 steps": (4, 18)}
+    assert pareto.means(rows, "only reported") == {"default": (1, 1)}
+    pareto.draw(rows, tmp_path / "front.svg")
+    assert "feed-forward" not in (tmp_path / "front.svg").read_text()
+    assert (tmp_path / "front.svg").stat().st_size > 5000
+
+
+def test_settings_are_options_of_reconstruct() -> None:
+    known = {f"--{name.replace('_', '-')}" for name in axes()} | {"--budget"}
+    named = {option for options in pareto.SETTINGS.values() for option in options if option.startswith("--")}
+    assert named <= known
+    assert pareto.SETTINGS["default"] == ()
+
+
+@pytest.mark.parametrize("count", views.VIEWS)
+def test_inputs_surround_the_held_out_photos(count: int) -> None:
+    places = views.chosen(count, 50)
+    assert len(places) == len(set(places)) == count
+    assert not set(views.HELD) & set(places)
+    assert places[0] >= 0
+    assert places[-1] < 50
+    if count > 1:
+        assert places[0] < min(views.HELD)
+        assert places[-1] > max(views.HELD)
+        assert max(after - before for before, after in pairwise(places)) <= views.FARTHEST + 1

@@ -1,0 +1,114 @@
+"""`querysplat view` and `export` without a browser: what the local server answers, and what it refuses."""
+
+import http.client
+import json
+import os
+import signal
+import subprocess
+import sys
+from hashlib import sha256
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import pytest
+import torch
+
+from querysplat_cli.cli import run
+from querysplat_cli.commands.view_server import serving
+from querysplat_cli.commands.viewed_scene import viewed_scene
+from querysplat_cli.commands.viewer_files import LICENCES, RELEASED, VIEWER, checksums
+from querysplat_cli.runtime.errors import ExitCode, QuerySplatError
+from querysplat_cli.scene.formats.ply import write_ply
+from querysplat_cli.scene.gaussians import Gaussians
+
+
+@pytest.fixture
+def ply(tmp_path: Path) -> Path:
+    """Three Gaussians at z = 4, without cameras beside them."""
+    gaussians = Gaussians(
+        torch.tensor([[0.0, 0, 4], [1, 0, 4], [0, 1, 4]]),
+        torch.tensor([[1.0, 0, 0, 0]]).repeat(3, 1),
+        torch.full((3, 3), 0.1),
+        torch.full((3,), 0.9),
+        torch.zeros(3, 1, 3),
+    )
+    write_ply(tmp_path / "three.ply", gaussians)
+    return tmp_path / "three.ply"
+
+
+def get(address: str, path: str, host: str | None = None) -> tuple[int, bytes]:
+    connection = http.client.HTTPConnection(urlsplit(address).netloc, timeout=10)
+    connection.request("GET", path, headers={"Host": host} if host else {})
+    answer = connection.getresponse()
+    return answer.status, answer.read()
+
+
+def test_the_server_has_the_page_and_the_scene_and_nothing_else(ply: Path) -> None:
+    (ply.parent / "secret.txt").write_text("secret")
+    with serving(viewed_scene(ply).file, browser=False) as address:
+        assert get(address, "/") == (200, (VIEWER / "page.html").read_bytes())
+        manifest = json.loads(get(address, "/scene.json")[1])
+        assert get(address, f"/{manifest['gaussians']}?0") == (200, ply.read_bytes())
+        for path in ("/secret.txt", "/../secret.txt", f"/{ply.parent}/secret.txt", "/%2e%2e/viewer_files.py", "/lib/"):
+            assert get(address, path) == (404, b"")
+    assert address.startswith("http://127.0.0.1:")
+
+
+def test_a_page_that_reaches_this_machine_by_another_name_gets_nothing(ply: Path) -> None:
+    with serving(viewed_scene(ply).file, browser=False) as address:
+        port = urlsplit(address).port
+        assert get(address, "/scene.json", f"evil.example:{port}")[0] == 404
+        assert get(address, "/scene.json", f"localhost:{port}")[0] == 200
+
+
+def test_a_scene_without_cameras_is_seen_from_outside_with_y_down(ply: Path) -> None:
+    manifest = viewed_scene(ply).manifest
+    assert (manifest["views"], manifest["up"], manifest["name"]) == ([], [0.0, -1.0, 0.0], "three")
+    outside = torch.tensor(manifest["outside"]["c2w"])
+    assert outside[2, 3] < 4
+    assert outside[:3, 1] @ torch.tensor(manifest["up"]) < -0.9
+    assert manifest["near"] < manifest["depth"][0] < manifest["depth"][1] < manifest["far"]
+
+
+def test_a_port_that_is_taken_is_refused(ply: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with serving(viewed_scene(ply).file, browser=False) as address:
+        port = str(urlsplit(address).port)
+        assert run(["view", str(ply), "--no-browser", "--port", port]) == ExitCode.BAD_INPUT
+    assert f"port {port}" in capsys.readouterr().err
+
+
+def test_view_says_its_address_and_ends_with_ctrl_c(ply: Path) -> None:
+    """BROWSER is a command that leaves a file: the browser was asked for the same address."""
+    asked = ply.parent / "asked"
+    command = [sys.executable, "-m", "querysplat_cli", "view", str(ply), "--json"]
+    environment = {**os.environ, "BROWSER": f"sh -c 'echo %s >{asked}'"}
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)
+    assert process.stdout
+    assert process.stderr
+    while "Ctrl-C ends it" not in process.stderr.readline():
+        assert process.poll() is None
+    process.send_signal(signal.SIGINT)
+    assert process.wait(60) == 0
+    address = json.loads(process.stdout.read())["address"]
+    assert asked.read_text().strip() == address
+
+
+def test_export_refuses_other_names_and_existing_files(ply: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(["export", str(ply), "-o", str(ply.with_suffix(".zip"))]) == ExitCode.BAD_INPUT
+    assert ".html" in capsys.readouterr().err
+    assert run(["export", str(ply), "--json"]) == 0
+    done = json.loads(capsys.readouterr().out)
+    page = ply.with_suffix(".html")
+    assert (done["output"], done["bytes"], done["photos"]) == (str(page), page.stat().st_size, 0)
+    assert page.read_text().count("Permission is hereby granted") == 2
+    assert run(["export", str(ply)]) == ExitCode.BAD_INPUT
+    with pytest.raises(QuerySplatError):
+        viewed_scene(page)
+
+
+def test_the_released_files_are_as_they_were_released() -> None:
+    found = {
+        str(path.relative_to(VIEWER)): sha256(path.read_bytes()).hexdigest() for path in (VIEWER / "lib").iterdir()
+    }
+    assert found == checksums()
+    assert found.keys() == RELEASED.keys() | LICENCES.keys()

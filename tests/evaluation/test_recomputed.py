@@ -1,0 +1,65 @@
+"""One set of renders, written in NerfBaselines' layout, and scored again by other code from its files."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from skimage.metrics import peak_signal_noise_ratio, structural_similarity
+
+from lpips_weights import AFTER, reference, write_weights
+from querysplat_cli.evaluation.judge import ViewScore
+from querysplat_cli.evaluation.metrics import Meter
+from querysplat_cli.evaluation.nerfbaselines import write_predictions
+from querysplat_cli.scene.formats.dataset import Frame
+from querysplat_cli.splat.lpips import LpipsFiles, find_lpips, load_lpips
+
+AGREEMENT = 1e-4
+GROUPS = {"input": (0,), "interp": (1, 2), "extrap": (3,)}
+
+
+def read(file: Path) -> np.ndarray:
+    return cv2.imread(str(file))[..., ::-1].astype(np.float64) / 255
+
+
+def test_scores_agree_with_scikit_image_and_the_layout_of_lpips(tmp_path: Path) -> None:
+    """LPIPS is computed by a second implementation, from files as torchvision and the lpips package lay them out."""
+    features, linear = write_weights(tmp_path / "weights", "alex")
+    files = find_lpips(tmp_path / "weights", "alex")
+    assert isinstance(files, LpipsFiles)
+    meter = Meter(load_lpips(files))
+    generator = torch.Generator().manual_seed(5)
+    truths = [torch.rand(3, 64, 80, generator=generator) for _ in range(4)]
+    views = {}
+    for group, numbers in GROUPS.items():
+        pictures = [0.7 * truths[i] + 0.3 * torch.rand(3, 64, 80, generator=generator) for i in numbers]
+        frames = [Frame(i, f"frame_{i}.jpg", "", Path(f"frame_{i}.jpg")) for i in numbers]
+        views[group] = [
+            ViewScore(frame, None, meter.compare(picture, truths[frame.index]), picture)
+            for frame, picture in zip(frames, pictures, strict=True)
+        ]
+    folder = tmp_path / "case" / "nerfbaselines"
+    write_predictions(folder, {"row": "free"}, views, lambda frame: truths[frame.index], meter)
+    info = json.loads((folder / "info.json").read_text())
+    assert (info["method"], info["evaluation_protocol"], info["querysplat"]["row"]) == ("querysplat", "default", "free")
+    assert "8 bits" in info["rounding"]
+    stored = info["querysplat"]["scores"]
+    names = {str(file.relative_to(folder / "color")) for file in (folder / "color").rglob("*.png")}
+    assert names == set(stored) == {f"{g}/frame_{i}.png" for g, numbers in GROUPS.items() for i in numbers}
+    before = {f"{g}/{Path(view.frame.name).stem}.png": view.scores for g in views for view in views[g]}
+    for name, ours in stored.items():
+        render, photo = read(folder / "color" / name), read(folder / "gt-color" / name)
+        similarity = structural_similarity(
+            photo, render, data_range=1, channel_axis=2, gaussian_weights=True, win_size=11
+        )
+        one, other = (torch.from_numpy(image.copy()).permute(2, 0, 1)[None] for image in (render, photo))
+        expected = {
+            "psnr": peak_signal_noise_ratio(photo, render, data_range=1),
+            "ssim": similarity,
+            "lpips": reference(features, linear, AFTER["alex"], one, other),
+        }
+        assert ours == pytest.approx(expected, abs=AGREEMENT)
+        # What rounding to 8 bits changes.
+        assert ours["psnr"] == pytest.approx(before[name].psnr, abs=0.02)

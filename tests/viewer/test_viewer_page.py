@@ -1,0 +1,156 @@
+"""The viewer's page in a real browser: the pictures are those of our own splatter, and nothing leaves this machine."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from chromium import CHROMIUM, Browser
+
+from querysplat_cli.cli import run
+from querysplat_cli.commands.view_server import serving
+from querysplat_cli.commands.viewed_scene import viewed_scene
+from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.formats.ply import write_ply
+from querysplat_cli.scene.formats.transforms import write_cameras
+from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.paths import look_at
+from querysplat_cli.scene.pictures import eight_bit, write_picture
+from querysplat_cli.scene.views import Views
+from querysplat_cli.splat.render import render
+
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium: apt-get install chromium")
+SIZE = (120, 160)
+LEAST_PSNR = 24.0
+COUNT = 400
+
+
+def made_gaussians() -> Gaussians:
+    """Coloured ellipsoids in a ball of radius 1, with SH of degree 2, none of them see-through."""
+    some = torch.Generator().manual_seed(3)
+    return Gaussians(
+        torch.nn.functional.normalize(torch.randn(COUNT, 3, generator=some), dim=1)
+        * torch.rand(COUNT, 1, generator=some),
+        torch.randn(COUNT, 4, generator=some),
+        0.02 + 0.08 * torch.rand(COUNT, 3, generator=some),
+        0.3 + 0.6 * torch.rand(COUNT, generator=some),
+        0.4 * torch.randn(COUNT, 9, 3, generator=some),
+    )
+
+
+def made_cameras() -> Cameras:
+    """Three cameras that look down at the ball, rolled, with a principal point away from the middle."""
+    K = torch.tensor([[[150.0, 0, 88], [0, 140, 52], [0, 0, 1]]])
+    like = Cameras(torch.eye(4)[None], K, *SIZE)
+    places = np.array([[-1.0, -1.0, -2.5], [0.2, -1.2, -2.5], [1.5, -0.8, -2.0]])
+    return look_at(places, np.zeros(3), np.array([0.2, -1.0, 0.0]), like)
+
+
+def pictures() -> torch.Tensor:
+    return render(made_gaussians(), made_cameras()).colour.clamp(0, 1)
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """scene.ply and scene/ with three photos, which are renders."""
+    folder = tmp_path_factory.mktemp("viewed")
+    write_ply(folder / "scene.ply", made_gaussians())
+    names = ("a.png", "b.png", "c.png")
+    views = Views(pictures(), torch.ones(3, *SIZE, dtype=torch.bool), names, (SIZE,) * 3)
+    (folder / "scene").mkdir()
+    write_cameras(folder / "scene" / "cameras.json", made_cameras(), views)
+    for name, image in zip(names, views.images, strict=True):
+        write_picture(folder / "scene" / "images" / name, eight_bit(image))
+    return folder / "scene.ply"
+
+
+@pytest.fixture(scope="module")
+def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    with Browser(tmp_path_factory.mktemp("profile"), (SIZE[1], SIZE[0])) as found:
+        yield found
+
+
+def psnr(picture: np.ndarray, view: int) -> float:
+    """Of a screenshot against our own render of an input camera, in dB."""
+    wanted = pictures()[view].permute(1, 2, 0).numpy()
+    return float(-10 * np.log10(((picture / 255 - wanted) ** 2).mean()))
+
+
+def without_panel(browser: Browser) -> None:
+    browser.settled()
+    browser.press("h")
+    browser.wait_until(f"document.getElementById('canvas').clientWidth === {SIZE[1]}")
+    browser.settled()
+
+
+def set_control(browser: Browser, name: str, value: float) -> None:
+    browser.run(f"((e) => {{ e.value = {value}; e.oninput(); }})(document.getElementById('{name}'))")
+    browser.settled()
+
+
+def test_the_page_shows_what_our_splatter_does(scene: Path, browser: Browser) -> None:
+    """First the middle camera, then the others by the arrow key; depth, filters and the photo over the scene."""
+    browser.requests.clear()
+    with serving(viewed_scene(scene).file, browser=False) as address:
+        browser.open(address)
+        without_panel(browser)
+        middle = browser.screenshot()
+        assert psnr(middle, 1) > LEAST_PSNR > psnr(middle, 0)
+        browser.press("ArrowRight")
+        browser.settled()
+        assert psnr(browser.screenshot(), 2) > LEAST_PSNR
+        browser.press("ArrowRight")
+        browser.settled()
+        assert psnr(browser.screenshot(), 0) > LEAST_PSNR
+        assert browser.run("document.getElementById('where').textContent") == "1/3 a.png"
+        check_controls(browser)
+    assert browser.errors == []
+    assert {request.split(":")[0] for request in browser.requests} <= {"http", "data", "blob"}
+    assert all(request.startswith(address) for request in browser.requests if request.startswith("http"))
+    assert len([request for request in browser.requests if request.startswith(address)]) > 10
+
+
+def check_controls(browser: Browser) -> None:
+    set_control(browser, "opacity", 1)
+    assert browser.screenshot().max() == 0
+    set_control(browser, "opacity", 0)
+    set_control(browser, "size", 0.9)
+    assert 0 < browser.screenshot().mean() < pictures()[0].mean() * 255
+    set_control(browser, "size", 1)
+    browser.press("d")
+    browser.settled()
+    grey = browser.screenshot().astype(int)
+    assert np.ptp(grey, axis=2).max() <= 2
+    assert grey.max() > 150
+    browser.press("d")
+    set_control(browser, "blend", 1)
+    browser.wait_until("document.getElementById('overlay').complete")
+    assert psnr(browser.screenshot(), 0) > LEAST_PSNR
+
+
+def test_a_drag_leaves_the_photo_and_keeps_the_ball_in_sight(scene: Path, browser: Browser) -> None:
+    with serving(viewed_scene(scene).file, browser=False) as address:
+        browser.open(f"{address}#3")
+        without_panel(browser)
+        assert psnr(browser.screenshot(), 2) > LEAST_PSNR
+        browser.drag((80, 60), (110, 60))
+        browser.settled()
+        turned = browser.screenshot()
+        assert browser.run("document.getElementById('where').textContent") == "free view"
+        assert psnr(turned, 2) < LEAST_PSNR
+        assert turned[40:80, 60:100].max(2).mean() > 30
+    assert browser.errors == []
+
+
+def test_the_exported_file_opens_from_disk(scene: Path, browser: Browser, tmp_path: Path) -> None:
+    page = tmp_path / "shared.html"
+    assert run(["export", str(scene), "-o", str(page), "--quiet"]) == 0
+    browser.requests.clear()
+    browser.open(page.as_uri())
+    without_panel(browser)
+    assert psnr(browser.screenshot(), 1) > LEAST_PSNR
+    assert browser.run("document.getElementById('photo').naturalWidth") == SIZE[1]
+    assert browser.errors == []
+    assert {request.split(":")[0] for request in browser.requests} <= {"file", "data", "blob"}
+    assert [request for request in browser.requests if request.startswith("file")] == [page.as_uri()]
