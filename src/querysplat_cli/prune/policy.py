@@ -29,6 +29,8 @@ class PrunePolicy:
     photos, is something that the photos show."""
     hiding_neighbours: int = 2
     """Each photo is paired with so many nearest others for that."""
+    hiding_views: int = 60
+    """Of many pairs, so many are looked at, so that it takes seconds."""
     psnr_of_bands: float = 0.02
     """dB on the input views that leaving out SH bands may cost."""
     tested_views: int = 8
