@@ -8,7 +8,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from querysplat_cli.pipeline.first_sight import first_sight
+from querysplat_cli.pipeline.first_sight import upright_frame
 from querysplat_cli.pipeline.policy import PIPELINE_POLICY
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.formats.ply import read_ply, write_ply
@@ -52,7 +52,7 @@ def anyhow(seed: int) -> Sim3:
 def test_any_frame_becomes_the_same(seed: int) -> None:
     moved = anyhow(seed)
     cameras, scene = ring(DEGREES).transformed(moved), transform_gaussians(cloud(), moved)
-    frame = first_sight(scene, cameras)
+    frame = upright_frame(scene, cameras)
     placed, there = cameras.transformed(frame), transform_gaussians(scene, frame)
     middle = there.means[there.opacities >= 0.5].median(0).values
     assert float(middle.norm()) < 0.1
@@ -70,7 +70,7 @@ def test_photos_that_look_straight_down_stand_below_the_middle_of_their_picture(
     """The viewer stands where the lower border of the picture is, as the photographer did."""
     down = torch.tensor([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 4], [0, 0, 0, 1]])  # looks along −y of a z-up world
     cameras = Cameras(down[None], CAMERA.K, 240, 320)
-    placed = cameras.transformed(first_sight(replace(cloud(), means=cloud().means - MIDDLE), cameras))
+    placed = cameras.transformed(upright_frame(replace(cloud(), means=cloud().means - MIDDLE), cameras))
     assert placed.w2c.isfinite().all()
     assert abs(float(placed.centres.norm()) / PIPELINE_POLICY.first_sight_distance - 1) < 0.1
 
@@ -80,7 +80,7 @@ def test_cameras_that_all_stand_in_the_middle_have_no_distance_to_it() -> None:
     around = np.array([[1.0, 0, 0], [0, 0, 1], [-1, 0, 0], [0, 0, -1]])
     cameras = look_at(places, MIDDLE.numpy() + around, np.array([0.0, -1, 0]), CAMERA)
     point = replace(cloud(), means=MIDDLE.expand(400, 3).contiguous())
-    frame = first_sight(point, cameras)
+    frame = upright_frame(point, cameras)
     assert 0 < frame.scale < np.inf
     assert cameras.transformed(frame).w2c.isfinite().all()
 
@@ -92,7 +92,7 @@ def psnr(one: torch.Tensor, other: torch.Tensor) -> float:
 def test_the_files_show_what_the_scene_showed(tmp_path: Path) -> None:
     """Renders agree to 60 dB, spherical harmonics included, and the scene is read back where it was made."""
     cameras, scene = ring(DEGREES).transformed(anyhow(5)), transform_gaussians(cloud(degree=3), anyhow(5))
-    frame = first_sight(scene, cameras)
+    frame = upright_frame(scene, cameras)
     write_ply(tmp_path / "s.ply", transform_gaussians(scene, frame))
     empty = torch.zeros(5, 3, 240, 320)
     names = tuple(f"{i}.png" for i in range(5))

@@ -11,7 +11,7 @@ from querysplat_cli.commands.compared_views import ComparedViews, cameras_beside
 from querysplat_cli.commands.convert_request import Conversion
 from querysplat_cli.commands.edits import edited
 from querysplat_cli.commands.moved_folder import write_moved_folder
-from querysplat_cli.pipeline.first_sight import first_sight
+from querysplat_cli.pipeline.first_sight import upright_frame
 from querysplat_cli.pipeline.gaussian_files import (
     FLIPPED,
     check_target,
@@ -114,7 +114,7 @@ def _turn(request: Conversion, gaussians: Gaussians) -> torch.Tensor:
             "Give the direction that points up in the scene, for instance --up z or --up=0,-1,0.2.",
         )
     inputs, frame = beside
-    return first_sight(gaussians, inputs.cameras.transformed(frame)).rotation
+    return upright_frame(gaussians, inputs.cameras.transformed(frame)).rotation
 
 
 def upright(up: torch.Tensor) -> torch.Tensor:

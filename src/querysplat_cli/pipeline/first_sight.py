@@ -8,6 +8,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from querysplat_cli.pipeline.policy import PIPELINE_POLICY
+from querysplat_cli.runtime.choices import FileFrame
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.paths import opaque_centres
@@ -18,8 +19,13 @@ UP = torch.tensor([0.0, -1.0, 0.0], dtype=torch.float64)
 """Files of Gaussians have y down."""
 
 
-def first_sight(gaussians: Gaussians, cameras: Cameras) -> Sim3:
-    """The similarity from the frame of a scene to the one in which it is written.
+def first_sight(gaussians: Gaussians, cameras: Cameras, frame: FileFrame = "upright") -> Sim3 | None:
+    """The similarity from the frame of a scene to the one in which it is written; None where these are one."""
+    return None if frame == "vgm" else upright_frame(gaussians, cameras)
+
+
+def upright_frame(gaussians: Gaussians, cameras: Cameras) -> Sim3:
+    """The similarity from the frame of a scene to the one that viewers expect.
 
     There up is −y, and the origin is the median centre of the opaque Gaussians. The photo in the middle of all
     directions of view was taken from the azimuth and, in the median, the distance that `PipelinePolicy` names.

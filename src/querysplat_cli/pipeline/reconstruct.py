@@ -282,9 +282,6 @@ def _omissions(settings: ReconstructSettings, scene: BuiltScene, finest: Blurred
 def _stored(inputs: _Inputs, passes: HoldoutCameras, scene: BuiltScene, settings: ReconstructSettings) -> StoredScene:
     heldout = _heldout_photos(inputs, passes.chosen, scene)
     files = [*scene.files, *(heldout.files if heldout else ())]
-    frame = given_frame(passes.chosen.inputs, inputs.known)
-    if frame is None and settings.frame == "upright":
-        frame = first_sight(scene.gaussians, scene.adapted.cameras)
     return StoredScene(
         scene.posed.views,
         scene.adapted.cameras,
@@ -295,7 +292,8 @@ def _stored(inputs: _Inputs, passes: HoldoutCameras, scene: BuiltScene, settings
         scene.prepared.map,
         scene.adapted.kept,
         {file.name: file for file in files},
-        frame,
+        given_frame(passes.chosen.inputs, inputs.known)
+        or first_sight(scene.gaussians, scene.adapted.cameras, settings.frame),
         len(scene.backdrop) if scene.backdrop else 0,
         scene.exposures,
     )
