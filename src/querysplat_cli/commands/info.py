@@ -17,7 +17,8 @@ from querysplat_cli.runtime.json_files import read_json
 from querysplat_cli.scene.files import refuse_existing, with_name
 from querysplat_cli.scene.formats.transforms import NamedCameras, read_cameras
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.scene.paths import opaque_centres, up_direction
+from querysplat_cli.scene.paths import opaque_centres
+from querysplat_cli.scene.upright import up_direction
 
 QUANTILES = (0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0)
 BINS = 20
