@@ -26,12 +26,13 @@ PANELS = {
     "Cases": ("splits", "protocol", "views", "scales", "cases", "shard", "splits_only", "merge"),
     "Rows and scores": ("sweep", "predictions", "name", "metrics", "fitted"),
     "Pictures": ("frames", "seconds", "fps", "size", "background", "query"),
-    "Changes": ("up", "scale", "crop", "text", "spz_version"),
+    "Changes": ("up", "scale", "clean", "prune_to", "crop", "remove", "keep_sphere", "text", "spz_version"),
     "Output": (
         *(
             "ply",
             "output",
             "out",
+            "frame",
             "plot",
             "depth",
             "alpha",

@@ -71,16 +71,6 @@ def check_target(path: Path) -> None:
         check_spz()
 
 
-def check_scene_target(path: Path) -> None:
-    """As `check_target`, for a scene that can be optimised further."""
-    if path.suffix.lower() == ".sog":
-        raise QuerySplatError(
-            f"{path}: a .sog has another order of Gaussians than the scene folder beside it",
-            "Write a .ply, and make the .sog of it with `querysplat convert`.",
-        )
-    check_target(path)
-
-
 def file_of_scene(path: Path) -> Path:
     """The Gaussians of a scene; `path` is its folder, or the file itself. Of a folder it is the .ply unless there is
     none, and another kind is there.

@@ -13,8 +13,9 @@ from querysplat_cli.model.checkpoints import load
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.pipeline.budget import Budget, working_size
 from querysplat_cli.pipeline.build import Allowance, BuiltScene, encode_and_build
+from querysplat_cli.pipeline.first_sight import first_sight
 from querysplat_cli.pipeline.full_size import LargePhotos, full_size_quality
-from querysplat_cli.pipeline.gaussian_files import check_scene_target, folder_of_scene
+from querysplat_cli.pipeline.gaussian_files import check_target, folder_of_scene
 from querysplat_cli.pipeline.given_frame import given_frame
 from querysplat_cli.pipeline.memory import MemoryNeeds, within_memory
 from querysplat_cli.pipeline.metric import in_metres, metres_of
@@ -91,7 +92,7 @@ def reconstruct(settings: ReconstructSettings, stages: Stages | None = None) -> 
     Raises QuerySplatError on bad input and ImpossibleScene when no scene can be made of the photos; nothing is written
     then.
     """
-    check_scene_target(settings.ply)
+    check_target(settings.ply)
     outputs = [settings.ply, folder_of_scene(settings.ply)]
     refuse_replacing(settings.inputs, outputs)
     refuse_existing(outputs, force=settings.force)
@@ -279,7 +280,8 @@ def _stored(inputs: _Inputs, passes: HoldoutCameras, scene: BuiltScene, settings
         scene.prepared.map,
         scene.adapted.kept,
         {file.name: file for file in files},
-        given_frame(passes.chosen.inputs, inputs.known),
+        given_frame(passes.chosen.inputs, inputs.known)
+        or first_sight(scene.gaussians, scene.adapted.cameras, settings.frame),
         len(scene.backdrop) if scene.backdrop else 0,
         scene.exposures,
     )

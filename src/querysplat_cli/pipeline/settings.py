@@ -8,6 +8,7 @@ from annotated_types import Ge, Le
 
 from querysplat_cli.runtime.choices import (
     ExposureCorrection,
+    FileFrame,
     Fit,
     FullSizeLevel,
     HoldoutProtocol,
@@ -159,6 +160,13 @@ class ReconstructSettings:
             default="estimated from the photos",
         ),
     ] = None
+    frame: Annotated[
+        FileFrame,
+        Option(
+            "The frame of the scene's files: upright and around the origin (upright), or the first camera's own (vgm). "
+            "Scenes of --poses keep the frame of the given cameras."
+        ),
+    ] = "upright"
     metres_by: Annotated[
         str | None,
         Option(

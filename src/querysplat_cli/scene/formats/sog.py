@@ -35,7 +35,7 @@ FIXED_TIME = (1980, 1, 1, 0, 0, 0)
 
 
 def write_sog(path: Path, gaussians: Gaussians) -> int:
-    """Write the finite Gaussians, in the order of a Z-curve; returns how many there are."""
+    """Write the finite Gaussians, in their order; returns how many there are."""
     finite = gaussians[gaussians.finite]
     if not len(finite):
         raise NoGaussian(path)
@@ -67,7 +67,6 @@ def read_sog(path: Path) -> Gaussians:
 
 def encoded(gaussians: Gaussians) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     """The meta.json, and the pictures [height, width, 4] by file name."""
-    gaussians = gaussians[torch.from_numpy(_z_curve(gaussians.means.double().numpy()))]
     means = gaussians.means.double().numpy()
     logs = np.sign(means) * np.log1p(np.abs(means))
     low, high = logs.min(0), logs.max(0)
@@ -169,17 +168,6 @@ def _unpacked_quats(pixels: np.ndarray) -> np.ndarray:
     quats[np.arange(4) != largest[:, None]] = rest.ravel()
     quats[np.arange(len(pixels)), largest] = np.sqrt(np.maximum(1 - (rest**2).sum(1), 0))
     return quats
-
-
-def _z_curve(points: np.ndarray) -> np.ndarray:
-    """An order in which neighbours in space are mostly neighbours: by the interleaved bits of 10-bit coordinates."""
-    low, high = points.min(0), points.max(0)
-    cells = ((points - low) / np.maximum(high - low, 1e-30) * 1023).astype(np.int64)
-    key = np.zeros(len(points), np.int64)
-    for bit in range(10):
-        for axis in range(3):
-            key |= ((cells[:, axis] >> bit) & 1) << (3 * bit + axis)
-    return np.argsort(key, kind="stable")
 
 
 def _picture(values: np.ndarray) -> np.ndarray:
