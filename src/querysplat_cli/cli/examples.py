@@ -36,6 +36,7 @@ EXAMPLES = {
     "convert": (
         ("convert scene.ply scene.spz", "a smaller file"),
         ("convert scene.ply upright.ply --up z", "turn the axis that points up to -y"),
+        ("convert scene.ply clean.ply --clean", "without floaters, and what that costs"),
         ("convert scene model/ --text", "the cameras as a COLMAP model"),
     ),
     "info": (

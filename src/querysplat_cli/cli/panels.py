@@ -20,15 +20,16 @@ PANELS = {
         "config",
         "changes",
     ),
-    "Cases": ("splits", "protocol", "views", "scales", "cases", "shard", "workers", "splits_only", "merge"),
+    "Cases": ("splits", "protocol", "views", "scales", "cases", "shard", "splits_only", "merge"),
     "Rows and scores": ("sweep", "predictions", "name", "metrics", "fitted"),
     "Pictures": ("frames", "seconds", "fps", "size", "background", "query"),
-    "Changes": ("up", "scale", "crop", "text"),
+    "Changes": ("up", "scale", "clean", "prune_to", "crop", "remove", "keep_sphere", "text"),
     "Output": (
         *(
             "ply",
             "output",
             "out",
+            "frame",
             "plot",
             "depth",
             "alpha",
@@ -36,11 +37,12 @@ PANELS = {
             "nerfbaselines",
             "resume",
             "dry_run",
+            "samples_only",
             "tensorboard",
         ),
-        *("with_photos", "browser", "port", "force", "quiet", "json"),
+        *("with_photos", "view", "browser", "port", "force", "quiet", "json"),
     ),
-    "Machine": ("device", "seed"),
+    "Machine": ("device", "seed", "workers"),
 }
 """The options of each panel, by the names of their fields. A name means the same in every verb that has it.
 

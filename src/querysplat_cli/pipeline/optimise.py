@@ -2,14 +2,16 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import count
 
 import torch
 
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.prune.bands import without_idle_bands
+from querysplat_cli.prune.far import drawn_in
 from querysplat_cli.runtime.device import to_device
-from querysplat_cli.runtime.progress import Progress
+from querysplat_cli.runtime.progress import Progress, StageProgress
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.exposures import Exposures
 from querysplat_cli.scene.views import Views
@@ -29,14 +31,14 @@ def optimise_start(
     photos: tuple[Views, Cameras],
     plan: Sequence[TtoRun],
     options: OptimiseOptions,
-    progress: Progress,
+    progress: StageProgress,
     exposures: Exposures | None = None,
 ) -> Adapted:
     """Carry out `plan` on the device of the model, and leave out SH bands that change nothing; the result on the CPU.
 
-    Its Gaussians are nowhere thinner than the pixels of the finest photo that sees them. Scenes of official models have
-    no such bound, keep all bands, and all Gaussians unless a number is asked for, and are optimised over black, as in
-    the release. `exposures` are the colour transforms of the photos to start with.
+    Its Gaussians are nowhere thinner than the pixels of the finest photo that sees them, and far ones are drawn in.
+    Scenes of official models have no such bounds, keep all bands, and all Gaussians unless a number is asked for, and
+    are optimised over black, as in the release. `exposures` are the colour transforms of the photos to start with.
     """
     if options.keep_all or start.anchors is None:
         options = replace(options, keep_all=True, prune="off" if options.prune == "auto" else options.prune)
@@ -54,14 +56,15 @@ def optimise_start(
         if options.smooth or any(run.settings.steps for run in plan):
             start = replace(start, finest=target.finest)
     target = replace(target, perceptual=options.perceptual)
-    adapted = adapt(model, start, target, plan, options, _shown(plan, progress))
+    look = partial(progress.look, views=photos[0], cameras=photos[1])
+    adapted = adapt(model, start, target, plan, options, _shown(plan, progress), look)
     if target.finest is not None:
         finest = _enlarged(adapted.cameras, options.finest_size)
         adapted = replace(adapted, gaussians=bounded(adapted.gaussians, finest))
     if not options.keep_all:
         last, tested = replace(target, cameras=adapted.cameras), tested_views(len(target.views))
         fewer, idle = without_idle_bands(adapted.gaussians, lambda some: last.psnr(some, tested))
-        adapted = replace(adapted, gaussians=fewer, idle_bands=idle)
+        adapted = replace(adapted, gaussians=drawn_in(fewer, adapted.cameras), idle_bands=idle)
     return to_device(adapted, torch.device("cpu"))
 
 

@@ -14,6 +14,7 @@ from querysplat_cli.model.checkpoints import load
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.pipeline.budget import Budget, working_size
 from querysplat_cli.pipeline.build import Allowance, BuiltScene, encode_and_build
+from querysplat_cli.pipeline.first_sight import first_sight
 from querysplat_cli.pipeline.full_size import LargePhotos, full_size_quality
 from querysplat_cli.pipeline.gaussian_files import check_target, folder_of_scene
 from querysplat_cli.pipeline.given_frame import given_frame
@@ -291,7 +292,8 @@ def _stored(inputs: _Inputs, passes: HoldoutCameras, scene: BuiltScene, settings
         scene.prepared.map,
         scene.adapted.kept,
         {file.name: file for file in files},
-        given_frame(passes.chosen.inputs, inputs.known),
+        given_frame(passes.chosen.inputs, inputs.known)
+        or first_sight(scene.gaussians, scene.adapted.cameras, settings.frame),
         len(scene.backdrop) if scene.backdrop else 0,
         scene.exposures,
     )

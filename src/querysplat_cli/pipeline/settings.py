@@ -8,6 +8,7 @@ from annotated_types import Ge, Le
 
 from querysplat_cli.runtime.choices import (
     ExposureCorrection,
+    FileFrame,
     Fit,
     FullSizeLevel,
     HoldoutProtocol,
@@ -143,6 +144,13 @@ class ReconstructSettings:
             default="estimated from the photos",
         ),
     ] = None
+    frame: Annotated[
+        FileFrame,
+        Option(
+            "The frame of the scene's files: upright and around the origin (upright), or the first camera's own (vgm). "
+            "Scenes of --poses keep the frame of the given cameras."
+        ),
+    ] = "upright"
     device: Device = "auto"
     seed: Seed = 42
     force: Force = False

@@ -26,6 +26,10 @@ FullSizeLevel = Literal["standard", "high", "max"]
 ExposureCorrection = Literal["auto", "off"]
 """Whether each photo has a colour transform. auto: where photos show the same surfaces in different colours."""
 
+FileFrame = Literal["upright", "vgm"]
+"""The frame of the files of a scene. upright: as viewers expect it. vgm: that of the vision geometric model, with the
+first camera at the origin."""
+
 Fit = Literal["crop", "pad"]
 """How a photo fits a network. crop: the largest centred square. pad: the whole photo, on a canvas as wide as the widest
 and as high as the highest photo."""
@@ -60,5 +64,3 @@ Scale = Literal["small", "medium", "large"]
 
 FurtherMetric = Literal["flip", "ssimulacra2"]
 """Metrics of an evaluation beside PSNR, SSIM and LPIPS, from packages of their own."""
-
-Axis = Literal["x", "y", "z", "-x", "-y", "-z"]

@@ -68,7 +68,7 @@ def write_cameras(
     content = {
         "camera_model": "PINHOLE",
         "canvas": [cameras.height, cameras.width],
-        **({"working_frame": _as_entry(frame)} if frame else {}),
+        **({"working_frame": as_entry(frame)} if frame else {}),
         "frames": _frames(cameras, views, frame),
         **({"heldout_frames": _frames(heldout[1], heldout[0], frame)} if heldout else {}),
     }
@@ -125,7 +125,8 @@ def _both(path: Path, content: dict[str, Any], frame: Sim3) -> tuple[NamedCamera
     return inputs, _named_cameras(path, content, heldout, frame) if heldout else None
 
 
-def _as_entry(frame: Sim3) -> dict[str, Any]:
+def as_entry(frame: Sim3) -> dict[str, Any]:
+    """How a file states a similarity."""
     return {"scale": frame.scale, "rotation": frame.rotation.tolist(), "translation": frame.translation.tolist()}
 
 
