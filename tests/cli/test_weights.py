@@ -2,13 +2,16 @@
 
 import json
 import sys
+from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 from types import ModuleType
 
 import pytest
 
 from querysplat_cli.cli import run
+from querysplat_cli.runtime import matching_weights
 from querysplat_cli.runtime.errors import ExitCode, MissingPart
+from querysplat_cli.runtime.matching_weights import INSTALL, MATCHING_WEIGHTS
 from querysplat_cli.runtime.weight_registry import WEIGHTS, find_weights, sha256
 from tiny_weights import write_weights
 
@@ -18,9 +21,19 @@ def listed(capsys: pytest.CaptureFixture[str], code: ExitCode, *more: str) -> di
     return {entry["file"]: entry for entry in json.loads(capsys.readouterr().out)}
 
 
-def test_what_is_needed_is_said_where_nothing_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def not_installed(name: str) -> None:
+    raise PackageNotFoundError(name)
+
+
+def test_what_is_needed_is_said_where_nothing_is(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TORCH_HOME", str(tmp_path))
+    monkeypatch.setattr(matching_weights, "distribution", not_installed)
     found = listed(capsys, ExitCode.DONE, "--weights", str(tmp_path))
-    assert len(found) == len(WEIGHTS)
+    assert len(found) == len(WEIGHTS) + len(MATCHING_WEIGHTS)
+    assert found["disk_lightglue.pth"]["command"] == INSTALL
+    assert found["disk_lightglue.pth"]["licence"] == "Apache-2.0"
     omega = found["vggt_omega_1b_512.pt"]
     assert omega["gated"] is True
     assert "Noncommercial" in str(omega["licence"])
@@ -31,6 +44,13 @@ def test_what_is_needed_is_said_where_nothing_is(tmp_path: Path, capsys: pytest.
     said = capsys.readouterr().err
     assert "huggingface.co/facebook/VGGT-Omega" in said
     assert "c02da418" in said
+    assert "".join(INSTALL.split()) in "".join(said.split())
+
+
+def test_a_damaged_file_of_a_matcher_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "xfeat.pt").write_bytes(b"half of it")
+    found = listed(capsys, ExitCode.BAD_INPUT, "--weights", str(tmp_path), "--verify")
+    assert "sha256 should be 0f5187fd" in str(found["xfeat.pt"]["fault"])
 
 
 def test_files_are_read_and_summed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -15,6 +15,7 @@ from querysplat_cli.pipeline.build import Allowance, build_scene, encode_and_bui
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.runtime.progress import Progress, Stages
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera
+from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.views import Photo, Views
 from querysplat_cli.tto.rendering_loss import tensors
 
@@ -98,6 +99,33 @@ def test_a_scene_needs_no_encoder(model: QuerySplat) -> None:
     encoded = encode_and_build(posed, encoder, model, SETTINGS, Stages(), Allowance(last=True))
     assert encoder.asked == [("a", "b", "c"), ("freed",)]
     pairs = zip(tensors(scene.adapted.gaussians), tensors(encoded.adapted.gaussians), strict=True)
+    assert all(one.equal(other) for one, other in pairs)
+
+
+@dataclass
+class Recorder:
+    """A watcher that records what it sees."""
+
+    heard: list[str] = field(default_factory=list)
+    seen: list[tuple[Gaussians, Views, Cameras]] = field(default_factory=list)
+
+    def listen(self, stage: str, text: str, fraction: float) -> None:
+        self.heard.append(stage)
+
+    def look(self, gaussians: Gaussians, views: Views, cameras: Cameras) -> None:
+        self.seen.append((gaussians.detach(), views, cameras))
+
+
+def test_a_watcher_sees_every_step_and_changes_nothing(model: QuerySplat) -> None:
+    posed, geometry = wall(model, (-0.1, 0.0, 0.1))
+    stages, watcher = Stages(), Recorder()
+    stages.watch(watcher)
+    watched = build_scene(posed, geometry, model, SETTINGS, stages)
+    assert list(dict.fromkeys(watcher.heard)) == ["queries", "tto"]
+    assert [(views.names, len(cameras)) for _, views, cameras in watcher.seen] == [(("a", "b", "c"), 3)] * 3
+    assert not watcher.seen[0][0].means.equal(watcher.seen[2][0].means)
+    alone = build_scene(posed, geometry, model, SETTINGS)
+    pairs = zip(tensors(watched.gaussians), tensors(alone.gaussians), strict=True)
     assert all(one.equal(other) for one, other in pairs)
 
 

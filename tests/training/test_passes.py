@@ -157,6 +157,31 @@ def test_what_is_prepared_once_is_not_prepared_again(tmp_path: Path) -> None:
     assert cache_folder(data, source) == cache_folder(data, replace(source, scenes=9))
 
 
+def make_recorder() -> Surveyor:
+    return Recorder()
+
+
+@pytest.mark.slow
+def test_several_workers_make_the_samples_that_one_makes(tmp_path: Path) -> None:
+    """Each sample once, with the same bits, whoever makes it."""
+    data = DataSettings((SMALL_ROOMS,), cache=str(tmp_path / "one"), encoder="surveyor", max_size=66)
+    several = replace(data, cache=str(tmp_path / "several"))
+    seen: list[float] = []
+    prepare_samples(data, make_recorder, progress=lambda text, fraction: None)
+    found = prepare_samples(several, make_recorder, workers=2, progress=lambda text, fraction: seen.append(fraction))
+    assert (found.ready, found.failed) == (4, ())
+    assert seen == [0.25, 0.5, 0.75, 1.0]
+    for path in cache_folder(data, SMALL_ROOMS).iterdir():
+        other = cache_folder(several, SMALL_ROOMS) / path.name
+        assert path.read_bytes() == other.read_bytes()
+
+
+def test_caches_of_earlier_versions_are_found(tmp_path: Path) -> None:
+    data = DataSettings((SMALL_ROOMS,), cache=str(tmp_path), encoder="classical", max_size=66)
+    assert cache_folder(data, SMALL_ROOMS).name == "procedural-65b79d3face0"
+    assert cache_folder(data, replace(SMALL_ROOMS, varied=True)) != cache_folder(data, SMALL_ROOMS)
+
+
 def test_the_draw_of_a_step_depends_on_seed_step_and_place_in_the_batch_alone(tmp_path: Path) -> None:
     data = training(tmp_path).data
     one, again, other = CachedSamples(data, 1), CachedSamples(data, 1), CachedSamples(data, 2)

@@ -121,6 +121,21 @@ def test_light_falls_off_into_shadow() -> None:
     torch.testing.assert_close(shaded[20], lit[20])
 
 
+def test_a_glossy_wall_mirrors_what_stands_behind_the_camera() -> None:
+    """Seen straight on it shows the red ball in its middle and nothing, which is black, beside it."""
+    wall = solid(BOX, (0, 7, 0), (50, 2, 50))
+    ball = Solid(BALL, (0, -3, 0), (1.5, 1.5, 1.5), "plain", (0.9, 0.1, 0.1), (0.9, 0.1, 0.1))
+    dull, mirror = (
+        cast(replace(scene(replace(wall, gloss=gloss), ball), lamp=(0.0, 3.0, 3.0)), camera())[0][0]
+        for gloss in (0, 0.9)
+    )
+    middle, corner = mirror[:, 10, 15], mirror[:, 0, 0]
+    assert middle[0] > 2 * middle[1]
+    assert dull[0, 10, 15] < 1.5 * dull[1, 10, 15]
+    assert corner.max() < 0.5 * dull[:, 0, 0].max()
+    assert torch.equal(cast(scene(wall), camera())[0], cast(scene(replace(wall, gloss=0)), camera())[0])
+
+
 @pytest.mark.parametrize("paint", PAINTS)
 def test_every_paint_has_detail_and_stays_in_range(paint: str) -> None:
     wall = replace(solid(BOX, (0, 2.5, 0), (2, 0.5, 2)), paint=paint)

@@ -12,14 +12,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.training.captures import drawn_views
 from querysplat_cli.training.config import SourceSettings
 from querysplat_cli.training.outdoors import make_outdoors
 from querysplat_cli.training.photographer import wander
 from querysplat_cli.training.policy import TRAINING_POLICY
+from querysplat_cli.training.procedural import varied_scene
 from querysplat_cli.training.raycast import BALL, BOX, CYLINDER
 from querysplat_cli.training.rooms import make_room
 from querysplat_cli.training.solids import Solid, distance_to
-from querysplat_cli.training.sources import drawn_views, open_source
+from querysplat_cli.training.sources import open_source
+from querysplat_cli.training.tabletops import TOP, make_tabletop
 
 WHITE = (1.0, 1.0, 1.0)
 
@@ -81,6 +84,40 @@ def test_no_photographer_stands_in_a_solid(seed: int) -> None:
     rotation = cameras.w2c[:, :3, :3]
     torch.testing.assert_close(rotation @ rotation.mT, torch.eye(3).expand(9, 3, 3), rtol=0, atol=1e-5)
     assert (rotation[:, 1, 2] < 0.2).all(), "the world's up is the picture's up"
+
+
+def test_varied_scenes_have_dark_glossy_and_thin_things() -> None:
+    """Some have none of a kind; all of a seed are the same."""
+    scenes = [varied_scene(seed) for seed in range(24)]
+    assert scenes[5] == varied_scene(5)
+    dark = [sum(max(solid.first) < 0.2 for solid in made.solids) / len(made.solids) for made in scenes]
+    glossy = [sum(solid.gloss > 0 for solid in made.solids) / len(made.solids) for made in scenes]
+    for shares in (dark, glossy):
+        assert min(shares) < 0.1
+        assert 0.15 < max(shares) < 0.8
+    thin = [sum(min(solid.size) < 0.013 for solid in made.solids) for made in scenes]
+    assert max(thin) > 10
+    assert all(solid.gloss == 0 for solid in make_room(0).solids)
+
+
+def test_things_stand_on_the_table() -> None:
+    made = make_tabletop(4)
+    small = [solid for solid in made.solids if max(solid.size) < 0.2 and solid.centre[2] > TOP]
+    assert len(small) >= 8
+    assert all(abs(solid.centre[0]) < 0.5 and abs(solid.centre[1]) < 0.5 for solid in small)
+    assert min(solid.centre[2] - solid.size[2] for solid in small) == pytest.approx(TOP)
+    assert made.reach < make_room(4).reach
+
+
+def test_colours_change_from_photo_to_photo_of_varied_captures() -> None:
+    """Exposure changes all channels, white balance each one."""
+    settings = SourceSettings("procedural", size=(32, 40), inputs=(3, 3), targets=1, cameras="posed", varied=True)
+    source, plain = open_source(settings), open_source(SourceSettings("procedural", size=(32, 40), inputs=(3, 3)))
+    captures = [source.capture(scene, 0) for scene in range(4)]
+    again = open_source(settings).capture(2, 0)
+    assert captures[2].photos[0].pixels.tobytes() == again.photos[0].pixels.tobytes()
+    assert plain.capture(2, 0).photos[0].pixels.tobytes() != again.photos[0].pixels.tobytes()
+    assert len({capture.photos[0].pixels.tobytes() for capture in captures}) == 4
 
 
 @pytest.mark.parametrize("shape", [BOX, BALL, CYLINDER])

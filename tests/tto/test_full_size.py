@@ -6,6 +6,7 @@ import pytest
 import torch
 from tto_scenes import wall
 
+from querysplat_cli.runtime.choices import FullSizeLevel
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.exposures import Exposures
 from querysplat_cli.scene.gaussians import Gaussians
@@ -132,13 +133,20 @@ def test_small_photos_have_one_stage_and_few_photos_have_few_steps() -> None:
     assert not any(each.settings.keep_cover for each in plan_full_size("high", LARGE, 40_000).stages)
 
 
-def test_photos_without_more_pixels_are_shown_less_often() -> None:
-    def passes(width: int, count: int = 8) -> float:
-        photos = Photos(count, width * 3 // 4, width, 448)
-        return sum(each.settings.steps for each in plan_full_size("high", photos, 30_000).stages) / count
+def test_only_photos_that_are_shown_often_have_dropout() -> None:
+    often, seldom = plan_full_size("high", LARGE, 40_000), plan_full_size("standard", Photos(20, 336, 448, 448), 40_000)
+    assert {each.settings.dropout for each in often.stages} == {FULL_SIZE_POLICY.dropout}
+    assert {each.settings.dropout for each in seldom.stages} == {0.0}
 
-    assert passes(448) == passes(300) == FULL_SIZE_POLICY.passes
-    assert passes(448) < passes(640) <= FULL_SIZE_POLICY.most_passes
+
+def test_photos_without_more_pixels_are_shown_less_often() -> None:
+    def passes(level: FullSizeLevel, width: int, count: int = 8) -> float:
+        photos = Photos(count, width * 3 // 4, width, 448)
+        return sum(each.settings.steps for each in plan_full_size(level, photos, 30_000).stages) / count
+
+    for level in ("standard", "high"):
+        assert passes(level, 448) == passes(level, 300) == FULL_SIZE_POLICY.levels[level].passes
+        assert passes(level, 448) < passes(level, 640) <= FULL_SIZE_POLICY.most_passes
 
 
 @pytest.mark.parametrize("level", ["high", "max"])

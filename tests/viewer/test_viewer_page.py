@@ -1,16 +1,20 @@
 """The viewer's page in a real browser: the pictures are those of our own splatter, and nothing leaves this machine."""
 
+import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from chromium import CHROMIUM, Browser
+from chromium import CHROMIUM, PATIENCE, Browser
 
 from querysplat_cli.cli import run
+from querysplat_cli.commands.live_view import watched
 from querysplat_cli.commands.view_server import serving
 from querysplat_cli.commands.viewed_scene import viewed_scene
+from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.formats.ply import write_ply
 from querysplat_cli.scene.formats.transforms import write_cameras
@@ -141,6 +145,34 @@ def test_a_drag_leaves_the_photo_and_keeps_the_ball_in_sight(scene: Path, browse
         assert psnr(turned, 2) < LEAST_PSNR
         assert turned[40:80, 60:100].max(2).mean() > 30
     assert browser.errors == []
+
+
+def test_the_page_follows_a_run_to_its_end(browser: Browser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two states of a scene, the second with every Gaussian in grey."""
+    monkeypatch.setenv("BROWSER", "true")
+    monkeypatch.setattr("querysplat_cli.commands.live_view.EVERY_SECONDS", 0.0)
+    names = ("a.png", "b.png", "c.png")
+    views = Views(pictures(), torch.ones(3, *SIZE, dtype=torch.bool), names, (SIZE,) * 3)
+    grey = replace(made_gaussians(), sh=torch.zeros(COUNT, 1, 3))
+    stages, addresses = Stages(), []
+    browser.requests.clear()
+    with watched(stages, "room", addresses.append), stages("tto") as progress:
+        browser.open(addresses[0])
+        progress("loss 0.5", 0.1)
+        browser.wait_until("document.getElementById('message').textContent === 'tto: loss 0.5'")
+        progress.look(made_gaussians(), views, made_cameras())
+        without_panel(browser)
+        assert psnr(browser.screenshot(), 1) > LEAST_PSNR
+        progress.look(grey, views, made_cameras())
+        browser.wait_until("performance.getEntriesByType('resource').some(e => e.name.endsWith('scene.ply?2'))")
+        browser.settled()
+        until = time.monotonic() + PATIENCE
+        while np.ptp(browser.screenshot().astype(int), axis=2).max() > 2:
+            assert time.monotonic() < until, "the page does not show the second state"
+            browser.settled()
+    browser.wait_until("document.getElementById('state').textContent.startsWith('The run has ended')")
+    assert browser.errors == []
+    assert all(request.startswith((addresses[0], "data:", "blob:")) for request in browser.requests)
 
 
 def test_the_exported_file_opens_from_disk(scene: Path, browser: Browser, tmp_path: Path) -> None:

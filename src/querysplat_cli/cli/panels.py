@@ -7,7 +7,7 @@ PANELS = {
         *("quality", "budget", "tto", "tto_target", "tto_space", "steps", "lr", "space"),
         *("queries", "prune", "densify", "backdrop", "keep_everything"),
     ),
-    "Cameras": ("poses", "refine_cameras", "holdout_cameras", "cameras", "colmap"),
+    "Cameras": ("poses", "refine_cameras", "holdout_cameras", "cameras", "colmap", "matcher"),
     "Model": (
         "preset",
         "encoder",
@@ -20,7 +20,7 @@ PANELS = {
         "config",
         "changes",
     ),
-    "Cases": ("splits", "protocol", "views", "scales", "cases", "shard", "workers", "splits_only", "merge"),
+    "Cases": ("splits", "protocol", "views", "scales", "cases", "shard", "splits_only", "merge"),
     "Rows and scores": ("sweep", "predictions", "name", "metrics", "fitted"),
     "Pictures": ("frames", "seconds", "fps", "size", "background", "query"),
     "Changes": ("up", "scale", "crop", "text"),
@@ -36,11 +36,12 @@ PANELS = {
             "nerfbaselines",
             "resume",
             "dry_run",
+            "samples_only",
             "tensorboard",
         ),
-        *("with_photos", "browser", "port", "force", "quiet", "json"),
+        *("with_photos", "view", "browser", "port", "force", "quiet", "json"),
     ),
-    "Machine": ("device", "seed"),
+    "Machine": ("device", "seed", "workers"),
 }
 """The options of each panel, by the names of their fields. A name means the same in every verb that has it.
 

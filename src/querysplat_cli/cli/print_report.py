@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 from querysplat_cli.cli.terminal import say
 from querysplat_cli.cli.verb import Printing
@@ -28,18 +29,31 @@ def exit_if_interrupted(report: Report) -> None:
 
 
 def lines(report: Report) -> Iterator[str]:
-    """Five lines, one more for photos that were left out, and one for each warning."""
+    """Five lines, and one more each for photos that were left out, for what a network matched, and for a warning."""
     used, left_out = report.views["used"], report.views["left_out"]
     yield f"{report.gaussians:,} Gaussians from {_counted(len(used), 'photo')}"
     if left_out:
         first = left_out[0]
         more = f", and {len(left_out) - 1} more" if left_out[1:] else ""
         yield f"left out: {first['name']} ({first['why']}){more}"
+    if report.matching:
+        yield _matching(report.matching)
     yield from (f"warning: {warning}" for warning in report.warnings)
     yield "; ".join(_quality(report))
     yield _time(report)
     yield f"{report.ply}; {Path(report.scene) / 'preview.png'} shows photos beside renders, report.json has the rest"
     yield f"next: querysplat render {report.ply} -o film.mp4, or querysplat tto {report.scene} for a better scene"
+
+
+def _matching(matching: dict[str, Any]) -> str:
+    pairs = _counted(matching["pairs"], "pair")
+    if not matching["matcher"]:
+        return f"SIFT finds few matches in {pairs} of photos; a network may find more: `querysplat weights` says how"
+    before, after = matching["matches"]
+    found = (
+        f"{pairs} matched again by {matching['matcher']} in {matching['seconds']:.1f} s: {before:,} → {after:,} matches"
+    )
+    return found if matching["kept"] else f"{found}, which did not improve the cameras"
 
 
 def _quality(report: Report) -> Iterator[str]:

@@ -5,6 +5,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
+from annotated_types import Ge
+
 from querysplat_cli.cli.verb import Printing
 from querysplat_cli.runtime.errors import MissingPart
 from querysplat_cli.runtime.options import Device, Force, LpipsWeights, Option
@@ -28,6 +30,12 @@ class TrainOptions:
     dry_run: Annotated[bool, Option("State the batch, samples, disk, memory and time of it, and write nothing.")] = (
         False
     )
+    samples_only: Annotated[bool, Option("Make the samples of the cache, and train nothing.")] = False
+    workers: Annotated[
+        int | None,
+        Ge(1),
+        Option("Processes that make the samples of the cache.", metavar="N", default="one for each core"),
+    ] = None
     lpips: LpipsWeights = None
     tensorboard: Annotated[bool, Option("Write TensorBoard's files, too.")] = False
     device: Device = "auto"
@@ -46,13 +54,21 @@ def train(options: TrainOptions, printing: Printing) -> None:
 
     config = load_config(options.config, options.changes)
     perceptual = None
-    if config.needs_lpips and not options.dry_run:
+    if config.needs_lpips and not options.dry_run and not options.samples_only:
         found = find_lpips(options.lpips)
         if isinstance(found, str):
             raise MissingPart(found, "Give --lpips DIR, or leave it out with --set losses.lpips=0.")
         perceptual = load_lpips(found)
     request = TrainRequest(
-        config, options.output, options.resume, options.force, options.device, options.tensorboard, perceptual
+        config,
+        options.output,
+        options.resume,
+        options.force,
+        options.device,
+        options.tensorboard,
+        perceptual,
+        options.workers,
+        options.samples_only,
     )
     # torchrun starts several processes; the first one reports for all.
     is_first = os.environ.get("RANK", "0") == "0"

@@ -1,19 +1,20 @@
 """`querysplat tto`: optimise a stored scene further."""
 
 from querysplat_cli.cli.verb import Printing
+from querysplat_cli.commands.view_requests import Watching
 from querysplat_cli.pipeline.settings import ResumeSettings
 
 
-def tto(settings: ResumeSettings, printing: Printing) -> None:
+def tto(settings: ResumeSettings, printing: Printing, watching: Watching) -> None:
     """Optimise a stored scene further on its photos, and update its .ply, folder and report.
 
     Ctrl-C ends the optimisation and keeps what it has reached.
     """
     from querysplat_cli.cli.print_report import exit_if_interrupted, print_report
-    from querysplat_cli.cli.terminal import showing_stages
+    from querysplat_cli.cli.watching import watching_stages
     from querysplat_cli.pipeline.resume import optimise_scene
 
-    with showing_stages(printing) as stages:
+    with watching_stages(watching, printing, settings.scene.stem) as stages:
         report = optimise_scene(settings, stages)
     print_report(report, printing)
     exit_if_interrupted(report)

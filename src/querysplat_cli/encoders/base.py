@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from querysplat_cli.runtime.choices import Fit, Frame, Precision
+from querysplat_cli.runtime.choices import Fit, Frame, Matcher, Precision
 from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera
 from querysplat_cli.scene.views import LeftOut, Photo, Views
@@ -20,11 +20,11 @@ from querysplat_cli.scene.views import LeftOut, Photo, Views
 
 @dataclass(frozen=True)
 class EncoderOptions:
-    """How a learned encoder works. The classical encoder ignores all of it.
+    """How an encoder works. The classical encoder reads `weights` and `matcher`, learned encoders all but `matcher`.
 
     `weights` is the folder of the checkpoints (None: the Hugging Face cache). `mixture` holds a weight for each
     cached layer: the features are then the weighted sum of the layers alone. With `depth` False, no depth map is
-    computed. `frame` is that of the cameras (`PosedViews`).
+    computed. `matcher` matches the photos. `frame` is that of the cameras (`PosedViews`).
     """
 
     weights: Path | None = None
@@ -33,6 +33,7 @@ class EncoderOptions:
     fit: Fit = "crop"
     mixture: tuple[float, ...] | None = None
     depth: bool = True
+    matcher: Matcher = "auto"
     frame: Frame = "predicted"
 
 
@@ -47,6 +48,23 @@ class CameraRequest:
     max_size: int
     seed: int
     known: Mapping[str, PhotoCamera] | None = None
+
+
+@dataclass(frozen=True)
+class Matching:
+    """What was done for photos that SIFT matches badly.
+
+    The network `matcher` searched `pairs` of them again, in `seconds`. `matches` are those of these pairs that agree,
+    before and after. With `kept` False, the cameras from before were better. `missing` says what a network lacks that
+    would have been used; `matcher` is empty then.
+    """
+
+    matcher: str
+    pairs: int
+    matches: tuple[int, int] = (0, 0)
+    seconds: float = 0.0
+    kept: bool = True
+    missing: str = ""
 
 
 @dataclass(frozen=True)
@@ -68,7 +86,8 @@ class PosedViews:
     the points that the view observes. Each of `warnings` is a sentence that says why the cameras may be wrong.
     `photo_cameras` are the cameras of the photos before undistortion, in the same frame; None where the views show
     the photos without resampling. `epipolar_error_px` is the median distance of the matches from their epipolar
-    lines, in pixels of the views; None where it was not measured.
+    lines, in pixels of the views; None where it was not measured. `matching` says how photos were matched again, if any
+    was.
     """
 
     views: Views
@@ -79,6 +98,7 @@ class PosedViews:
     warnings: tuple[str, ...] = ()
     photo_cameras: tuple[PhotoCamera, ...] | None = None
     epipolar_error_px: float | None = None
+    matching: Matching | None = None
 
 
 @dataclass(frozen=True)

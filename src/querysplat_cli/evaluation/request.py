@@ -95,7 +95,7 @@ class EvalRequest:
     settings: Annotated[
         ReconstructSettings,
         Only(
-            *("max_size", "queries", "preset", "encoder", "weights", "precision", "device", "seed"),
+            *("max_size", "queries", "preset", "encoder", "matcher", "weights", "precision", "device", "seed"),
             **WITHOUT_PHOTOS,
         ),
     ] = field(default_factory=lambda: ReconstructSettings(**WITHOUT_PHOTOS))  # type: ignore[arg-type]

@@ -19,12 +19,12 @@ from querysplat_cli.evaluation.request import EvalRequest
 from querysplat_cli.evaluation.results import RowFolder, write_case, write_failure
 from querysplat_cli.evaluation.splits import Split, spacing, write_index, write_split
 from querysplat_cli.evaluation.summary import summarise
-from querysplat_cli.evaluation.workers import Workers
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.runtime.choices import FurtherMetric
 from querysplat_cli.runtime.device import find_device
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Stages
+from querysplat_cli.runtime.workers import Workers
 from querysplat_cli.scene.files import check_writable
 from querysplat_cli.scene.formats.dataset import find_scenes
 from querysplat_cli.splat.compile_ahead import compile_ahead

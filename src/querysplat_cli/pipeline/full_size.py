@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any
 
 import torch
@@ -13,7 +14,7 @@ from querysplat_cli.reporting.report import quality_entry, tto_entries
 from querysplat_cli.reporting.view_scores import score
 from querysplat_cli.runtime.device import to_device
 from querysplat_cli.runtime.errors import QuerySplatError
-from querysplat_cli.runtime.progress import Progress
+from querysplat_cli.runtime.progress import StageProgress
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.exposures import Exposures
 from querysplat_cli.scene.gaussians import Gaussians
@@ -89,7 +90,7 @@ def take_to_full_size(
     *,
     seed: int,
     device: torch.device,
-    progress: Progress,
+    progress: StageProgress,
 ) -> FullSize:
     """Optimise `gaussians`, without those that hide what `photos` show (`prune/hiding.py`), on `photos`.
 
@@ -109,7 +110,10 @@ def take_to_full_size(
 
     start = to_device(gaussians, device)
     hidden = hiding(start, to_device(photos.cameras, device))
-    result = optimise_full_size(start[~hidden], views_at, plan, seed=seed, exposures=photos.exposures, progress=show)
+    look = partial(progress.look, views=photos.views, cameras=photos.cameras)
+    result = optimise_full_size(
+        start[~hidden], views_at, plan, seed=seed, exposures=photos.exposures, progress=show, look=look
+    )
     return FullSize(
         to_device(result.gaussians, torch.device("cpu")),
         result.runs[-1][0].max_size,

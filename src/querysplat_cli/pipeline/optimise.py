@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import count
 
 import torch
@@ -9,7 +10,7 @@ import torch
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.prune.bands import without_idle_bands
 from querysplat_cli.runtime.device import to_device
-from querysplat_cli.runtime.progress import Progress
+from querysplat_cli.runtime.progress import Progress, StageProgress
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.exposures import Exposures
 from querysplat_cli.scene.views import Views
@@ -29,7 +30,7 @@ def optimise_start(
     photos: tuple[Views, Cameras],
     plan: Sequence[TtoRun],
     options: OptimiseOptions,
-    progress: Progress,
+    progress: StageProgress,
     exposures: Exposures | None = None,
 ) -> Adapted:
     """Carry out `plan` on the device of the model, and leave out SH bands that change nothing; the result on the CPU.
@@ -54,7 +55,8 @@ def optimise_start(
         if options.smooth or any(run.settings.steps for run in plan):
             start = replace(start, finest=target.finest)
     target = replace(target, perceptual=options.perceptual)
-    adapted = adapt(model, start, target, plan, options, _shown(plan, progress))
+    look = partial(progress.look, views=photos[0], cameras=photos[1])
+    adapted = adapt(model, start, target, plan, options, _shown(plan, progress), look)
     if target.finest is not None:
         finest = _enlarged(adapted.cameras, options.finest_size)
         adapted = replace(adapted, gaussians=bounded(adapted.gaussians, finest))

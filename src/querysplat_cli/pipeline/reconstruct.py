@@ -28,6 +28,7 @@ from querysplat_cli.reporting.report import (
     exposure_entry,
     heldout_entry,
     machine,
+    matching_entry,
     quality_entry,
     seconds_entry,
     tto_entries,
@@ -108,7 +109,14 @@ def load_parts(settings: ReconstructSettings, device: torch.device) -> tuple[Que
         model.keep_queries(settings.queries)
     depth, frame = settings.depth or not learned, model.config.frame
     options = EncoderOptions(
-        settings.weights, device, precision, settings.fit, model.layer_weights, depth=depth, frame=frame
+        settings.weights,
+        device,
+        precision,
+        settings.fit,
+        model.layer_weights,
+        depth=depth,
+        matcher=settings.matcher,
+        frame=frame,
     )
     return model, find_encoder(settings.encoder or ("vggt_omega" if learned else "classical"), options)
 
@@ -247,6 +255,7 @@ def _report(
         exposure=exposure_entry(scene.colours),
         unseen=scores.unseen.entry() if scores.unseen else None,
         backdrop=len(scene.backdrop) if scene.backdrop else 0,
+        matching=matching_entry(passes.chosen.inputs.matching),
     )
 
 

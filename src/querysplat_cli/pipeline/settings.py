@@ -11,6 +11,7 @@ from querysplat_cli.runtime.choices import (
     Fit,
     FullSizeLevel,
     HoldoutProtocol,
+    Matcher,
     Quality,
     Space,
     Target,
@@ -123,6 +124,13 @@ class ReconstructSettings:
             default="the preset's own",
         ),
     ] = None
+    matcher: Annotated[
+        Matcher,
+        Option(
+            "With classical: how photos are matched. auto takes SIFT, and for photos that it matches badly a network "
+            "(`querysplat weights` says how to install one) or affine SIFT; the others are used for all photos."
+        ),
+    ] = "auto"
     weights: Weights = None
     lpips: TtoLpips = None
     precision: NetworkPrecision = "fp32"

@@ -11,9 +11,11 @@ from typing import Any
 
 import torch
 
+from querysplat_cli.encoders.base import Matching
 from querysplat_cli.encoders.holdout import PoseDifference
 from querysplat_cli.reporting.view_scores import Quality
 from querysplat_cli.runtime.choices import HoldoutProtocol
+from querysplat_cli.runtime.matching_weights import INSTALL
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.rotations import rotation_angles
 from querysplat_cli.scene.views import LeftOut
@@ -30,7 +32,7 @@ class Report:
     sentences on why the scene may be wrong. `full_size` describes the optimisation on large photos, if there was
     one. `exposure` says how far the photos agree in colour, where that was measured. `backdrop` counts the Gaussians of
     the backdrop, the last ones of the file. `unseen` is how much of a film around the scene no photo saw (None where
-    there is no film).
+    there is no film). `matching` says what a network did, or would have done, for photos that SIFT matches badly.
     """
 
     ply: str
@@ -50,6 +52,7 @@ class Report:
     exposure: dict[str, Any] | None = None
     unseen: dict[str, float] | None = None
     backdrop: int = 0
+    matching: dict[str, Any] | None = None
 
     @property
     def interrupted(self) -> bool:
@@ -104,6 +107,14 @@ def exposure_entry(colours: PhotoColours | None) -> dict[str, Any] | None:
     if colours is None:
         return None
     return {"disagreement": round(colours.disagreement, 4), "corrected": not colours.agree}
+
+
+def matching_entry(matching: Matching | None) -> dict[str, Any] | None:
+    """What a network did for pairs of photos that SIFT matches badly; with `advice` where none was here."""
+    if matching is None:
+        return None
+    advice = f"{matching.missing}. Run `{INSTALL}`." if matching.missing else None
+    return {**asdict(matching), "matches": list(matching.matches), "advice": advice}
 
 
 def tto_entries(runs: Sequence[tuple[TtoRun, TtoResult]]) -> list[dict[str, Any]]:

@@ -45,6 +45,14 @@ class _Exposure:
 
 
 @dataclass(frozen=True)
+class _Matching:
+    __pydantic_config__ = STRICT_TYPES
+
+    matcher: str
+    pairs: Count
+
+
+@dataclass(frozen=True)
 class _Run:
     """One run of test-time optimisation. The curve has [step, seconds, loss, PSNR, Gaussians] of each step."""
 
@@ -113,6 +121,7 @@ class _Report:
     exposure: _Exposure | None = None
     unseen: dict[str, float] | None = None
     backdrop: Count = 0
+    matching: _Matching | None = None
     warnings: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
 

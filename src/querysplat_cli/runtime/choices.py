@@ -1,6 +1,6 @@
 """Words that a setting can be. They stand apart from the code that obeys them, so that `--help` imports no torch."""
 
-from typing import Literal
+from typing import Literal, get_args
 
 HoldoutProtocol = Literal["isolated", "joint"]
 """Which photos the cameras of a scene with held-out photos are estimated from: the inputs alone (the paper's protocol),
@@ -29,6 +29,14 @@ ExposureCorrection = Literal["auto", "off"]
 Fit = Literal["crop", "pad"]
 """How a photo fits a network. crop: the largest centred square. pad: the whole photo, on a canvas as wide as the widest
 and as high as the highest photo."""
+
+Matcher = Literal["auto", "sift", "sift-affine", "disk-lightglue", "xfeat"]
+"""How the classical encoder matches photos. auto: SIFT, and for photos that it matches badly a network, where one is
+installed, or affine SIFT. The others are used for all photos."""
+MATCHERS: tuple[Matcher, ...] = get_args(Matcher)
+
+LearnedMatcherName = Literal["disk-lightglue", "xfeat"]
+"""The matchers that are networks, with weights of their own; SIFT's matches are kept beside theirs."""
 
 Frame = Literal["predicted", "first_view"]
 """The frame of a learned VGM's cameras. predicted: as the network gives them, the first one near the origin (the

@@ -23,6 +23,7 @@ OPTIONAL_PARTS = (
     OptionalPart("formats", "gsply", "gsply", "scenes as .spz, and reading .sog"),
     OptionalPart("cuda", "gsplat", "gsplat", "rendering and optimisation on an NVIDIA GPU (--device cuda)"),
     OptionalPart("weights", "huggingface_hub", "huggingface_hub", "finding the official weights in the Hub's cache"),
+    OptionalPart("matching", "kornia", "kornia", "networks that match photos from far apart (with weights: `weights`)"),
     OptionalPart("metrics", "flip_evaluator", "flip-evaluator", "FLIP in evaluations (eval --metrics flip)"),
     OptionalPart("metrics", "ssimulacra2", "ssimulacra2", "SSIMULACRA2 in evaluations (eval --metrics ssimulacra2)"),
     OptionalPart("tensorboard", "tensorboard", "tensorboard", "TensorBoard's files of a training (--tensorboard)"),

@@ -3,9 +3,36 @@
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any, Protocol, runtime_checkable
 
 Progress = Callable[[str, float], None]
 """Called with a text about the current work, and the finished fraction of the stage."""
+
+
+@runtime_checkable
+class Watcher(Protocol):
+    """What shows a scene while it is made. Both calls must be quick, and change nothing that they are given."""
+
+    def listen(self, stage: str, text: str, fraction: float) -> None:
+        """As the listener of `Stages`."""
+
+    def look(self, gaussians: Any, views: Any, cameras: Any) -> None:
+        """Called with the Gaussians of each step of an optimisation, and the photos that they are optimised on."""
+
+
+class StageProgress:
+    """The progress of one stage: a `Progress` that passes on the Gaussians of the stage, too, where someone watches."""
+
+    def __init__(self, listen: Progress, watcher: Watcher | None) -> None:
+        self._listen, self._watcher = listen, watcher
+
+    def __call__(self, text: str, fraction: float) -> None:
+        self._listen(text, fraction)
+
+    def look(self, gaussians: Any, views: Any, cameras: Any) -> None:
+        """Show the state of the scene, which is in the frame of the cameras."""
+        if self._watcher:
+            self._watcher.look(gaussians, views, cameras)
 
 
 class Stages:
@@ -22,19 +49,29 @@ class Stages:
         started: float | None = None,
     ) -> None:
         self.seconds: dict[str, float] = {}
-        self._listen = listen
+        self._listener = listen
+        self._watcher: Watcher | None = None
         self._started = time.perf_counter() if started is None else started
 
     def elapsed(self) -> float:
         """Seconds since the command began."""
         return time.perf_counter() - self._started
 
+    def watch(self, watcher: Watcher) -> None:
+        """Let `watcher` see everything that follows."""
+        self._watcher = watcher
+
     @contextmanager
-    def __call__(self, stage: str) -> Iterator[Progress]:
+    def __call__(self, stage: str) -> Iterator[StageProgress]:
         start = time.perf_counter()
         self._listen(stage, "", 0.0)
         try:
-            yield lambda text, fraction: self._listen(stage, text, fraction)
+            yield StageProgress(lambda text, fraction: self._listen(stage, text, fraction), self._watcher)
         finally:
             self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - start
         self._listen(stage, "", 1.0)
+
+    def _listen(self, stage: str, text: str, fraction: float) -> None:
+        self._listener(stage, text, fraction)
+        if self._watcher:
+            self._watcher.listen(stage, text, fraction)

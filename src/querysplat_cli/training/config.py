@@ -25,7 +25,8 @@ class SourceSettings:
     `samples` are drawn of each scene for the cache, for every range of inputs that a stage asks for. "free" cameras are
     found by the encoder, "posed" ones are the dataset's. `scenes` is the number of "procedural" scenes; for "captured"
     ones it is the number that --dry-run counts with where the places are missing. `size` (shortest and longest longer
-    side, in pixels) is for "procedural" scenes, `places` and `pictures` are for "captured" ones.
+    side, in pixels) is for "procedural" scenes, `places` and `pictures` are for "captured" ones. `varied` procedural
+    scenes are more different from each other: tables, fences, dark and glossy things, more noise and changing colours.
     """
 
     kind: Literal["procedural", "captured"]
@@ -39,6 +40,7 @@ class SourceSettings:
     interval: tuple[Annotated[int, Ge(1)], int] = (1, 3)
     cameras: Literal["free", "posed"] = "free"
     seed: int = 0
+    varied: bool = False
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ import numpy as np
 from querysplat_cli.encoders.base import Encoder
 from querysplat_cli.runtime.errors import ImpossibleScene, QuerySplatError
 from querysplat_cli.runtime.progress import Progress
+from querysplat_cli.runtime.workers import Workers
 from querysplat_cli.scene.files import atomic_path
 from querysplat_cli.training.config import DataSettings, SourceSettings, StageSettings
 from querysplat_cli.training.passes import Sample, make_sample, read_sample, write_sample
@@ -30,43 +31,99 @@ class PreparedSamples:
     failed: tuple[str, ...]
 
 
+@dataclass(frozen=True)
+class Missing:
+    """A sample that is to be made: draw `draw` of scene `scene` of source `source` of the data."""
+
+    source: int
+    scene: int
+    draw: int
+
+
 def prepare_samples(
-    data: DataSettings, encoder: Callable[[], Encoder], *, rank: int = 0, world: int = 1, progress: Progress
+    data: DataSettings,
+    encoder: Callable[[], Encoder],
+    *,
+    rank: int = 0,
+    world: int = 1,
+    workers: int = 1,
+    progress: Progress,
 ) -> PreparedSamples:
     """Make every sample that is not in the cache yet; process `rank` of `world` makes its share.
 
-    A sample that cannot be made leaves a .failed file with the reason, and is not tried again. `encoder` is called
-    only when a sample has to be made.
+    It does so itself, or with several `workers` of its own. A sample that cannot be made leaves a .failed file with the
+    reason, and is not tried again. `encoder` is called only when a sample has to be made, once in each worker; it can
+    be pickled where there are several.
     """
-    waiting, failed = [], []
-    for settings in data.sources:
-        source, folder = open_source(settings), cache_folder(data, settings)
-        for scene in range(len(source)):
-            for draw in range(settings.samples):
-                waiting.append((settings, source, scene, draw, folder / f"{scene:06d}-{draw:03d}.safetensors"))
-    made: Encoder | None = None
-    for number, (settings, source, scene, draw, path) in enumerate(waiting):
-        reason = path.with_suffix(".failed")
-        if number % world == rank and not path.is_file() and not reason.is_file():
-            made = made or encoder()
-            progress(f"{number + 1} of {len(waiting)} samples", number / len(waiting))
-            try:
-                shot = source.capture(scene, draw)
-                sample = make_sample(
-                    shot.photos, shot.inputs, made, known=shot.known, max_size=data.max_size, seed=settings.seed
-                )
-                write_sample(path, sample)
-            except (ImpossibleScene, QuerySplatError) as error:
-                with atomic_path(reason) as draft:
-                    draft.write_text(error.message)
-        if reason.is_file():
-            failed.append(f"{reason.stem}: {reason.read_text()}")
-    return PreparedSamples(sum(path.is_file() for *_, path in waiting), tuple(failed))
+    every = [
+        Missing(number, scene, draw)
+        for number, settings in enumerate(data.sources)
+        for scene in range(len(open_source(settings)))
+        for draw in range(settings.samples)
+    ]
+    share = [each for number, each in enumerate(every) if number % world == rank]
+    missing = [each for each in share if not _path(data, each).is_file() and not _reason(data, each).is_file()]
+    done = len(share) - len(missing)
+
+    def made(job: Missing, why: str | None) -> None:
+        nonlocal done
+        done += 1
+        if why:
+            _failed(data, job, why)
+        progress(f"{done} of {len(share)} samples", done / len(share))
+
+    if workers > 1 and len(missing) > 1:
+        Workers(workers, sample_maker, (data, encoder)).run(missing, made)
+    elif missing:
+        make = sample_maker((data, encoder))
+        for job in missing:
+            make(job)
+            made(job, None)
+    failed = tuple(
+        f"{_reason(data, each).stem}: {_reason(data, each).read_text()}"
+        for each in every
+        if _reason(data, each).is_file()
+    )
+    return PreparedSamples(sum(_path(data, each).is_file() for each in every), failed)
+
+
+def sample_maker(setup: tuple[DataSettings, Callable[[], Encoder]]) -> Callable[[Missing], None]:
+    """A function that makes a sample of the data with the encoder, or writes the reason why it cannot be made."""
+    data, encoder = setup[0], setup[1]()
+    sources = [open_source(settings) for settings in data.sources]
+
+    def make(job: Missing) -> None:
+        settings = data.sources[job.source]
+        try:
+            shot = sources[job.source].capture(job.scene, job.draw)
+            sample = make_sample(
+                shot.photos, shot.inputs, encoder, known=shot.known, max_size=data.max_size, seed=settings.seed
+            )
+            write_sample(_path(data, job), sample)
+        except (ImpossibleScene, QuerySplatError) as error:
+            _failed(data, job, error.message)
+
+    return make
+
+
+def _path(data: DataSettings, job: Missing) -> Path:
+    return cache_folder(data, data.sources[job.source]) / f"{job.scene:06d}-{job.draw:03d}.safetensors"
+
+
+def _reason(data: DataSettings, job: Missing) -> Path:
+    return _path(data, job).with_suffix(".failed")
+
+
+def _failed(data: DataSettings, job: Missing, why: str) -> None:
+    with atomic_path(_reason(data, job)) as draft:
+        draft.write_text(why)
 
 
 def cache_folder(data: DataSettings, source: SourceSettings) -> Path:
     """The folder of a source's samples. Its name depends on the encoder, the size and everything that a draw uses."""
     counted = {name: value for name, value in asdict(source).items() if name not in ("scenes", "samples")}
+    if not source.varied:
+        del counted["varied"]  # so that caches from before there were varied scenes are found
     content = json.dumps([data.encoder, data.max_size, counted], sort_keys=True)
     return Path(data.cache).expanduser() / f"{source.kind}-{hashlib.sha256(content.encode()).hexdigest()[:12]}"
 

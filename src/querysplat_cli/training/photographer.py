@@ -49,7 +49,7 @@ def wander(scene: Scene, views: int, seed: int, height: int, width: int) -> Came
     focal = float(chance.uniform(0.75, 1.35)) * max(height, width)
     for _ in range(TRAINING_POLICY.path_tries):
         eye, target = _draw_path(chance, scene, views)
-        if min(distance_to(solid, eye).min() for solid in scene.solids) > TRAINING_POLICY.clearance:
+        if min(distance_to(solid, eye).min() for solid in scene.solids) > scene.reach * TRAINING_POLICY.clearance:
             break
     else:
         raise ValueError(f"no free path in scene {seed}")
@@ -78,13 +78,14 @@ def cast(
 
 def _draw_path(chance: np.random.Generator, scene: Scene, views: int) -> tuple[np.ndarray, np.ndarray]:
     """Camera centres and the points that the cameras are aimed at [views, 3]."""
-    focus = np.array(scene.focus) + chance.uniform(-1, 1, 3) * (0.8, 0.4, 0.3)
+    focus = np.array(scene.focus) + scene.reach * chance.uniform(-1, 1, 3) * (0.8, 0.4, 0.3)
     step = math.radians(float(chance.uniform(2, 12)))
     steps = np.arange(views) - (views - 1) / 2 + chance.uniform(-0.2, 0.2, views)
     angle = float(chance.normal(0, 0.5)) + step * steps
-    radius = float(chance.uniform(0.9, 3.2)) * (1 + float(chance.uniform(-0.06, 0.06)) * steps)
+    radius = scene.reach * float(chance.uniform(0.9, 3.2)) * (1 + float(chance.uniform(-0.06, 0.06)) * steps)
     high = float(chance.uniform(0.2, 1.5)) + chance.normal(0, 0.12, views) + float(chance.normal(0, 0.06)) * steps
-    eye = np.stack([focus[0] + radius * np.sin(angle), focus[1] - radius * np.cos(angle), np.maximum(high, 0.15)], 1)
+    high = scene.reach * np.maximum(high, 0.15)
+    eye = np.stack([focus[0] + radius * np.sin(angle), focus[1] - radius * np.cos(angle), high], 1)
     if chance.random() < 0.3:
         # Past the focus rather than around it: all cameras face the same way, as in forward-facing sets.
         ahead = focus - eye.mean(0)
@@ -119,6 +120,7 @@ def _packed(solids: Sequence[Solid]) -> np.ndarray:
         row[raycast.GRAIN], row[raycast.SEED] = solid.grain, solid.seed
         row[raycast.COS], row[raycast.SIN] = math.cos(solid.turn), math.sin(solid.turn)
         row[raycast.CENTRE], row[raycast.SIZE] = solid.centre, solid.size
+        row[raycast.GLOSS] = solid.gloss
         row[raycast.BOUND] = np.square(solid.size).sum()
         # Light adds up in linear colour; a power of 2.2 stands for sRGB's curve.
         row[raycast.FIRST], row[raycast.SECOND] = np.power(solid.first, 2.2), np.power(solid.second, 2.2)

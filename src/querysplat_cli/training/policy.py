@@ -30,6 +30,24 @@ class TrainingPolicy:
     """Scenes in a row that may give no sample before a training without a cache stops."""
     exposures: tuple[float, ...] = (0.0, 0.02, 0.08)
     """Standard deviation of the logarithm of the gain from photo to photo. Each capture draws one of these."""
+    varied_exposures: tuple[float, ...] = (0.0, 0.02, 0.08, 0.2)
+    """The same for varied scenes."""
+    white_balances: tuple[float, ...] = (0.0, 0.01, 0.05)
+    """In varied scenes, standard deviation of the logarithm of each channel's gain from photo to photo."""
+    dark_share: float = 0.6
+    """In varied scenes, the largest share of things that are dark; each scene draws its own below it."""
+    darkness: tuple[float, float] = (0.04, 0.3)
+    """Brightness of dark things, relative to the usual sRGB colours."""
+    glossy_share: float = 0.5
+    """In varied scenes, the largest share of things that are glossy."""
+    gloss: tuple[float, float] = (0.03, 0.5)
+    """Share of the light that glossy things reflect like a mirror, seen straight on."""
+    fence_share: float = 0.4
+    """Share of the varied scenes in the open that have a fence of thin bars."""
+    varied_noise: tuple[float, float] = (0.0, 0.05)
+    """As `noise`, in varied scenes."""
+    varied_blur: tuple[float, float] = (0.3, 1.2)
+    """As `blur`, in varied scenes."""
     noise: tuple[float, float] = (0.0, 0.02)
     """Standard deviation of a white pixel's noise, in [0, 1]; it falls with the square root of the brightness."""
     blur: tuple[float, float] = (0.3, 0.8)

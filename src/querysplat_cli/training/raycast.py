@@ -10,70 +10,19 @@ import math
 import numba as nb
 import numpy as np
 
+from querysplat_cli.training.intersections import hit_ball, hit_box, hit_cylinder
 from querysplat_cli.training.textures import paint
 
 BOX, BALL, CYLINDER = 0, 1, 2
 KIND, PAINT, GRAIN, SEED, COS, SIN, BOUND = range(7)
 CENTRE, SIZE, FIRST, SECOND = (slice(start, start + 3) for start in range(7, 19, 3))
-TABLE_COLUMNS = 19
+GLOSS = 19
+TABLE_COLUMNS = 20
 """A solid is a row of these columns. BOUND is the squared radius of the ball around it."""
 CX, SX, RED1, RED2 = CENTRE.start, SIZE.start, FIRST.start, SECOND.start
-NEAR = 1e-4
-"""Distance along a ray below which nothing is hit, in units of the ray's direction."""
 BRIGHTNESS = 6.0
 LIFT = 1e-4
 """How far above its surface a shadow ray starts, in metres."""
-
-
-@nb.njit(cache=True, error_model="numpy")
-def _hit_box(o, d):  # type: ignore[no-untyped-def]
-    """Smallest distance beyond NEAR at which the ray meets the cube's surface; infinity if none."""
-    enter, leave = -np.inf, np.inf
-    for axis in range(3):
-        inverse = 1.0 / d[axis] if d[axis] != 0 else 1e300
-        a, b = (-1 - o[axis]) * inverse, (1 - o[axis]) * inverse
-        enter, leave = max(enter, min(a, b)), min(leave, max(a, b))
-    if enter > leave:
-        return np.inf
-    if enter > NEAR:
-        return enter
-    return leave if leave > NEAR else np.inf
-
-
-@nb.njit(cache=True, error_model="numpy")
-def _first_root(a, half_b, c, o, d, tall):  # type: ignore[no-untyped-def]
-    """Smaller root beyond NEAR of a t² + 2 half_b t + c; for cylinders only where |z| ≤ 1."""
-    inside = half_b * half_b - a * c
-    if inside < 0 or a == 0:
-        return np.inf
-    # The form without cancellation: one root by the sum, the other by the product of both.
-    q = -(half_b + math.copysign(math.sqrt(inside), half_b))
-    first, second = q / a, (c / q if q != 0 else np.inf)
-    for t in (min(first, second), max(first, second)):
-        if t > NEAR and (not tall or abs(o[2] + t * d[2]) <= 1):
-            return t
-    return np.inf
-
-
-@nb.njit(cache=True, error_model="numpy")
-def _hit_ball(o, d):  # type: ignore[no-untyped-def]
-    a = d[0] * d[0] + d[1] * d[1] + d[2] * d[2]
-    half_b = o[0] * d[0] + o[1] * d[1] + o[2] * d[2]
-    return _first_root(a, half_b, o[0] * o[0] + o[1] * o[1] + o[2] * o[2] - 1, o, d, False)
-
-
-@nb.njit(cache=True, error_model="numpy")
-def _hit_cylinder(o, d):  # type: ignore[no-untyped-def]
-    a = d[0] * d[0] + d[1] * d[1]
-    side = _first_root(a, o[0] * d[0] + o[1] * d[1], o[0] * o[0] + o[1] * o[1] - 1, o, d, True)
-    if d[2] == 0:
-        return side
-    for lid in (-math.copysign(1.0, d[2]), math.copysign(1.0, d[2])):
-        t = (lid - o[2]) / d[2]
-        x, y = o[0] + t * d[0], o[1] + t * d[1]
-        if t > NEAR and t < side and x * x + y * y <= 1:
-            return t
-    return side
 
 
 @nb.njit(cache=True, error_model="numpy")
@@ -92,10 +41,10 @@ def _distance(solids, i, origin, direction, square):  # type: ignore[no-untyped-
     o = _to_unit(solids, i, x, y, z)
     d = _to_unit(solids, i, direction[0], direction[1], direction[2])
     if solids[i, KIND] == BOX:
-        return _hit_box(o, d)
+        return hit_box(o, d)
     if solids[i, KIND] == BALL:
-        return _hit_ball(o, d)
-    return _hit_cylinder(o, d)
+        return hit_ball(o, d)
+    return hit_cylinder(o, d)
 
 
 @nb.njit(cache=True, error_model="numpy")
@@ -211,6 +160,30 @@ def _shade(solids, opaque, lamps, i, origin, direction, t, spread):  # type: ign
 
 
 @nb.njit(cache=True, error_model="numpy")
+def _mirrored(solids, light, everything, i, origin, direction, t, spread):  # type: ignore[no-untyped-def]
+    """Linear RGB that a glossy solid i reflects towards the eye, and its share of what leaves it (Schlick).
+
+    What it shows is lit but reflects nothing itself. Where the mirrored ray meets nothing, it is black.
+    """
+    opaque, lamps = light
+    place = (origin[0] + t * direction[0], origin[1] + t * direction[1], origin[2] + t * direction[2])
+    _, _, normal = _outward(solids, i, place)
+    length = math.sqrt(direction[0] ** 2 + direction[1] ** 2 + direction[2] ** 2)
+    along = direction[0] * normal[0] + direction[1] * normal[1] + direction[2] * normal[2]
+    share = solids[i, GLOSS] + (1 - solids[i, GLOSS]) * (1 - min(1.0, abs(along) / length)) ** 5
+    above = (place[0] + LIFT * normal[0], place[1] + LIFT * normal[1], place[2] + LIFT * normal[2])
+    away = (
+        direction[0] - 2 * along * normal[0],
+        direction[1] - 2 * along * normal[1],
+        direction[2] - 2 * along * normal[2],
+    )
+    beyond, other = _nearest(solids, everything, above, away)
+    if other < 0:
+        return (0.0, 0.0, 0.0), share
+    return _shade(solids, opaque, lamps, other, above, away, beyond, spread * (1 + t / max(beyond, LIFT))), share
+
+
+@nb.njit(cache=True, error_model="numpy")
 def _ray(c2w, focal, principal, column, row):  # type: ignore[no-untyped-def]
     """Direction with camera z 1, so that distance along it is depth."""
     x, y = (column - principal[0]) / focal[0], (row - principal[1]) / focal[1]
@@ -267,6 +240,7 @@ def photograph_view(solids, light, c2w, lens, seen, image, samples):  # type: ig
     opaque, lamps = light
     focal, principal = lens
     depth, face = seen
+    everything = np.arange(len(solids))
     height, width = depth.shape
     origin = (c2w[0, 3], c2w[1, 3], c2w[2, 3])
     for row in nb.prange(height):
@@ -284,6 +258,13 @@ def photograph_view(solids, light, c2w, lens, seen, image, samples):  # type: ig
                 t, i = _nearest(solids, candidates, origin, d) if edge else (depth[row, column], own // 4)
                 if i >= 0:
                     colour = _shade(solids, opaque, lamps, i, origin, d, t, 1.0 / focal[0])
+                    if solids[i, GLOSS] > 0:
+                        mirrored, share = _mirrored(solids, light, everything, i, origin, d, t, 1.0 / focal[0])
+                        colour = (
+                            colour[0] + share * (mirrored[0] - colour[0]),
+                            colour[1] + share * (mirrored[1] - colour[1]),
+                            colour[2] + share * (mirrored[2] - colour[2]),
+                        )
                     red, green, blue = red + colour[0], green + colour[1], blue + colour[2]
             for channel, value in enumerate((red, green, blue)):
                 linear = min(1.0, max(0.0, value / (rays * rays)))

@@ -11,6 +11,7 @@ from querysplat_cli.encoders.base import Encoder, EncoderOptions
 from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.runtime.device import find_device
 from querysplat_cli.runtime.progress import Progress, Stages
+from querysplat_cli.runtime.workers import cores
 from querysplat_cli.scene.files import check_writable, refuse_existing, sole_writer
 from querysplat_cli.splat.lpips import Perceptual
 from querysplat_cli.training.config import DataSettings, TrainConfig
@@ -23,7 +24,11 @@ from querysplat_cli.training.trainer import MODEL, STATE, Trainer, TrainReport
 
 @dataclass(frozen=True)
 class TrainRequest:
-    """The options of `querysplat train`. `perceptual` is LPIPS, or None without its weights."""
+    """The options of `querysplat train`. `perceptual` is LPIPS, or None without its weights.
+
+    `workers` processes make the samples of the cache; None takes one for each core with the classical encoder, and one
+    with a learned encoder, which fills a GPU. With `samples_only`, nothing is trained.
+    """
 
     config: TrainConfig
     output: Path
@@ -32,6 +37,8 @@ class TrainRequest:
     device: str = "auto"
     tensorboard: bool = False
     perceptual: Perceptual | None = None
+    workers: int | None = None
+    samples_only: bool = False
 
 
 def train(request: TrainRequest, stages: Stages) -> TrainReport | None:
@@ -54,7 +61,9 @@ def train(request: TrainRequest, stages: Stages) -> TrainReport | None:
             stack.enter_context(sole_writer(folder))
         processes.wait()
         with stages("samples") as progress:
-            samples = _samples(config, processes, device, progress)
+            samples = _samples(request, processes, device, progress)
+        if request.samples_only:
+            return None
         with stages("train") as progress:
             trainer = Trainer(config, folder, processes, device, resume=request.resume, perceptual=request.perceptual)
             report = trainer.run(samples, progress=progress, tensorboard=request.tensorboard)
@@ -62,17 +71,21 @@ def train(request: TrainRequest, stages: Stages) -> TrainReport | None:
     return report if processes.first else None
 
 
-def _samples(config: TrainConfig, processes: Processes, device: torch.device, progress: Progress) -> Samples:
+def _samples(request: TrainRequest, processes: Processes, device: torch.device, progress: Progress) -> Samples:
     """Where the samples of the steps come from; those of the cache are made first.
 
     Raises QuerySplatError when a stage has none.
     """
+    config = request.config
     make = partial(training_encoder, config.data, device)
     if config.data.online:
         progress("made in each step", 1.0)
         return OnlineSamples(config.data, config.seed, make)
     data = replace(config.data, sources=tuple(sources_of_stages(config.data, config.stages)))
-    prepared = prepare_samples(data, make, rank=processes.rank, world=processes.world, progress=progress)
+    workers = request.workers or (max(1, cores() // processes.world) if data.encoder == "classical" else 1)
+    prepared = prepare_samples(
+        data, make, rank=processes.rank, world=processes.world, workers=workers, progress=progress
+    )
     processes.wait()
     samples = CachedSamples(config.data, config.seed)
     for stage in config.stages:

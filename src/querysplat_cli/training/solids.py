@@ -18,6 +18,7 @@ class Solid:
 
     `size` is half the extent along each axis. `turn` is an angle about the vertical axis, in radians. `paint` is
     one of `textures.PAINTS`; it mixes the colours `first` and `second`, and `grain` is the scale of its pattern.
+    `gloss` is the share of light that it reflects like a mirror, seen straight on; with 0 it reflects none.
     """
 
     shape: int
@@ -30,15 +31,20 @@ class Solid:
     grain: Number = 1
     seed: int = 0
     casts_shadow: bool = True
+    gloss: Number = 0
 
 
 @dataclass(frozen=True)
 class Scene:
-    """Solids, the middle of the round lamp, and the point that photos are aimed at."""
+    """Solids, the middle of the round lamp, and the point that photos are aimed at.
+
+    `reach` is how far cameras stand away, relative to a room's.
+    """
 
     solids: tuple[Solid, ...]
     lamp: Vector
     focus: Vector
+    reach: float = 1.0
 
 
 def distance_to(solid: Solid, points: np.ndarray) -> np.ndarray:

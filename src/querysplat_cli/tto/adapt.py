@@ -17,7 +17,7 @@ from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.tto.features import Start, gaussians_of, memories_of, optimise_memories
 from querysplat_cli.tto.gaussians import optimise_gaussians
 from querysplat_cli.tto.optimise import TtoResult
-from querysplat_cli.tto.options import Callbacks, OptimiseOptions, TtoStep
+from querysplat_cli.tto.options import Callbacks, Look, OptimiseOptions, TtoStep
 from querysplat_cli.tto.plan import TtoRun
 from querysplat_cli.tto.pruning import pruning_to
 from querysplat_cli.tto.rendering_loss import RenderingLoss
@@ -53,6 +53,7 @@ def adapt(
     plan: Sequence[TtoRun],
     options: OptimiseOptions,
     progress: Callable[[TtoStep], None] = lambda step: None,
+    look: Look = lambda gaussians: None,
 ) -> Adapted:
     """Carry out the runs of `plan`, at least one; a run that Ctrl-C interrupts is the last.
 
@@ -60,7 +61,7 @@ def adapt(
     where Gaussians will be split.
     """
     generator = torch.Generator().manual_seed(options.seed)
-    callbacks = Callbacks(progress, pruning_to(options.prune, len(target.views)))
+    callbacks = Callbacks(progress, pruning_to(options.prune, len(target.views)), look)
     pruned: Pruned | None = None
     if callbacks.prune and (options.prune != "auto" or options.densify_to):
         pruned = callbacks.prune(gaussians_of(model, start), target, 0.0)

@@ -15,7 +15,7 @@ from querysplat_cli.tto.full_size_plan import FullSizePlan, FullSizeStage
 from querysplat_cli.tto.full_size_policy import FULL_SIZE_POLICY
 from querysplat_cli.tto.gaussians import Changes, optimise_gaussians
 from querysplat_cli.tto.optimise import TtoResult
-from querysplat_cli.tto.options import Callbacks, TtoStep
+from querysplat_cli.tto.options import Callbacks, Look, TtoStep
 from querysplat_cli.tto.rendering_loss import RenderingLoss
 
 
@@ -44,6 +44,7 @@ def optimise_full_size(
     seed: int,
     exposures: Exposures | None = None,
     progress: Callable[[FullSizeStage, TtoStep], None] = lambda stage, step: None,
+    look: Look = lambda gaussians: None,
 ) -> FullSizeResult:
     """Carry out `plan`. Each step renders one view over a background of random colour.
 
@@ -69,7 +70,7 @@ def optimise_full_size(
             target,
             stage.settings,
             generator=generator,
-            callbacks=Callbacks(lambda step: progress(stage, step)),
+            callbacks=Callbacks(lambda step: progress(stage, step), look=look),
             densify_to=stage.gaussians if stage.gaussians > len(start) else None,
         )
         # Changes belong to Gaussians that are gone; only the numbers of the run are used.

@@ -74,7 +74,7 @@ def plan_full_size(
     pixels = photos.pixels(size)
     target = min(limits.gaussians if most is None else most, limits.gaussians)
     target = max(gaussians, min(target, int(photos.count * pixels / policy.pixels_per_gaussian)))
-    most_passes = min(policy.most_passes, policy.passes * max(1.0, size / photos.working) ** 2)
+    most_passes = min(policy.most_passes, limits.passes * max(1.0, size / photos.working) ** 2)
     if photos.count <= TTO_POLICY.few_views:
         most_passes = min(most_passes, TTO_POLICY.passes)
     shares = _stages(photos.working, size)
@@ -94,6 +94,8 @@ def plan_full_size(
         )
         stages.append(FullSizeStage(round(size * share), settings, more))
         expected += steps * cost
+    if sum(stage.settings.steps for stage in stages) > policy.dropout_passes * photos.count:
+        stages = [replace(stage, settings=replace(stage.settings, dropout=policy.dropout)) for stage in stages]
     if not limits.most_rounds or seconds is not None:
         return FullSizePlan(tuple(stages), expected if seconds is None else seconds, level=level)
     last = stages[-1].settings

@@ -154,7 +154,7 @@ class _Run(Generic[V]):
         if loss is None or not self._adam.gradient_is_finite() or self._has_risen(loss, chosen):
             self._undo()
             return
-        self._note(loss, chosen, step, len(gaussians))
+        self._note(loss, chosen, step, gaussians)
         if self._splits_left and done >= self._splits_left[0]:
             self._split(gaussians)
             return
@@ -200,13 +200,14 @@ class _Run(Generic[V]):
             self._refined.undo()
         self._adam.undo()
 
-    def _note(self, loss: LossAndGradient, chosen: list[int], step: int, count: int) -> None:
+    def _note(self, loss: LossAndGradient, chosen: list[int], step: int, gaussians: Gaussians) -> None:
         self._undone_in_a_row = 0
         for view, value in zip(chosen, loss.losses, strict=True):
             self._least_losses[view] = min(self._least_losses[view], value)
         seconds = time.perf_counter() - self._began
-        self.history.append(TtoStep(step, loss.loss, loss.psnr, seconds, count))
+        self.history.append(TtoStep(step, loss.loss, loss.psnr, seconds, len(gaussians)))
         self._callbacks.progress(self.history[-1])
+        self._callbacks.look(gaussians)
 
     def _split(self, gaussians: Gaussians) -> None:
         assert self._densify

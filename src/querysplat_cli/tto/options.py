@@ -81,12 +81,20 @@ Pruning = Callable[[Gaussians, RenderingLoss, float], Pruned]
 """Chooses the Gaussians that stay, by their renders in the target's views and by the number of steps to come."""
 
 
+Look = Callable[[Gaussians], None]
+"""Shows a scene while it is optimised."""
+
+
 @dataclass(frozen=True)
 class Callbacks:
-    """What a run calls: `progress` after every step that is kept, `prune` once, after `TtoPolicy.prune_after`."""
+    """What a run calls: `progress` and `look` after every step that is kept, `prune` once.
+
+    `look` gets the Gaussians of the step. `prune` is called after `TtoPolicy.prune_after`.
+    """
 
     progress: Callable[[TtoStep], None] = lambda step: None
     prune: Pruning | None = None
+    look: Look = lambda gaussians: None
 
 
 NO_CALLBACKS = Callbacks()

@@ -8,7 +8,12 @@ const element = (id) => document.getElementById(id);
 
 // `resource(name, version)` gives the bytes of a file by its name.
 export async function show(resource) {
-  const manifest = await readManifest(resource);
+  let manifest = await readManifest(resource);
+  while (manifest.live && !manifest.gaussians) {
+    element("message").textContent = manifest.state;
+    await new Promise((done) => setTimeout(done, POLL_MILLISECONDS));
+    manifest = await readManifest(resource);
+  }
   const page = new Page(resource, manifest);
   const wanted = Number(location.hash.slice(1)) - 1; // #3 is the third photo
   page.step(wanted >= 0 && wanted < manifest.views.length ? wanted : manifest.first);
@@ -40,7 +45,7 @@ class Page {
     this.manifest = manifest;
     element("state").hidden = !manifest.state;
     element("state").textContent = manifest.state;
-    if (manifest.gaussians && manifest.version !== this.loaded) {
+    if (manifest.version !== this.loaded) {
       await this.view.load(await this.resource(manifest.gaussians, manifest.version), manifest.kind);
       this.loaded = manifest.version;
       element("message").hidden = true;
@@ -53,7 +58,7 @@ class Page {
     setTimeout(async () => {
       const manifest = await readManifest(this.resource).catch(() => null);
       if (manifest) await this.load(manifest);
-      else element("state").textContent = "The run has ended. `querysplat view` shows its scene.";
+      else element("state").textContent = "The run cannot be reached any more.";
       if (manifest?.live) this.follow();
     }, POLL_MILLISECONDS);
   }

@@ -6,16 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from querysplat_cli.encoders.base import CameraRequest, PosedViews
+from querysplat_cli.encoders.base import CameraRequest, Matching, PosedViews
 from querysplat_cli.encoders.classical.camera_warnings import camera_warnings
-from querysplat_cli.encoders.classical.epipolar import epipolar_support, median_epipolar_error
-from querysplat_cli.encoders.classical.features import are_large
-from querysplat_cli.encoders.classical.mapping import Mapped, map_photos
+from querysplat_cli.encoders.classical.epipolar import median_epipolar_error
 from querysplat_cli.encoders.classical.matches import Matches, matched
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
 from querysplat_cli.encoders.classical.pure_rotation import placed_alone, placed_by_rotation
+from querysplat_cli.encoders.classical.search import AUTOMATIC, MatcherChoice, search
 from querysplat_cli.encoders.classical.sparse_model import SparseModel, in_first_camera_frame
-from querysplat_cli.encoders.classical.tilted_views import with_tilted_views
 from querysplat_cli.encoders.classical.triangulation import triangulated
 from querysplat_cli.runtime.errors import ImpossibleScene
 from querysplat_cli.runtime.progress import Progress
@@ -36,15 +34,18 @@ class Placement:
     left_out: tuple[LeftOut, ...] = ()
     warnings: tuple[str, ...] = ()
     epipolar_error: float | None = None
+    matching: Matching | None = None
 
 
-def estimate_cameras(photos: Sequence[Photo], request: CameraRequest, progress: Progress) -> PosedViews:
+def estimate_cameras(
+    photos: Sequence[Photo], request: CameraRequest, progress: Progress, choice: MatcherChoice = AUTOMATIC
+) -> PosedViews:
     """Cameras of the photos, and the photos undistorted. Photos keep their order.
 
     The camera of the first photo used is the origin. The median depth of the points, over all views that observe
     them, is 1. Known cameras keep their poses up to this origin and unit. Where the camera turned without moving,
     all cameras stand at one place and there are no points. A single photo gets EXIF's field of view, or else 45°.
-    Raises ImpossibleScene when no two photos can be related.
+    `choice` of the matcher counts where cameras are unknown. Raises ImpossibleScene when no two photos can be related.
     """
     originals, copies = _without_copies(photos)
     if request.known is not None:
@@ -52,7 +53,7 @@ def estimate_cameras(photos: Sequence[Photo], request: CameraRequest, progress: 
     elif len(originals) == 1:
         placement = _place_alone(originals[0])
     else:
-        placement = _place(originals, seed=request.seed, progress=progress)
+        placement = _place(originals, choice, seed=request.seed, progress=progress)
     progress("removing lens distortion", 0.9)
     model = in_first_camera_frame(placement.model)
     used = sorted(model.cameras)
@@ -67,6 +68,7 @@ def estimate_cameras(photos: Sequence[Photo], request: CameraRequest, progress: 
         warnings=placement.warnings,
         photo_cameras=photo_cameras,
         epipolar_error_px=placement.epipolar_error and placement.epipolar_error * max(cameras.height, cameras.width),
+        matching=placement.matching,
     )
 
 
@@ -82,8 +84,9 @@ def _without_copies(photos: Sequence[Photo]) -> tuple[list[Photo], list[LeftOut]
     return list(originals.values()), copies
 
 
-def _place(photos: Sequence[Photo], *, seed: int, progress: Progress) -> Placement:
-    matches, model = _mapped(photos, seed=seed, progress=progress)
+def _place(photos: Sequence[Photo], choice: MatcherChoice, *, seed: int, progress: Progress) -> Placement:
+    found = search(photos, choice, seed=seed, progress=progress)
+    matches, model = found.matches, found.model
     if not matches.pairs:
         raise ImpossibleScene(
             f"no two of the {len(photos)} photos show the same thing",
@@ -100,68 +103,12 @@ def _place(photos: Sequence[Photo], *, seed: int, progress: Progress) -> Placeme
             "Add photos between those that are far apart, so that neighbours overlap by at least half.",
         )
     return Placement(
-        model, _left_out(photos, matches, model), camera_warnings(model, matches), median_epipolar_error(model, matches)
+        model,
+        _left_out(photos, matches, model),
+        camera_warnings(model, matches),
+        median_epipolar_error(model, matches),
+        found.matching,
     )
-
-
-def _mapped(photos: Sequence[Photo], *, seed: int, progress: Progress) -> tuple[Matches, SparseModel | None]:
-    """Matches and a model of the photos; after a second search where the first one leaves out too many."""
-    large = are_large(photos)
-    with matched(photos, seed=seed, progress=progress) as matches:
-        progress("placing cameras", 0.6)
-        found = map_photos(matches, seed=seed)
-        weak = _missing(matches, found) or _loosely_tied(matches, found)
-        if large and weak and len(weak) * len(photos) <= CAMERA_POLICY.thorough_photos**2:
-            progress("matching again", 0.7)
-            more = with_tilted_views(matches, weak, seed=seed)
-            matches, found = _better(matches, found, more, map_photos(more, seed=seed))
-        if large or not weak or len(photos) > CAMERA_POLICY.thorough_photos:
-            return matches, found.refined(matches) if found else None
-    progress("matching again", 0.7)
-    with matched(photos, seed=seed, progress=lambda *_: None, effort=CAMERA_POLICY.thorough) as more:
-        matches, found = _better(matches, found, more, map_photos(more, seed=seed))
-        return matches, found.refined(matches) if found else None
-
-
-def _better(
-    matches: Matches, first: Mapped | None, more: Matches, second: Mapped | None
-) -> tuple[Matches, Mapped | None]:
-    """The matches and the model of a second search where it places more photos, else those of the first one.
-
-    Of a few photos, as many are enough when the second model explains more matches of its own.
-    """
-    if second is None:
-        return matches, first
-    if first is None:
-        return more, second
-    new, few = epipolar_support(second.model, more), len(matches.sizes) <= CAMERA_POLICY.few_photos
-    gain = len(second.model.cameras) - len(first.model.cameras)
-    if few and gain == 0:
-        gain = new.explained - epipolar_support(first.model, matches).explained
-    return (more, second) if gain > 0 and (few or new.sound) else (matches, first)
-
-
-def _loosely_tied(matches: Matches, found: Mapped | None) -> list[int]:
-    """All of a few photos where few matches determine the cameras."""
-    photos = list(range(len(matches.sizes)))
-    if found is None or len(photos) > CAMERA_POLICY.few_photos:
-        return []
-    support = epipolar_support(found.model, matches)
-    enough = CAMERA_POLICY.few_matches * (len(photos) - 1)
-    return photos if support.explained < enough or not support.sound else []
-
-
-def _missing(matches: Matches, found: Mapped | None) -> list[int]:
-    """Photos without a camera that a longer search may place: neither blurred ones nor those of another place."""
-    placed = set(found.model.cameras) if found else set()
-    enough = CAMERA_POLICY.few_features * float(np.median(matches.features))
-    missing = []
-    for photo, features in enumerate(matches.features):
-        partners = matches.partners(photo)
-        elsewhere = bool(placed and partners) and placed.isdisjoint(partners)
-        if photo not in placed and features >= enough and not elsewhere:
-            missing.append(photo)
-    return missing
 
 
 def _place_alone(photo: Photo) -> Placement:

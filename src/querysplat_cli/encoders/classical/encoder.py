@@ -5,18 +5,20 @@ from collections.abc import Sequence
 
 from querysplat_cli.encoders.base import CameraRequest, EncoderOptions, Geometry, PosedViews
 from querysplat_cli.encoders.classical.cameras import estimate_cameras
+from querysplat_cli.encoders.classical.search import MatcherChoice
 from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.views import Photo
 
 
 class ClassicalEncoder:
-    """SIFT and incremental mapping for the cameras; a plane sweep and PatchMatch for the depth."""
+    """SIFT, or another matcher, and incremental mapping for the cameras; a plane sweep and PatchMatch for the depth."""
 
     name = "classical"
     size = 448
     own_frame = False
 
-    def __init__(self) -> None:
+    def __init__(self, choice: MatcherChoice) -> None:
+        self._choice = choice
         self._compiler: subprocess.Popen[bytes] | None = None
 
     def estimate_cameras(self, photos: Sequence[Photo], request: CameraRequest, progress: Progress) -> PosedViews:
@@ -25,7 +27,7 @@ class ClassicalEncoder:
 
         if self._compiler is None:
             self._compiler = start_compiling()
-        return estimate_cameras(photos, request, progress)
+        return estimate_cameras(photos, request, progress, self._choice)
 
     def estimate_geometry(self, posed: PosedViews, *, seed: int, progress: Progress) -> Geometry:
         """See `querysplat_cli.encoders.classical.depth.estimate_geometry`."""
@@ -46,5 +48,5 @@ class ClassicalEncoder:
 
 
 def make(options: EncoderOptions) -> ClassicalEncoder:
-    """The classical encoder. No option changes anything."""
-    return ClassicalEncoder()
+    """The classical encoder, with the matcher of the options."""
+    return ClassicalEncoder(MatcherChoice(options.matcher, options.weights))

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 import pycolmap
 
+from querysplat_cli.encoders.classical.append_matches import append_features, append_matches
 from querysplat_cli.encoders.classical.features import extract_features, image_name
 from querysplat_cli.encoders.classical.matches import Matches, shared_cameras, write_images
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
@@ -145,26 +146,12 @@ def _append(store: pycolmap.Database, found: Sequence[_Found]) -> list[tuple[int
     keypoints: dict[int, list[np.ndarray]] = {}
     matches: dict[tuple[int, int], list[np.ndarray]] = {}
     for each in found:
-        own = keypoints.setdefault(each.photo, [store.read_keypoints(each.photo + 1)])
-        new = sum(map(len, own)) + np.arange(len(each.partners), dtype=np.uint32)
-        own.append(each.keypoints.astype(np.float32))
+        new_ones = keypoints.setdefault(each.photo, [])
+        first_new = store.num_keypoints_for_image(each.photo + 1) + sum(map(len, new_ones))
+        new = first_new + np.arange(len(each.partners), dtype=np.uint32)
+        new_ones.append(each.keypoints)
         first, second = min(each.photo, each.other), max(each.photo, each.other)
-        rows = matches.setdefault((first, second), [store.read_matches(first + 1, second + 1)])
         columns = (new, each.partners) if each.photo == first else (each.partners, new)
-        rows.append(np.column_stack(columns).astype(np.uint32))
-    for photo, parts in keypoints.items():
-        store.update_keypoints(photo + 1, np.concatenate(parts))
-    for (first, second), parts in matches.items():
-        if store.exists_matches(first + 1, second + 1):
-            store.delete_matches(first + 1, second + 1)
-        if store.exists_two_view_geometry(first + 1, second + 1):
-            store.delete_two_view_geometry(first + 1, second + 1)
-        store.write_matches(first + 1, second + 1, _once(np.concatenate(parts)))
-    return sorted(matches)
-
-
-def _once(rows: np.ndarray) -> np.ndarray:
-    """The matches [m, 2] without those of a feature that an earlier one has."""
-    for column in (0, 1):
-        rows = rows[np.sort(np.unique(rows[:, column], return_index=True)[1])]
-    return rows
+        matches.setdefault((first, second), []).append(np.column_stack(columns))
+    append_features(store, {photo: np.concatenate(parts) for photo, parts in keypoints.items()})
+    return append_matches(store, {pair: np.concatenate(rows) for pair, rows in matches.items()})

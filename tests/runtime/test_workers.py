@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from querysplat_cli.evaluation.workers import THREAD_LIMITS, Workers
+from querysplat_cli.runtime.workers import THREAD_LIMITS, Workers
 
 
 def handler(folder: Path) -> Callable[[str], None]:

@@ -1,4 +1,4 @@
-"""Cases in parallel worker processes. A case that crashes its process does not affect the others."""
+"""Jobs in parallel worker processes. A job that crashes its process does not affect the others."""
 
 import os
 import queue
@@ -135,12 +135,16 @@ def _last_words(code: int | None) -> str:
     return f"its process ended with code {code}"
 
 
+def cores() -> int:
+    """The cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 class _shared_cores:
     """Inside this context, new processes are limited to their share of the cores."""
 
     def __init__(self, workers: int) -> None:
-        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-        share = str(max(1, cores // max(1, workers)))
+        share = str(max(1, cores() // max(1, workers)))
         self._limits = {name: share for name in THREAD_LIMITS if name not in os.environ} if workers > 1 else {}
 
     def __enter__(self) -> None:

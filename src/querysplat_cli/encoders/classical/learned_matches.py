@@ -1,0 +1,70 @@
+"""More matches for some pairs of photos, from a network, beside those of SIFT."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pycolmap
+
+from querysplat_cli.encoders.classical.append_matches import append_features, append_matches
+from querysplat_cli.encoders.classical.learned_matchers import LearnedMatcher
+from querysplat_cli.encoders.classical.learned_policy import LEARNED_POLICY
+from querysplat_cli.encoders.classical.matches import Matches
+from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
+from querysplat_cli.encoders.classical.verified_pairs import Verification, read_pairs, verify_pairs
+from querysplat_cli.scene.views import Photo
+
+
+def with_learned_matches(
+    matches: Matches, photos: Sequence[Photo], pairs: Sequence[tuple[int, int]], matcher: LearnedMatcher, *, seed: int
+) -> Matches:
+    """The matches, and more between the photos of each of these `pairs`, in the same folder and database.
+
+    Features of the network are appended to those of their photos, and these pairs are verified again.
+    """
+    found = {photo: matcher.features(photos[photo]) for photo in sorted({photo for pair in pairs for photo in pair})}
+    with pycolmap.Database.open(matches.database) as store:
+        first_new = {photo: store.num_keypoints_for_image(photo + 1) for photo in found}
+        rows = {
+            (one, two): matcher.matches(found[one], found[two]) + np.array([first_new[one], first_new[two]])
+            for one, two in pairs
+        }
+        append_features(store, {photo: some.scaled(matches.sizes[photo]) for photo, some in found.items()})
+        changed = append_matches(store, rows)
+    verify_pairs(
+        matches.database, matches.folder, changed, Verification.of(matches.sizes, CAMERA_POLICY.ordinary, seed)
+    )
+    with pycolmap.Database.open(matches.database) as store:
+        return replace(matches, pairs=read_pairs(store, len(matches.sizes)))
+
+
+def weak_pairs(matches: Matches, weak: Sequence[int]) -> list[tuple[int, int]]:
+    """Pairs of each of the `weak` photos with every other photo that SIFT has few inliers for, in order.
+
+    Where these are too many, those are taken that SIFT finds most matches of, right or wrong, and then photos that are
+    close in the order of the photos.
+    """
+    policy, doubtful = LEARNED_POLICY, set(weak)
+    inliers = {(pair.first, pair.second): len(pair) for pair in matches.pairs}
+    wanted = [
+        pair for pair in all_pairs(matches) if doubtful & set(pair) and inliers.get(pair, 0) < policy.enough_inliers
+    ]
+    with pycolmap.Database.open(matches.database) as store:
+        raw = {pair: _match_count(store, pair) for pair in wanted}
+    best = sorted(wanted, key=lambda pair: (-raw[pair], pair[1] - pair[0], pair))
+    return sorted(best[: policy.most_pairs])
+
+
+def all_pairs(matches: Matches) -> list[tuple[int, int]]:
+    """Every pair of photos; of many photos, those of which SIFT finds matches, right or wrong."""
+    count = len(matches.sizes)
+    pairs = [(one, two) for one in range(count) for two in range(one + 1, count)]
+    if count <= CAMERA_POLICY.exhaustive_photos:
+        return pairs
+    with pycolmap.Database.open(matches.database) as store:
+        return [pair for pair in pairs if _match_count(store, pair)]
+
+
+def _match_count(store: pycolmap.Database, pair: tuple[int, int]) -> int:
+    numbers = pair[0] + 1, pair[1] + 1
+    return len(store.read_matches(*numbers)) if store.exists_matches(*numbers) else 0

@@ -1,0 +1,188 @@
+"""The search for cameras: SIFT for all photos, and another matcher for those that SIFT matches badly."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from querysplat_cli.encoders.base import Matching
+from querysplat_cli.encoders.classical.epipolar import epipolar_support
+from querysplat_cli.encoders.classical.features import are_large
+from querysplat_cli.encoders.classical.learned_matchers import LearnedMatcher, find_learned_matcher
+from querysplat_cli.encoders.classical.learned_matches import all_pairs, weak_pairs, with_learned_matches
+from querysplat_cli.encoders.classical.learned_policy import LEARNED_POLICY
+from querysplat_cli.encoders.classical.mapping import Mapped, map_photos
+from querysplat_cli.encoders.classical.matches import Matches, matched
+from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
+from querysplat_cli.encoders.classical.sparse_model import SparseModel
+from querysplat_cli.encoders.classical.tilted_views import with_tilted_views
+from querysplat_cli.runtime.choices import Matcher
+from querysplat_cli.runtime.errors import MissingPart
+from querysplat_cli.runtime.progress import Progress
+from querysplat_cli.scene.views import Photo
+
+
+@dataclass(frozen=True)
+class MatcherChoice:
+    """The matcher that the user wants; `weights` is a folder to look into for those of networks."""
+
+    matcher: Matcher = "auto"
+    weights: Path | None = None
+
+    def network(self) -> LearnedMatcher:
+        """The learned matcher, or for `auto` the first one that is here. Raises MissingPart where there is none."""
+        if self.matcher in ("disk-lightglue", "xfeat"):
+            return find_learned_matcher(self.matcher, self.weights)
+        lacking = None
+        for name in LEARNED_POLICY.preferred:
+            try:
+                return find_learned_matcher(name, self.weights)
+            except MissingPart as missing:
+                lacking = lacking or missing
+        assert lacking
+        raise lacking
+
+
+AUTOMATIC = MatcherChoice()
+
+
+@dataclass(frozen=True)
+class Found:
+    """Matches and their model, None where there is none. `matching` is what a network did, if one was wanted."""
+
+    matches: Matches
+    model: SparseModel | None
+    matching: Matching | None
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """Matches and their model before the final bundle adjustment."""
+
+    matches: Matches
+    mapped: Mapped | None
+    matching: Matching | None = None
+
+    @property
+    def few(self) -> bool:
+        return len(self.matches.sizes) <= CAMERA_POLICY.few_photos
+
+    def refined(self) -> Found:
+        return Found(self.matches, self.mapped.refined(self.matches) if self.mapped else None, self.matching)
+
+
+def search(photos: Sequence[Photo], choice: MatcherChoice, *, seed: int, progress: Progress) -> Found:
+    """Matches and a model of the photos.
+
+    Where SIFT leaves photos out, or has few matches of a few photos, `auto` matches these again: with a network, where
+    one is installed, and where that is not enough, with affine SIFT. Raises MissingPart where the chosen matcher is not
+    installed.
+    """
+    with matched(photos, seed=seed, progress=progress) as matches:
+        progress("placing cameras", 0.6)
+        trial = _Trial(matches, map_photos(matches, seed=seed))
+        if choice.matcher == "sift":
+            return trial.refined()
+        if choice.matcher != "sift-affine":
+            trial = _with_network(photos, trial, choice, seed, progress)
+        affine = _for_affine(trial, choice.matcher, large=are_large(photos))
+        if affine and are_large(photos):
+            progress("matching again", 0.7)
+            more = with_tilted_views(trial.matches, affine, seed=seed)
+            return _better(trial, replace(trial, matches=more, mapped=map_photos(more, seed=seed))).refined()
+        if not affine:
+            return trial.refined()
+    progress("matching again", 0.7)
+    with matched(photos, seed=seed, progress=lambda *_: None, effort=CAMERA_POLICY.thorough) as more:
+        return _better(trial, replace(trial, matches=more, mapped=map_photos(more, seed=seed))).refined()
+
+
+def _for_affine(trial: _Trial, matcher: Matcher, *, large: bool) -> list[int]:
+    """Photos that affine SIFT searches; none where these are too many for the time it takes."""
+    count, most = len(trial.matches.sizes), CAMERA_POLICY.thorough_photos
+    if matcher == "sift-affine":
+        return list(range(count))
+    if matcher != "auto":
+        return []
+    weak = _missing(trial) or _loosely_tied(trial)
+    # In large photos only the weak ones are searched again, in others all of them.
+    searched = len(weak) if large else count
+    return weak if searched * count <= most**2 else []
+
+
+def _with_network(
+    photos: Sequence[Photo], trial: _Trial, choice: MatcherChoice, seed: int, progress: Progress
+) -> _Trial:
+    """The trial after the network has matched the pairs that need it, or all pairs where the user chose the network."""
+    chosen = choice.matcher != "auto"
+    pairs = all_pairs(trial.matches) if chosen else weak_pairs(trial.matches, _wanting(trial))
+    if not pairs:
+        return trial
+    try:
+        matcher = choice.network()
+    except MissingPart as missing:
+        if chosen:
+            raise
+        return replace(trial, matching=Matching("", len(pairs), missing=missing.message))
+    progress(f"matching {len(pairs)} pairs with {matcher.name}", 0.65)
+    start = time.monotonic()
+    more = with_learned_matches(trial.matches, photos, pairs, matcher, seed=seed)
+    seconds = time.monotonic() - start
+    progress("placing cameras", 0.7)
+    second = _Trial(more, map_photos(more, seed=seed))
+    kept = second if chosen and second.mapped else _better(trial, second)
+    agreeing = _agreeing(trial.matches, pairs), _agreeing(more, pairs)
+    return replace(kept, matching=Matching(matcher.name, len(pairs), agreeing, round(seconds, 2), kept is second))
+
+
+def _agreeing(matches: Matches, pairs: Sequence[tuple[int, int]]) -> int:
+    wanted = set(pairs)
+    return sum(len(pair) for pair in matches.pairs if (pair.first, pair.second) in wanted)
+
+
+def _wanting(trial: _Trial) -> list[int]:
+    """Photos for which a network is asked: all of a few, and of more photos those that have no camera."""
+    count = len(trial.matches.sizes)
+    return list(range(count)) if count <= CAMERA_POLICY.few_photos else _missing(trial)
+
+
+def _better(first: _Trial, second: _Trial) -> _Trial:
+    """The second trial where it places more photos, else the first one.
+
+    Of a few photos, as many are enough when the second model explains more matches of its own.
+    """
+    if second.mapped is None:
+        return first
+    if first.mapped is None:
+        return second
+    new, few = epipolar_support(second.mapped.model, second.matches), first.few
+    gain = len(second.mapped.model.cameras) - len(first.mapped.model.cameras)
+    if few and gain == 0:
+        gain = new.explained - epipolar_support(first.mapped.model, first.matches).explained
+    return second if gain > 0 and (few or new.sound) else first
+
+
+def _loosely_tied(trial: _Trial) -> list[int]:
+    """All of a few photos where few matches determine the cameras."""
+    photos = list(range(len(trial.matches.sizes)))
+    if trial.mapped is None or not trial.few:
+        return []
+    support = epipolar_support(trial.mapped.model, trial.matches)
+    enough = CAMERA_POLICY.few_matches * (len(photos) - 1)
+    return photos if support.explained < enough or not support.sound else []
+
+
+def _missing(trial: _Trial) -> list[int]:
+    """Photos without a camera that a longer search may place: neither blurred ones nor those of another place."""
+    matches = trial.matches
+    placed = set(trial.mapped.model.cameras) if trial.mapped else set()
+    enough = CAMERA_POLICY.few_features * float(np.median(matches.features))
+    missing = []
+    for photo, features in enumerate(matches.features):
+        partners = matches.partners(photo)
+        elsewhere = bool(placed and partners) and placed.isdisjoint(partners)
+        if photo not in placed and features >= enough and not elsewhere:
+            missing.append(photo)
+    return missing
