@@ -100,7 +100,7 @@ def test_photos_and_cameras_become_a_scene_folder(tmp_path: Path, capsys: pytest
 
     write_gaussians(tmp_path / "scene.ply", [[0.0, 0.0, 3.0]])
     assert run(["render", str(tmp_path / "scene.ply"), "-o", str(tmp_path / "frames"), "-q"]) == 0
-    assert sorted(path.name for path in (tmp_path / "frames").iterdir()) == names
+    assert sorted(path.name for path in (tmp_path / "frames").glob("*.png")) == names
     assert run(["tto", str(scene)]) == ExitCode.BAD_INPUT
     assert "has no memories" in capsys.readouterr().err
     assert run([*arguments, "--text", "--force"]) == ExitCode.BAD_INPUT
@@ -177,7 +177,7 @@ def test_spz_is_turned_to_its_own_axes_and_back(tmp_path: Path) -> None:
     [
         ["nowhere.ply", "b.ply"],
         ["a.ply", "b.obj"],
-        ["a.ply", "b.sog"],
+        ["a.ply", "b.compressed.ply"],
         ["a.ply", "b.ply", "--scale", "0"],
         ["a.ply", "b.ply", "--crop", "1,2,3"],
         ["a.ply", "b.ply", "--crop", "1,0,0,0,1,1"],

@@ -12,7 +12,8 @@ from typer.main import get_command
 from querysplat_cli.cli.app import app
 from querysplat_cli.cli.reconstruct import reconstruct
 from querysplat_cli.cli.verb import verb
-from querysplat_cli.commands.requests import Conversion, PosesRequest, RenderRequest
+from querysplat_cli.commands.convert_request import Conversion
+from querysplat_cli.commands.requests import PosesRequest, RenderRequest
 from querysplat_cli.evaluation.generate import INTERVALS, SCALES
 from querysplat_cli.evaluation.request import EvalRequest
 from querysplat_cli.pipeline.settings import ReconstructSettings, ResumeSettings

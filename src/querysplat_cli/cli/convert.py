@@ -3,13 +3,15 @@
 from typing import Any
 
 from querysplat_cli.cli.verb import Printing
-from querysplat_cli.commands.requests import Conversion
+from querysplat_cli.commands.convert_request import Conversion
+
+REASONS = {"unsupported": "that no photo supports", "giants": "giants", "islands": "in islands"}
 
 
 def convert(request: Conversion, printing: Printing) -> None:
     """Convert Gaussians, or cameras, from one kind of file to another.
 
-    Gaussians can be turned, scaled and cropped on the way.
+    Gaussians can be turned, scaled, cleaned and cut on the way. What that costs in PSNR is printed.
     """
     from querysplat_cli.cli.terminal import print_json, say
     from querysplat_cli.commands.convert import convert as run
@@ -24,7 +26,25 @@ def _lines(result: dict[str, Any]) -> list[str]:
     if "cameras" in result:
         left_out = [f"left out: {each['name']}, {each['why']}" for each in result.get("left_out", ())]
         return [f"{result['cameras']} cameras: {result['target']}", *left_out]
-    sizes = result["bytes"]
-    left = f", {result['left_out']:,} left out" if result["left_out"] else ""
-    written, read = (sizes[part] / 2**20 for part in ("target", "source"))
-    return [f"{result['gaussians']:,} Gaussians{left}, {written:.2f} MiB (source {read:.2f} MiB): {result['target']}"]
+    written, read = (result["bytes"][part] / 2**20 for part in ("target", "source"))
+    steps = [_step(step) for step in result["steps"]]
+    return [
+        f"{result['gaussians']:,} Gaussians, {written:.2f} MiB (source {read:.2f} MiB): {result['target']}",
+        *([f"with its folder: {result['scene']}"] if result["scene"] else []),
+        *steps,
+        _cost(result["psnr"]),
+    ]
+
+
+def _step(step: dict[str, Any]) -> str:
+    counts = ", ".join(f"{step[name]:,} {word}" for name, word in REASONS.items() if step.get(name))
+    reasons = f" ({counts})" if counts else ""
+    return f"{step['what']}: {step['gaussians']:,} left out{reasons}, {step['lost']:.2f} dB lost"
+
+
+def _cost(psnr: dict[str, Any]) -> str:
+    if psnr["against"] == "photos":
+        change = f"{psnr['before']:.2f} → {psnr['after']:.2f} dB, {psnr['lost']:.2f} dB lost"
+        return f"on {psnr['views']} of the photos: {change}"
+    where = "from the input cameras" if psnr["against"] == "inputs" else "from all around"
+    return f"against pictures of the source {where}: {psnr['after']:.2f} dB (100: no difference)"

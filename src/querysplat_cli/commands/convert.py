@@ -4,37 +4,30 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import torch
-
-from querysplat_cli.commands.requests import Conversion
-from querysplat_cli.pipeline.gaussian_files import FLIPPED, READERS, check_target, read_gaussians, write_gaussians
+from querysplat_cli.commands.convert_gaussians import convert_gaussians
+from querysplat_cli.commands.convert_request import Conversion
+from querysplat_cli.pipeline.gaussian_files import READERS
 from querysplat_cli.pipeline.scene_folder import write_images
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.files import atomic_folder, refuse_existing
 from querysplat_cli.scene.formats.colmap import copy_colmap, write_colmap
 from querysplat_cli.scene.formats.known import find_known_cameras, read_known_cameras
-from querysplat_cli.scene.formats.transforms import is_rigid, write_transforms
+from querysplat_cli.scene.formats.transforms import write_transforms
+from querysplat_cli.scene.formats.transforms_frame import is_rigid
 from querysplat_cli.scene.match_cameras import match_cameras
 from querysplat_cli.scene.photos import WHOLE, find_photos, load_photo, short_names
 from querysplat_cli.scene.pictures import stored_name
-from querysplat_cli.scene.rotations import skew
-from querysplat_cli.scene.sim3 import Sim3
 from querysplat_cli.scene.undistort import undistorted
 from querysplat_cli.scene.views import LeftOut
-from querysplat_cli.splat.transform import transform_gaussians
-
-UP = {
-    axis: torch.tensor([float(axis[-1] == letter) for letter in "xyz"]).double() * (-1 if axis[0] == "-" else 1)
-    for axis in ("x", "y", "z", "-x", "-y", "-z")
-}
 
 
 def convert(request: Conversion) -> dict[str, Any]:
     """Write `request.target`, and return what was written, as the dict that --json prints.
 
-    `up` becomes −y first; `scale` then multiplies lengths; `crop` is in the units and axes of the result. With
-    `photos`, cameras and photos become a scene folder. Raises QuerySplatError, and writes nothing, on bad input.
+    `clean` comes first. `up` becomes −y, and `scale` multiplies lengths. Boxes and spheres are in the units and
+    axes of the result, and `prune_to` comes last. With `photos`, cameras and photos become a scene folder. Raises
+    QuerySplatError, and writes nothing, on bad input.
     """
     refuse_existing([request.target], force=request.force)
     given = [path.resolve() for path in (request.source, request.photos) if path]
@@ -43,28 +36,12 @@ def convert(request: Conversion) -> dict[str, Any]:
     if request.source.suffix.lower() in READERS:
         if request.photos or request.text:
             raise QuerySplatError("--photos and --text are for cameras", "Leave them out.")
-        return _convert_gaussians(request)
+        return convert_gaussians(request)
     if request.photos and request.text:
         raise QuerySplatError("--text is for COLMAP models, --photos for scene folders", "Leave one of them out.")
-    if request.up or request.crop or request.scale != 1.0:
-        raise QuerySplatError("--up, --scale and --crop are for Gaussians", "Give a .ply, .spz or .sog.")
+    if request.changes:
+        raise QuerySplatError("options that turn, scale or cut are for Gaussians", "Give a .ply, .spz, .sog or .glb.")
     return _convert_cameras(request)
-
-
-def _convert_gaussians(request: Conversion) -> dict[str, Any]:
-    check_target(request.target)
-    gaussians = read_gaussians(request.source)
-    read = len(gaussians)
-    if request.up or request.scale != 1.0:
-        gaussians = transform_gaussians(gaussians, Sim3(request.scale, _upright(request.up), torch.zeros(3).double()))
-    if request.crop:
-        low, high = torch.tensor(request.crop).reshape(2, 3)
-        gaussians = gaussians[((gaussians.means >= low) & (gaussians.means <= high)).all(1)]
-        if not len(gaussians):
-            raise QuerySplatError("--crop leaves no Gaussian", "Give x0,y0,z0,x1,y1,z1 in the converted scene's units.")
-    written = write_gaussians(request.target, gaussians)
-    sizes = {"source": request.source.stat().st_size, "target": request.target.stat().st_size}
-    return {"target": str(request.target), "gaussians": written, "left_out": read - written, "bytes": sizes}
 
 
 def _convert_cameras(request: Conversion) -> dict[str, Any]:
@@ -116,15 +93,3 @@ def _make_scene_folder(target: Path, cameras: Mapping[str, PhotoCamera], place: 
     names = {*kept, *(each.name for each in left_out)}
     left_out += [LeftOut(name, "there is no photo of it") for name in cameras if name not in names]
     return {"target": str(target), "cameras": len(kept), "left_out": [vars(each) for each in left_out]}
-
-
-def _upright(axis: str | None) -> torch.Tensor:
-    """The smallest rotation that takes `axis` to −y. From y it is half a turn about x."""
-    if axis is None:
-        return torch.eye(3, dtype=torch.float64)
-    up, target = UP[axis], UP["-y"]
-    cosine = float(up @ target)
-    if cosine < -0.5:
-        return FLIPPED.rotation
-    turn = skew(torch.linalg.cross(up, target).double()[None])[0]
-    return torch.eye(3, dtype=torch.float64) + turn + turn @ turn / (1 + cosine)

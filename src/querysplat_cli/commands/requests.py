@@ -6,7 +6,6 @@ from typing import Annotated
 
 from annotated_types import Ge, Le
 
-from querysplat_cli.runtime.choices import Axis
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.json_files import shown
 from querysplat_cli.runtime.options import Force, MovedWeights, Option, Seed, StoredScenePath
@@ -41,17 +40,6 @@ def read_colour(text: str) -> tuple[float, float, float]:
     return red, green, blue
 
 
-def read_box(text: str) -> tuple[float, ...]:
-    """The corners x0, y0, z0, x1, y1, z1; raises QuerySplatError unless the first lies below the second."""
-    try:
-        box = tuple(float(part) for part in text.split(","))
-    except ValueError:
-        box = ()
-    if len(box) != 6 or not all(low < high for low, high in zip(box[:3], box[3:], strict=True)):
-        raise QuerySplatError(f"--crop {shown(text)}: not a box", "Write x0,y0,z0,x1,y1,z1 with x0 < x1 and so on.")
-    return box
-
-
 def beside(scene: Path, what: str) -> Path:
     """The folder SCENE-what for results, beside a scene's folder or file."""
     place = with_name(scene)
@@ -63,7 +51,8 @@ class RenderRequest:
     """Pictures or a film of a .ply."""
 
     scene: Annotated[
-        Path, Option("A scene folder, or a .ply, .spz or .sog of SH degree 0 to 3.", metavar="SCENE", argument=True)
+        Path,
+        Option("A scene folder, or a .ply, .spz, .sog or .glb of SH degree 0 to 3.", metavar="SCENE", argument=True),
     ]
     output: Annotated[
         Path | None,
@@ -114,39 +103,6 @@ class RenderRequest:
     @property
     def is_film(self) -> bool:
         return self.target.suffix.lower() == ".mp4"
-
-
-@dataclass(frozen=True)
-class Conversion:
-    """A file of Gaussians or of cameras, and what it becomes."""
-
-    source: Annotated[
-        Path,
-        Option(
-            "Gaussians: a .ply, .spz or .sog. Cameras: a transforms.json, a COLMAP model or a scene folder.",
-            argument=True,
-        ),
-    ]
-    target: Annotated[
-        Path,
-        Option("Gaussians: a .ply or .spz. Cameras: a .json, or a folder for a COLMAP model.", argument=True),
-    ]
-    text: Annotated[bool, Option("Write the COLMAP model as text.")] = False
-    photos: Annotated[
-        Path | None,
-        Option("The folder of the cameras' photos. TARGET becomes a scene folder of both.", metavar="DIR"),
-    ] = None
-    up: Annotated[Axis | None, Option("The axis that points up in the source. It becomes -y.")] = None
-    scale: Annotated[float, Ge(1e-9), Le(1e9), Option("Multiply all lengths by this number.", metavar="FACTOR")] = 1.0
-    crop: Annotated[
-        tuple[float, ...] | None,
-        Option(
-            "Keep only Gaussians whose centres lie in this box, in the axes and units of the result.",
-            metavar="X0,Y0,Z0,X1,Y1,Z1",
-            parse=read_box,
-        ),
-    ] = None
-    force: Force = False
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,9 @@ from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.files import with_name
 from querysplat_cli.scene.formats.transforms import NamedCameras, read_cameras, working_frame
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.scene.paths import opaque_centres, surround, up_direction
+from querysplat_cli.scene.paths import opaque_centres, surround
 from querysplat_cli.scene.pictures import stored_name
+from querysplat_cli.scene.upright import up_direction
 from querysplat_cli.splat.conventions import RenderSettings
 
 OUTSIDE_SIZE = (720, 960)

@@ -9,6 +9,7 @@ import torch
 
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.prune.bands import without_idle_bands
+from querysplat_cli.prune.far import drawn_in
 from querysplat_cli.runtime.device import to_device
 from querysplat_cli.runtime.progress import Progress, StageProgress
 from querysplat_cli.scene.cameras import Cameras
@@ -35,9 +36,9 @@ def optimise_start(
 ) -> Adapted:
     """Carry out `plan` on the device of the model, and leave out SH bands that change nothing; the result on the CPU.
 
-    Its Gaussians are nowhere thinner than the pixels of the finest photo that sees them. Scenes of official models have
-    no such bound, keep all bands, and all Gaussians unless a number is asked for, and are optimised over black, as in
-    the release. `exposures` are the colour transforms of the photos to start with.
+    Its Gaussians are nowhere thinner than the pixels of the finest photo that sees them, and far ones are drawn in.
+    Scenes of official models have no such bounds, keep all bands, and all Gaussians unless a number is asked for, and
+    are optimised over black, as in the release. `exposures` are the colour transforms of the photos to start with.
     """
     if options.keep_all or start.anchors is None:
         options = replace(options, keep_all=True, prune="off" if options.prune == "auto" else options.prune)
@@ -63,7 +64,7 @@ def optimise_start(
     if not options.keep_all:
         last, tested = replace(target, cameras=adapted.cameras), tested_views(len(target.views))
         fewer, idle = without_idle_bands(adapted.gaussians, lambda some: last.psnr(some, tested))
-        adapted = replace(adapted, gaussians=fewer, idle_bands=idle)
+        adapted = replace(adapted, gaussians=drawn_in(fewer, adapted.cameras), idle_bands=idle)
     return to_device(adapted, torch.device("cpu"))
 
 

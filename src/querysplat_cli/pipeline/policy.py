@@ -35,6 +35,12 @@ class PipelinePolicy:
     full_size_share: float = 0.8
     """Share of the time left after the optimisation on working pictures that steps on large photos may take. The rest
     is for reading and scoring the photos at that size."""
+    first_sight_azimuth: float = 135.0
+    """Where the photos were taken from in the files of a scene: degrees from +x towards +z. From there the viewer of
+    SuperSplat looks when it frames a scene by its box."""
+    first_sight_distance: float = 3.0
+    """The median distance of the cameras from the origin, in units of the files. Viewers that do not frame a scene
+    start about so far from it."""
     least_full_size_seconds: float = 4.0
     """With less time, the scene is not taken to large photos."""
 

@@ -10,6 +10,7 @@ from jaxtyping import Bool
 from torch import Tensor
 
 from querysplat_cli.prune.policy import PRUNE_POLICY
+from querysplat_cli.prune.views import evenly_spaced
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.paths import interpolate
@@ -42,14 +43,15 @@ def hiding(gaussians: Gaussians, cameras: Cameras) -> Bool[Tensor, "n"]:
 
 
 def _halfway(cameras: Cameras) -> Cameras:
-    """Cameras halfway between each of `cameras` and its nearest others, with pictures of half the size."""
+    """At most `PrunePolicy.hiding_views` cameras between each of `cameras` and its nearest others, at half the size."""
     near = torch.cdist(cameras.centres, cameras.centres).argsort(dim=1, stable=True)
     pairs = {
         tuple(sorted((one, other)))
         for one, row in enumerate(near.tolist())
         for other in [view for view in row if view != one][: PRUNE_POLICY.hiding_neighbours]
     }
-    middle = [interpolate(cameras[list(pair)].to("cpu"), 3)[[1]] for pair in sorted(pairs)]
+    some = evenly_spaced(sorted(pairs), PRUNE_POLICY.hiding_views)
+    middle = [interpolate(cameras[list(pair)].to("cpu"), 3)[[1]] for pair in some]
     if not middle:
         return cameras[[]]
     w2c, K = (torch.cat([getattr(camera, name) for camera in middle]) for name in ("w2c", "K"))

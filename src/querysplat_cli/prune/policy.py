@@ -29,6 +29,8 @@ class PrunePolicy:
     photos, is something that the photos show."""
     hiding_neighbours: int = 2
     """Each photo is paired with so many nearest others for that."""
+    hiding_views: int = 60
+    """Of many pairs, so many are looked at, so that it takes seconds."""
     psnr_of_bands: float = 0.02
     """dB on the input views that leaving out SH bands may cost."""
     tested_views: int = 8
@@ -45,6 +47,27 @@ class PrunePolicy:
     two to count as different."""
     duplicate_overlap: float = 0.5
     """Share of a view's points that another view must see for the two to count as the same."""
+    near_share: float = 0.99
+    """Share of the Gaussians, the nearest ones, that stay where they are. This and the next were chosen on fortress,
+    kermit and fox."""
+    farthest: float = 2.0
+    """The others are drawn in to at most this many times the distance of those."""
+    clean_influence: float = 0.01
+    """`importance` of a Gaussian below which cleaning removes it. These fields were chosen on fortress, kermit and
+    fox."""
+    clean_extent: float = 0.9
+    """Share of the Gaussians, the nearest to the middle, whose distance from it is the size of the scene."""
+    clean_giant: float = 0.3
+    """A Gaussian is a giant where its longest standard deviation is more than this share of the scene's size, or of its
+    own distance from the middle if that is larger."""
+    clean_reach: float = 3.0
+    """Standard deviations within which Gaussians touch each other."""
+    clean_neighbours: int = 12
+    """How many nearest Gaussians are looked at for touching ones."""
+    clean_fewest: int = 10
+    """A group of fewer touching Gaussians is an island in any scene."""
+    clean_island: float = 0.001
+    """Share of the Gaussians that a group of touching ones must have to be no island."""
 
 
 PRUNE_POLICY = PrunePolicy()

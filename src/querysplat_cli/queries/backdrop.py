@@ -2,14 +2,17 @@
 
 Photos end, and what lies behind the things that they show is seen by none of them. A camera between the photos or
 beside them would look through such places at the viewer's own background. There the backdrop continues the photos'
-colours, without any shape of its own. It covers the directions of the photos and a margin around them, so a scene of
-photos from one side is open at the other.
+colours, on the convex hull of the scene and the cameras. So it stands as near as it can: no camera among the inputs
+has it in front of anything, and viewers that frame a scene by its box see the scene and not a large bowl. It covers the
+directions of the photos and a margin around them, so a scene of photos from one side is open at the other.
 """
 
 import math
 
+import numpy as np
 import torch
 from jaxtyping import Float
+from scipy.spatial import ConvexHull
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -21,19 +24,23 @@ from querysplat_cli.splat.render import render
 
 BEHIND = 1e9
 """Distance from a picture, in shares of its size, of a direction behind its camera."""
+THINNEST_HULL = 1e-3
+"""Half the thickness of the hull around the cameras' centre, in shares of its size. A flat one has no volume."""
+AT_ONCE = 500
+"""Directions that are compared with all facets at once. This bounds the memory."""
 
 
 @torch.no_grad()
 def backdrop(gaussians: Gaussians, views: Views, cameras: Cameras) -> Gaussians:
-    """Discs on a sphere around the input cameras, which face its centre. It surrounds all but the farthest Gaussians.
+    """Discs around the scene and its cameras, which face the cameras' centre.
 
     The colour in a direction is the mean of the blurred photos there, or at the nearest border where they end. Far
     parts of a photo count more than near ones.
     """
     policy = QUERY_POLICY
     centre = cameras.centres.mean(0)
-    radius = _radius(gaussians, cameras, centre)
     directions = _evenly_spread(policy.backdrop_directions).to(centre)
+    radius = _radii(gaussians, cameras, centre, directions)[:, None]
     points = centre + radius * directions
     total, weights = torch.zeros_like(points), torch.zeros_like(points[:, :1])
     nearest = torch.full_like(points[:, 0], BEHIND)
@@ -48,26 +55,60 @@ def backdrop(gaussians: Gaussians, views: Views, cameras: Cameras) -> Gaussians:
         nearest = torch.minimum(nearest, outside)
     kept = nearest < policy.backdrop_margin
     count = int(kept.sum())
-    size = radius * math.sqrt(4 * math.pi / policy.backdrop_directions)
+    size = radius[kept] * math.sqrt(4 * math.pi / policy.backdrop_directions)
     sh = torch.zeros(count, *gaussians.sh.shape[1:]).to(gaussians.sh)
     sh[:, 0] = ((total / weights.clamp_min(1e-12))[kept] - 0.5) / SH_0
     return Gaussians(
         means=points[kept],
         quats=_facing(directions[kept]),
-        scales=size * torch.tensor([1.0, 1.0, 0.1]).to(points).repeat(count, 1),
+        scales=size * torch.tensor([1.0, 1.0, 0.1]).to(points),
         opacities=torch.full((count,), policy.backdrop_opacity).to(points),
         sh=sh,
     )
 
 
-def _radius(gaussians: Gaussians, cameras: Cameras, centre: Float[Tensor, "3"]) -> float:
-    """Of the sphere, in scene units: far enough that a camera among the inputs sees it without parallax."""
-    distance = (gaussians.means - centre).norm(dim=1).sort().values
-    most, nearly_all = (float(distance[int(share * (len(distance) - 1))]) for share in (0.99, 0.999))
-    extent = float((cameras.centres - centre).norm(dim=1).max())
-    by_scene, by_cameras = QUERY_POLICY.backdrop_distance
-    wanted = max(by_scene * most, by_cameras * extent)
-    return max(1.05 * nearly_all, min(QUERY_POLICY.backdrop_farthest, wanted))
+def shows_background(views: Views) -> bool:
+    """Whether the photos show what is around the things in them. Masks that leave little cut these out."""
+    pixels = sum(height * width for height, width in views.sizes)
+    return float(views.masks.sum()) >= QUERY_POLICY.backdrop_least_shown * pixels
+
+
+def _radii(
+    gaussians: Gaussians, cameras: Cameras, centre: Float[Tensor, "3"], directions: Float[Tensor, "n 3"]
+) -> Float[Tensor, "n"]:
+    """How far the backdrop is from `centre` in each direction, in scene units."""
+    hull = _hull(gaussians, cameras, centre)
+    normals, offsets = (torch.from_numpy(part).to(directions.device) for part in np.split(hull.equations, [3], 1))
+    found = []
+    for some in directions.double().split(AT_ONCE):
+        towards = some @ normals.T
+        distance = torch.where(towards > 0, -offsets[:, 0] / towards, torch.inf)
+        found.append(distance.amin(1))
+    extent = (cameras.centres - centre).norm(dim=1).max()
+    radii = torch.cat(found).to(directions).clamp_min(QUERY_POLICY.backdrop_nearest * float(extent))
+    return QUERY_POLICY.backdrop_behind * _without_steep_sides(radii, directions)
+
+
+def _without_steep_sides(radii: Float[Tensor, "n"], directions: Float[Tensor, "n 3"]) -> Float[Tensor, "n"]:
+    """The smallest radii that are no smaller anywhere, and change no faster than a disc can follow."""
+    found = []
+    for some in directions.split(AT_ONCE):
+        angle = (some @ directions.T).clamp(-1, 1).acos()
+        found.append((radii * (-QUERY_POLICY.backdrop_steepness * angle).exp()).amax(1))
+    return torch.cat(found)
+
+
+def _hull(gaussians: Gaussians, cameras: Cameras, centre: Float[Tensor, "3"]) -> ConvexHull:
+    """Of all Gaussians, with two standard deviations outwards, and of the cameras with some room behind them."""
+    gaussians = gaussians[gaussians.finite]
+    arms = (gaussians.means - centre).double()
+    distance = arms.norm(dim=1, keepdim=True).clamp_min(1e-12)
+    ends = arms * (1 + 2 * gaussians.scales.amax(1, keepdim=True).double() / distance)
+    behind = QUERY_POLICY.backdrop_behind_cameras * (cameras.centres - centre).double()
+    points = torch.cat([ends, behind])
+    corners = torch.cartesian_prod(*[torch.tensor([-1.0, 1.0]).double()] * 3).to(points)
+    least = THINNEST_HULL * points.abs().amax().clamp_min(1e-6)
+    return ConvexHull(torch.cat([points, least * corners]).cpu().numpy())
 
 
 def _evenly_spread(count: int) -> Float[Tensor, "count 3"]:

@@ -36,17 +36,24 @@ class QueryPolicy:
     dtu106, kermit and fox."""
     backdrop_margin: float = 0.5
     """The backdrop reaches beyond the photos by this share of their longer side."""
-    backdrop_distance: tuple[float, float] = (4.0, 20.0)
-    """The radius of the sphere: so many times the distance within which 99 % of the Gaussians lie, and at least so many
-    times that of the farthest camera."""
-    backdrop_farthest: float = 60.0
-    """The largest radius that these two may ask for, in scene units. Splatters cut off what is too far away."""
+    backdrop_behind: float = 1.3
+    """The backdrop is so many times as far away as the convex hull of the scene and the cameras."""
+    backdrop_behind_cameras: float = 1.2
+    """The hull reaches beyond each camera by this factor of its distance from the cameras' centre."""
+    backdrop_nearest: float = 2.0
+    """Its least distance from the cameras' centre, in distances of the farthest camera from there."""
+    backdrop_steepness: float = 1.0
+    """By how much the logarithm of its distance may change in a radian. A disc faces the centre. Where the hull falls
+    off steeply, it would reach into the scene."""
     backdrop_cells: int = 8
     """Cells along the shorter side of a photo, in which its colours are blurred."""
     backdrop_depths: tuple[float, float] = (0.4, 1.3)
     """Relative to the photo's median depth: nearer and farther pixels count as if they were here."""
     backdrop_fade: float = 0.15
     """Beyond the border of a photo, its colours lose their influence over this share of the longer side."""
+    backdrop_least_shown: float = 0.5
+    """Where masks leave less than this share of the photos, what is masked is the background, and there is no backdrop.
+    Chosen on no set: none has masks."""
     backdrop_opacity: float = 0.99
     """Of each Gaussian of the backdrop."""
     fill: float = 0.7

@@ -26,9 +26,20 @@ FullSizeLevel = Literal["standard", "high", "max"]
 ExposureCorrection = Literal["auto", "off"]
 """Whether each photo has a colour transform. auto: where photos show the same surfaces in different colours."""
 
+FileFrame = Literal["upright", "vgm"]
+"""The frame of the files of a scene. upright: as viewers expect it. vgm: that of the vision geometric model, with the
+first camera at the origin."""
+
 Fit = Literal["crop", "pad"]
 """How a photo fits a network. crop: the largest centred square. pad: the whole photo, on a canvas as wide as the widest
 and as high as the highest photo."""
+
+SpzVersion = Literal["3", "4"]
+"""Versions of .spz that are written: 3 is compressed by gzip, 4 by Zstandard."""
+
+Lens = Literal["auto", "equirectangular"]
+"""What took the photos. auto: cameras with a pinhole or the lens of --poses, and panoramas that say that they are some.
+equirectangular: every photo is a panorama of 360°."""
 
 Matcher = Literal["auto", "sift", "sift-affine", "disk-lightglue", "xfeat"]
 """How the classical encoder matches photos. auto: SIFT, and for photos that it matches badly a network, where one is
@@ -60,5 +71,3 @@ Scale = Literal["small", "medium", "large"]
 
 FurtherMetric = Literal["flip", "ssimulacra2"]
 """Metrics of an evaluation beside PSNR, SSIM and LPIPS, from packages of their own."""
-
-Axis = Literal["x", "y", "z", "-x", "-y", "-z"]

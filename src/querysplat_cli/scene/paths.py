@@ -10,13 +10,12 @@ from torch import Tensor
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.upright import up_direction
 
 RING_GAP = 2.1
 """The inputs surround their middle when no gap between their directions is wider than this, in radians."""
 LEAST_SWAY = 0.05
 """Half the width and height of the path in radians, where all inputs were taken from one place."""
-LEVEL_WEIGHT = 1e3
-"""Weight of the pictures' horizontal axes relative to their vertical ones when the up direction is estimated."""
 ORBIT_SHARE = 0.8
 """Share of the inputs' angular range that the path uses. Near the ends fewer photos show what is rendered."""
 
@@ -109,16 +108,6 @@ def _cameras(c2w: np.ndarray, K: Tensor, like: Cameras) -> Cameras:
     # A rigid inverse is the same in both directions.
     w2c = Cameras(torch.from_numpy(c2w), K, like.height, like.width).c2w
     return Cameras(w2c.to(like.w2c.dtype), K.clone(), like.height, like.width)
-
-
-def up_direction(cameras: Cameras) -> Float[np.ndarray, "3"]:
-    """The mean up direction of the pictures, less its part along their horizontal axes.
-
-    People hold cameras level but tilt them up and down, so the x axes are at right angles to the true vertical.
-    """
-    rotation = cameras.w2c[:, :3, :3].double().numpy()
-    level = np.einsum("vi,vj->ij", rotation[:, 0], rotation[:, 0]) / len(cameras)
-    return _unit(np.linalg.solve(np.eye(3) + LEVEL_WEIGHT * level, -rotation[:, 1].mean(0)))
 
 
 def _widest_gap(azimuth: np.ndarray) -> tuple[float, float]:

@@ -36,6 +36,14 @@ class Sim3:
         rotation = self.rotation.T
         return Sim3(1 / self.scale, rotation, -(rotation @ self.translation) / self.scale)
 
+    def after(self, first: "Sim3") -> "Sim3":
+        """The similarity that applies `first`, and then this one."""
+        return Sim3(
+            self.scale * first.scale,
+            self.rotation @ first.rotation,
+            self.scale * self.rotation @ first.translation + self.translation,
+        )
+
     def apply(self, points: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
         """Transformed points, in the dtype of `points`."""
         moved = self.scale * points.double() @ self.rotation.T + self.translation

@@ -1,0 +1,127 @@
+"""What `convert` does with Gaussians: cleaned, turned, scaled, cut and pruned on the way, with the cost of all that."""
+
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from querysplat_cli.commands.compared_views import ComparedViews, cameras_beside, compared_views
+from querysplat_cli.commands.convert_request import Conversion
+from querysplat_cli.commands.edits import edited
+from querysplat_cli.commands.moved_folder import write_moved_folder
+from querysplat_cli.pipeline.first_sight import upright_frame
+from querysplat_cli.pipeline.gaussian_files import (
+    FLIPPED,
+    check_target,
+    folder_of_scene,
+    read_gaussians,
+    write_gaussians,
+)
+from querysplat_cli.reporting.stored_report import read_report
+from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.scene.files import atomic_together, refuse_existing
+from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.rotations import skew
+from querysplat_cli.scene.sim3 import Sim3
+from querysplat_cli.splat.transform import transform_gaussians
+
+DOWN = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)
+"""In files of Gaussians."""
+
+
+def convert_gaussians(request: Conversion) -> dict[str, Any]:
+    """Write the Gaussians, and the scene folder beside them where they are turned, scaled or cut.
+
+    Returns the dict that --json prints. Raises QuerySplatError, and writes nothing, on bad input.
+    """
+    check_target(request.target)
+    gaussians = read_gaussians(request.source)
+    folder = _folder(request)
+    place = Sim3(request.scale, _turn(request, gaussians), torch.zeros(3).double())
+    views = compared_views(request.source, gaussians)
+    here = views.here(gaussians)
+    before = views.psnr(here)
+    kept, steps = edited(request, here, place.apply(gaussians.means), _backdrop(request.source, len(gaussians)), views)
+    placed = transform_gaussians(gaussians, place) if place.scale != 1.0 or request.up else gaussians
+    with ExitStack() as stack:
+        drafts = stack.enter_context(atomic_together(request.target, *([folder] if folder else [])))
+        written = write_gaussians(drafts[0], placed[kept], request.spz_version)
+        after = _psnr_of_file(drafts[0], place, views)
+        size = drafts[0].stat().st_size
+        if folder:
+            write_moved_folder(folder_of_scene(request.source), drafts[1], place, kept)
+    levels = [before, *(step.psnr for step in steps)]
+    return {
+        "target": str(request.target),
+        "scene": str(folder) if folder else None,
+        "gaussians": written,
+        "left_out": len(gaussians) - written,
+        "bytes": {"source": request.source.stat().st_size, "target": size},
+        "steps": [step.entry(level) for step, level in zip(steps, levels, strict=False)],
+        "psnr": {
+            "views": len(views),
+            "against": views.kind,
+            "before": round(before, 3),
+            "after": round(after, 3),
+            "lost": round(before - after, 3),
+        },
+    }
+
+
+def _folder(request: Conversion) -> Path | None:
+    """Where the scene's folder is written as well. Raises QuerySplatError where something else is."""
+    source, target = folder_of_scene(request.source), folder_of_scene(request.target)
+    if not (source / "cameras.json").is_file() or not request.changes:
+        return None
+    if target.resolve() == source.resolve():
+        raise QuerySplatError(
+            f"{source} belongs to {request.source}, and would not fit {request.target}",
+            "Choose another name for TARGET.",
+        )
+    refuse_existing([target], force=request.force)
+    return target
+
+
+def _backdrop(source: Path, count: int) -> int:
+    """How many of the Gaussians, the last ones, are a backdrop."""
+    file = folder_of_scene(source) / "report.json"
+    if not file.is_file():
+        return 0
+    try:
+        report = read_report(file)
+    except QuerySplatError:
+        return 0
+    return int(report.get("backdrop", 0)) if report["gaussians"] == count else 0
+
+
+def _psnr_of_file(path: Path, place: Sim3, views: ComparedViews) -> float:
+    whole = place.after(views.frame)
+    return replace(views, frame=whole).psnr(replace(views, frame=whole).here(read_gaussians(path)))
+
+
+def _turn(request: Conversion, gaussians: Gaussians) -> torch.Tensor:
+    """The rotation that --up asks for."""
+    if request.up is None:
+        return torch.eye(3, dtype=torch.float64)
+    if request.up != "auto":
+        return upright(torch.tensor(request.up, dtype=torch.float64))
+    beside = cameras_beside(request.source)
+    if beside is None:
+        raise QuerySplatError(
+            f"--up auto: {folder_of_scene(request.source)} has no cameras.json, and cameras tell what is up",
+            "Give the direction that points up in the scene, for instance --up z or --up=0,-1,0.2.",
+        )
+    inputs, frame = beside
+    return upright_frame(gaussians, inputs.cameras.transformed(frame)).rotation
+
+
+def upright(up: torch.Tensor) -> torch.Tensor:
+    """The smallest rotation [3, 3] that takes the direction `up` to −y. From y it is half a turn about x."""
+    up = up / up.norm()
+    cosine = -float(up @ DOWN)
+    if cosine < -1 + 1e-9:
+        return FLIPPED.rotation
+    turn = skew(torch.linalg.cross(up, -DOWN)[None])[0]
+    return torch.eye(3, dtype=torch.float64) + turn + turn @ turn / (1 + cosine)

@@ -1,0 +1,154 @@
+"""`querysplat convert` cleans, turns and cuts Gaussians, says what that costs, and takes the scene's folder along."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from querysplat_cli.cli import run
+from querysplat_cli.runtime.errors import ExitCode
+from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.formats.ply import read_ply, write_ply
+from querysplat_cli.scene.formats.transforms import read_cameras, read_working_cameras, write_cameras
+from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.views import Views
+from querysplat_cli.splat.render import render
+
+BODY = 600
+
+
+def plain(means: torch.Tensor, scale: float) -> Gaussians:
+    count = len(means)
+    random = torch.Generator().manual_seed(1)
+    return Gaussians(
+        means,
+        torch.randn(count, 4, generator=random),
+        torch.full((count, 3), scale),
+        torch.full((count,), 0.8),
+        0.3 * torch.randn(count, 4, 3, generator=random),
+    )
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    """A rough wall at z = 4, two touching Gaussians apart from it, a giant, and one behind all cameras."""
+    x, y = torch.meshgrid(torch.linspace(-1.2, 1.2, 30), torch.linspace(-0.9, 0.9, 20), indexing="xy")
+    depth = 4 + 0.2 * torch.rand(x.shape, generator=torch.Generator().manual_seed(0))  # no two at one depth
+    wall = torch.stack([x, y, depth], -1).reshape(-1, 3)
+    others = torch.tensor([[1.5, 1.0, 3.0], [1.51, 1.0, 3.0], [0.0, 0, 6], [0.0, 0.0, -30.0]])
+    everything = plain(torch.cat([wall, others]), 0.04)
+    everything.scales[BODY + 2] = 3.0
+    write_ply(tmp_path / "s.ply", everything)
+    w2c = torch.eye(4).repeat(3, 1, 1)
+    w2c[:, 0, 3] = torch.tensor([-0.5, 0.0, 0.5])
+    K = torch.tensor([[160.0, 0, 96], [0, 160, 72], [0, 0, 1]]).repeat(3, 1, 1)
+    views = Views(
+        torch.zeros(3, 3, 144, 192), torch.ones(3, 144, 192).bool(), ("a.png", "b.png", "c.png"), ((144, 192),) * 3
+    )
+    (tmp_path / "s").mkdir()
+    write_cameras(tmp_path / "s" / "cameras.json", Cameras(w2c, K, 144, 192), views)
+    return tmp_path / "s.ply"
+
+
+def converted(capsys: pytest.CaptureFixture[str], *arguments: object) -> dict[str, Any]:
+    assert run(["convert", *map(str, arguments), "--json", "-q"]) == 0
+    found: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return found
+
+
+def test_cleaning_says_what_went_and_why(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    said = converted(capsys, scene, tmp_path / "c.ply", "--clean")
+    (step,) = said["steps"]
+    assert (step["what"], step["gaussians"]) == ("clean", 4)
+    assert (step["unsupported"], step["giants"], step["islands"]) == (1, 1, 2)
+    assert said["gaussians"] == len(read_ply(tmp_path / "c.ply")) == BODY
+    assert (said["psnr"]["against"], said["psnr"]["views"], said["psnr"]["before"]) == ("inputs", 3, 100)
+    assert 5 < said["psnr"]["after"] < 60  # the giant could be seen
+    assert said["psnr"]["after"] == pytest.approx(step["psnr"], abs=0.01)
+
+
+def test_without_cameras_a_scene_is_cleaned_too(
+    scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (scene.with_suffix("") / "cameras.json").unlink()
+    said = converted(capsys, scene, tmp_path / "c.ply", "--clean")
+    assert said["psnr"]["against"] == "orbit"
+    assert said["scene"] is None
+    (step,) = said["steps"]
+    assert (step["unsupported"], step["giants"], step["islands"]) == (0, 1, 3)
+    assert run(["convert", str(scene), str(tmp_path / "d.ply"), "--up", "auto"]) == ExitCode.BAD_INPUT
+    assert "has no cameras.json" in capsys.readouterr().err
+
+
+def test_boxes_spheres_and_numbers(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    means = read_ply(scene).means
+    left = int((means[:, 0] <= 0).sum())
+    said = converted(capsys, scene, tmp_path / "r.ply", "--remove=-9,-9,-99,0,9,99", "--force")
+    assert said["steps"][0]["gaussians"] == left
+    said = converted(capsys, scene, tmp_path / "k.ply", "--keep-sphere", "0,0,8,1", "--scale", "2", "--prune", "60")
+    near = int(((2 * means - torch.tensor([0.0, 0, 8])).norm(dim=1) <= 1).sum())
+    assert [step["what"] for step in said["steps"]] == ["keep-sphere", "prune"]
+    assert said["steps"][0]["gaussians"] == len(means) - near
+    assert said["gaussians"] == 60 < near
+    assert said["steps"][1]["psnr"] <= said["steps"][0]["psnr"]
+
+
+def test_the_folder_goes_along_and_the_pictures_stay(
+    scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Turned in any direction, and scaled; the costs count nothing but rounding."""
+    said = converted(capsys, scene, tmp_path / "t.ply", "--up=0.3,0.5,-0.8", "--scale", "3")
+    assert said["scene"] == str(tmp_path / "t")
+    assert said["psnr"]["after"] > 60
+    before, after = (read_cameras(tmp_path / name / "cameras.json")[0].cameras for name in ("s", "t"))
+    pictures = [render(read_ply(tmp_path / f"{n}.ply"), each).colour for n, each in (("s", before), ("t", after))]
+    assert float(pictures[0].std()) > 0.05
+    assert float((pictures[0] - pictures[1]).square().mean()) < 1e-6
+    working, _, frame = read_working_cameras(tmp_path / "t" / "cameras.json")
+    assert frame is not None
+    assert frame.scale == pytest.approx(3)
+    torch.testing.assert_close(working.cameras.w2c, before.w2c, atol=1e-5, rtol=0)
+
+
+def test_auto_turns_the_photos_to_the_front(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    converted(capsys, scene, tmp_path / "t.ply", "--up", "z")
+    converted(capsys, tmp_path / "t.ply", tmp_path / "u.ply", "--up", "auto")
+    cameras = read_cameras(tmp_path / "u" / "cameras.json")[0].cameras
+    assert (cameras.w2c[:, 1, 1] > 0.99).all()
+    forward = cameras.w2c[:, 2, :3].mean(0)
+    torch.testing.assert_close(forward, torch.tensor([0.5**0.5, 0, -(0.5**0.5)]), atol=0.01, rtol=0)
+
+
+def test_what_fits_a_scene_no_more_is_not_put_beside_it(
+    scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(["convert", str(scene), str(tmp_path / "s.spz"), "--up", "z"]) == ExitCode.BAD_INPUT
+    assert "Choose another name" in capsys.readouterr().err
+    assert not (tmp_path / "s.spz").exists()
+    said = converted(capsys, scene, tmp_path / "s.spz")
+    assert said["scene"] is None
+    (tmp_path / "there").mkdir()
+    assert run(["convert", str(scene), str(tmp_path / "there.ply"), "--clean"]) == ExitCode.BAD_INPUT
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["s", "s.ply", "s.spz", "there"]
+
+
+@pytest.mark.parametrize(
+    "option",
+    ["--scale=inf", "--scale=nan", "--up=0,0,0", "--up=w", "--up=1,2", "--up=nan,0,1", "--remove=0,0,0,1,1",
+     "--keep-sphere=0,0,0,-1", "--keep-sphere=0,0,1", "--crop=8,8,8,9,9,9", "--prune=0", "--crop=nan,0,0,1,1,1"],
+)  # fmt: skip
+def test_senseless_options_are_refused(scene: Path, tmp_path: Path, option: str) -> None:
+    assert run(["convert", str(scene), str(tmp_path / "x.ply"), option]) == ExitCode.BAD_INPUT
+    assert not (tmp_path / "x.ply").exists()
+
+
+def test_a_file_without_a_finite_gaussian_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_ply(tmp_path / "a.ply", plain(torch.zeros(2, 3), 0.1))
+    content = bytearray((tmp_path / "a.ply").read_bytes())
+    body = content.index(b"end_header\n") + len(b"end_header\n")
+    content[body:] = b"\xff" * (len(content) - body)  # every float32 is a NaN
+    (tmp_path / "a.ply").write_bytes(content)
+    assert run(["convert", str(tmp_path / "a.ply"), str(tmp_path / "b.ply")]) == ExitCode.BAD_INPUT
+    assert "no Gaussian with finite numbers" in capsys.readouterr().err
