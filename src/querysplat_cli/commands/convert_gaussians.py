@@ -47,7 +47,7 @@ def convert_gaussians(request: Conversion) -> dict[str, Any]:
     placed = transform_gaussians(gaussians, place) if place.scale != 1.0 or request.up else gaussians
     with ExitStack() as stack:
         drafts = stack.enter_context(atomic_together(request.target, *([folder] if folder else [])))
-        written = write_gaussians(drafts[0], placed[kept])
+        written = write_gaussians(drafts[0], placed[kept], request.spz_version)
         after = _psnr_of_file(drafts[0], place, views)
         size = drafts[0].stat().st_size
         if folder:
