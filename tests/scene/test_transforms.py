@@ -15,12 +15,12 @@ from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.formats.known import read_known_cameras
 from querysplat_cli.scene.formats.transforms import (
-    opencv_from_opengl,
     opengl_from_opencv,
     read_cameras,
     read_transforms,
     write_cameras,
 )
+from querysplat_cli.scene.formats.transforms_frame import opencv_from_opengl
 from querysplat_cli.scene.views import Views
 
 LENS = {"w": 640, "h": 480, "fl_x": 500.0, "fl_y": 510.0, "cx": 300.0, "cy": 250.0}
