@@ -23,7 +23,7 @@ PANELS = {
     "Cases": ("splits", "protocol", "views", "scales", "cases", "shard", "splits_only", "merge"),
     "Rows and scores": ("sweep", "predictions", "name", "metrics", "fitted"),
     "Pictures": ("frames", "seconds", "fps", "size", "background", "query"),
-    "Changes": ("up", "scale", "clean", "prune_to", "crop", "remove", "keep_sphere", "text"),
+    "Changes": ("up", "scale", "clean", "prune_to", "crop", "remove", "keep_sphere", "points", "text"),
     "Output": (
         *(
             "ply",
@@ -32,6 +32,7 @@ PANELS = {
             "frame",
             "plot",
             "depth",
+            "float_depth",
             "alpha",
             "save_pictures",
             "nerfbaselines",
