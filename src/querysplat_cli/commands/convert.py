@@ -73,12 +73,13 @@ def _convert_cameras(request: Conversion) -> dict[str, Any]:
 
 
 def _with_lenses(folder: Path, cameras: Mapping[str, PhotoCamera]) -> dict[str, PhotoCamera]:
-    """The cameras of a scene with the lenses of its photos, at the photos' own size, where the scene knows these."""
-    files = read_photo_files(folder / "photos.json")
-    return {
-        name: replace(rescaled(files[name].lens, *files[name].full_size()), w2c=camera.w2c) if name in files else camera
-        for name, camera in cameras.items()
-    }
+    """The cameras of a scene with the lenses of its photos, at the photos' own size, where these are known."""
+    found = dict(cameras)
+    for name, file in read_photo_files(folder / "photos.json").items():
+        if name in cameras:
+            lens = rescaled(file.lens, *file.full_size()) if file.path.is_file() else file.lens
+            found[name] = replace(lens, w2c=cameras[name].w2c)
+    return found
 
 
 def _points(folder: Path) -> PointCloud | None:
