@@ -29,7 +29,7 @@ from querysplat_cli.reporting.view_scores import score
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.photo_files import large_views, photo_files
-from querysplat_cli.scene.views import Views
+from querysplat_cli.scene.views import PhotoSource, Views
 from querysplat_cli.splat import smoothing
 from querysplat_cli.splat.conventions import MID_GREY
 
@@ -63,8 +63,8 @@ def halved(held: Held) -> Held:
     return replace(views, images=images, masks=masks, sizes=sizes), replace(cameras, K=K, height=rows, width=columns)
 
 
-def photo_paths(photo_set: PhotoSet, data: Path) -> dict[str, Path]:
-    return {path.name: path for path in photo_set.files(data)}
+def photo_sources(photo_set: PhotoSet, data: Path) -> dict[str, PhotoSource]:
+    return {path.name: PhotoSource(path) for path in photo_set.files(data)}
 
 
 def rows(model: QuerySplat, photo_set: PhotoSet, options: Namespace) -> list[Row]:
@@ -74,7 +74,7 @@ def rows(model: QuerySplat, photo_set: PhotoSet, options: Namespace) -> list[Row
     assert chosen.heldout
     views, cameras = held = chosen.heldout
     geometry = encoder.estimate_geometry(chosen.inputs, seed=SEED, progress=silent)
-    files = photo_files(views.names, chosen.heldout_photo_cameras, photo_paths(photo_set, options.data))
+    files = photo_files(views.names, chosen.heldout_photo_cameras, photo_sources(photo_set, options.data))
     sizes: dict[str, Held | None] = {"half": halved(held), "same": held, "double": None}
     if all(max(file.full_size()) >= 2 * options.max_size for file in files):
         sizes["double"] = large_views(files, views, cameras, 2 * options.max_size)

@@ -39,6 +39,7 @@ from querysplat_cli.runtime.errors import ImpossibleScene, QuerySplatError
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.formats.known import read_known_cameras
 from querysplat_cli.scene.photos import find_photos, load_photos
+from querysplat_cli.scene.sim3 import DegenerateAlignment
 from querysplat_cli.scene.views import Photo
 
 DISTANCES = {"fox": (6, 12, 24), "kermit": (1, 2), "sceaux": (1, 2), "fortress": (1, 2), "dtu106": (1, 3)}
@@ -111,10 +112,7 @@ def rows_of(
             found, seconds = cameras_of(encoders[matcher], pair)
             errors: tuple[float | None, ...] = None, None, None
             if len(found) == 2:
-                apart_by = compare_cameras(found, {each: true[each] for each in names})
-                errors = tuple(
-                    abs(float(some[0])) for some in (apart_by.pair_rotation, apart_by.pair_translation, apart_by.focal)
-                )
+                errors = _pair_errors(found, {each: true[each] for each in names})
             yield Row(name, use, apart, *names, matcher, *errors, seconds)
 
 
@@ -130,8 +128,16 @@ def whole_of(
 def _compared(found: dict[str, PhotoCamera], true: dict[str, PhotoCamera]) -> PoseErrors | None:
     try:
         return compare_cameras(found, true)
-    except QuerySplatError:
+    except (QuerySplatError, DegenerateAlignment):
         return None
+
+
+def _pair_errors(found: dict[str, PhotoCamera], true: dict[str, PhotoCamera]) -> tuple[float | None, ...]:
+    """Degrees of rotation and shift, and the focal error; a pair that no similarity aligns counts as turned around."""
+    compared = _compared(found, true)
+    if compared is None:
+        return 180.0, 180.0, None
+    return tuple(abs(float(some[0])) for some in (compared.pair_rotation, compared.pair_translation, compared.focal))
 
 
 def summarise(table: Table, label: str, rows: Sequence[Row]) -> None:
@@ -140,10 +146,9 @@ def summarise(table: Table, label: str, rows: Sequence[Row]) -> None:
         own = [row for row in rows if row.matcher == matcher]
         placed = [row for row in own if row.rotation is not None]
         errors = np.array([row.worst for row in own])
-        middles = [
-            median(getattr(row, kind) for row in placed) if placed else None
-            for kind in ("rotation", "translation", "focal")
-        ]
+        kinds = "rotation", "translation", "focal"
+        known = [[value for row in placed if (value := getattr(row, kind)) is not None] for kind in kinds]
+        middles = [median(values) if values else None for values in known]
         areas = [100 * area_under_recall(errors, limit) for limit in LIMITS]
         table.add(label, matcher, f"{len(placed)} of {len(own)}", *middles, *areas, mean(row.seconds for row in own))
 

@@ -177,7 +177,7 @@ def test_spz_is_turned_to_its_own_axes_and_back(tmp_path: Path) -> None:
     [
         ["nowhere.ply", "b.ply"],
         ["a.ply", "b.obj"],
-        ["a.ply", "b.sog"],
+        ["a.ply", "b.compressed.ply"],
         ["a.ply", "b.ply", "--scale", "0"],
         ["a.ply", "b.ply", "--crop", "1,2,3"],
         ["a.ply", "b.ply", "--crop", "1,0,0,0,1,1"],

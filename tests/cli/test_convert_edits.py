@@ -19,7 +19,7 @@ from querysplat_cli.scene.formats.ply import read_ply, write_ply
 from querysplat_cli.scene.formats.transforms import read_cameras, read_working_cameras, write_cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.photo_files import PhotoFile, write_photo_files
-from querysplat_cli.scene.views import Views
+from querysplat_cli.scene.views import PhotoSource, Views
 from querysplat_cli.splat.render import render
 
 BODY = 600
@@ -176,7 +176,7 @@ def test_a_scene_becomes_a_colmap_model_of_its_photos(scene: Path, tmp_path: Pat
     folder = scene.with_suffix("")
     cv2.imwrite(str(tmp_path / "a.png"), np.zeros((600, 800, 3), np.uint8))
     lens = PhotoCamera(np.eye(4), (500.0, 505.0), (320.0, 241.0), (0.1, -0.02, 0.001, 0.0), 480, 640)
-    files = [PhotoFile.of(name, tmp_path / name, lens) for name in ("a.png", "b.png")]  # b.png is gone
+    files = [PhotoFile.of(name, PhotoSource(tmp_path / name), lens) for name in ("a.png", "b.png")]  # b.png is gone
     write_photo_files(folder / "photos.json", files)
     assert run(["convert", str(folder), str(tmp_path / "model"), "-q"]) == 0
     found = read_known_cameras(tmp_path / "model")

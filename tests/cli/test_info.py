@@ -47,6 +47,17 @@ def test_the_odd_ones_are_counted() -> None:
     assert found["opacity"]["quantiles"]["0.5"] == pytest.approx(0.9)
 
 
+def test_the_backdrop_is_no_oddity(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The report beside the file says how many of the last Gaussians are the backdrop, if it is of this file."""
+    write_ply(tmp_path / "grid.ply", grid())
+    (tmp_path / "grid").mkdir()
+    for count, behind, giants in ((216, 6, 0), (215, 0, 3)):
+        (tmp_path / "grid" / "report.json").write_text(json.dumps({"gaussians": count, "backdrop": 6}))
+        assert run(["info", str(tmp_path / "grid.ply"), "--json", "-q"]) == 0
+        found = json.loads(capsys.readouterr().out)
+        assert (found["gaussians"], found["backdrop"], found["odd"]["giants"]["count"]) == (216, behind, giants)
+
+
 def test_one_gaussian_is_a_scene() -> None:
     found = describe(grid()[:1], None)
     assert found["gaussians"] == 1

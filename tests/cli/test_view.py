@@ -51,6 +51,8 @@ def test_the_server_has_the_page_and_the_scene_and_nothing_else(ply: Path) -> No
         assert get(address, f"/{manifest['gaussians']}?0") == (200, ply.read_bytes())
         for path in ("/secret.txt", "/../secret.txt", f"/{ply.parent}/secret.txt", "/%2e%2e/viewer_files.py", "/lib/"):
             assert get(address, path) == (404, b"")
+        ply.unlink()
+        assert get(address, f"/{manifest['gaussians']}") == (404, b"")
     assert address.startswith("http://127.0.0.1:")
 
 

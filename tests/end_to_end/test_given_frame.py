@@ -14,7 +14,8 @@ from test_road import take_photos
 from querysplat_cli.cli import run
 from querysplat_cli.pipeline.read_scene import read_scene, read_scene_gaussians
 from querysplat_cli.scene.formats.ply import read_ply
-from querysplat_cli.scene.formats.transforms import opengl_from_opencv, read_cameras, working_frame
+from querysplat_cli.scene.formats.transforms import read_cameras, working_frame
+from querysplat_cli.scene.formats.transforms_frame import opengl_from_opencv
 from querysplat_cli.scene.rotations import quaternion_to_matrix
 from querysplat_cli.scene.sim3 import Sim3
 from querysplat_cli.training.photographer import walk

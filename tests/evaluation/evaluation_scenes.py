@@ -5,7 +5,7 @@ from pathlib import Path
 
 import cv2
 
-from querysplat_cli.scene.formats.transforms import opengl_from_opencv
+from querysplat_cli.scene.formats.transforms_frame import opengl_from_opencv
 from querysplat_cli.training.photographer import cast, walk
 from querysplat_cli.training.rooms import make_room
 

@@ -28,7 +28,7 @@ from querysplat_cli.scene.formats.ply import read_ply
 from querysplat_cli.scene.formats.transforms import read_transforms
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.photo_files import PhotoFile
-from querysplat_cli.scene.views import Views
+from querysplat_cli.scene.views import PhotoSource, Views
 
 HEIGHT, WIDTH = 24, 36
 
@@ -67,7 +67,7 @@ def stored() -> tuple[StoredScene, Gaussians]:
         torch.randn(7, 4, 3, generator=generator),
     )
     lens = PhotoCamera(np.eye(4), (40.0, 41.0), (18.0, 12.0), (0.1, 0.0, 0.0, 0.0), HEIGHT, WIDTH)
-    photos = {name: PhotoFile.of(name, Path("/photos") / name, lens) for name in ("a.png", "d.png")}
+    photos = {name: PhotoFile.of(name, PhotoSource(Path("/photos") / name), lens) for name in ("a.png", "d.png")}
     exposures = Exposures(Exposures.identity(3).matrices * torch.tensor([0.9, 1.0, 1.1])[:, None, None])
     scene = StoredScene(inputs, cameras, heldout, memories, anchors, "compact", photos=photos, exposures=exposures)
     return scene, gaussians

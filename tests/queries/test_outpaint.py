@@ -42,6 +42,15 @@ def test_the_camera_looks_the_same_way() -> None:
     torch.testing.assert_close(torch.linalg.solve(around.cameras.K[0], cell), torch.linalg.solve(cameras.K[0], pixel))
 
 
+def test_what_the_user_masked_is_no_border() -> None:
+    views, cameras, depth = scene()
+    views.masks[:] = True
+    views.masks[0, 8:16, 8:16] = False
+    border = extend_borders(views, cameras, depth, cell=CELL, margin=MARGIN).views.masks[0]
+    assert border.any()
+    assert not border[RING:-RING, RING:-RING].any()
+
+
 def test_a_view_without_a_pixel_has_no_border() -> None:
     views, cameras, depth = scene()
     views.masks[:] = False

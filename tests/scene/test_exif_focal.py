@@ -10,7 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import ExifTags, Image
 
-from querysplat_cli.scene.photos import FULL_FRAME_DIAGONAL, MILLIMETRES, SENSIBLE_FOCAL, load_photos
+from querysplat_cli.scene.exif import FULL_FRAME_DIAGONAL, MILLIMETRES, SENSIBLE_FOCAL
+from querysplat_cli.scene.photos import load_photos
 
 WIDTH, HEIGHT = 160, 120
 SENSORS = st.floats(4.0, 36.0)

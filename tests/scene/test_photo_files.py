@@ -20,6 +20,7 @@ from querysplat_cli.scene.photo_files import (
 )
 from querysplat_cli.scene.photos import load_photos
 from querysplat_cli.scene.undistort import undistorted
+from querysplat_cli.scene.views import PhotoSource
 
 SHAPES = ((240, 320), (240, 180))
 DISTORTED = (0.08, -0.02, 0.001, 0.0)
@@ -39,8 +40,8 @@ def files(tmp_path: Path) -> tuple[PhotoFile, ...]:
     for seed, (name, (height, width)) in enumerate(zip(names, SHAPES, strict=True)):
         noise = np.random.default_rng(seed).integers(0, 255, (height // 8, width // 8, 3), dtype=np.uint8)
         cv2.imwrite(str(tmp_path / name), cv2.resize(noise, (width, height), interpolation=cv2.INTER_CUBIC))
-    paths = {name: tmp_path / name for name in names}
-    return photo_files(names, [camera(shape) for shape in SHAPES], paths)
+    sources = {name: PhotoSource(tmp_path / name) for name in names}
+    return photo_files(names, [camera(shape) for shape in SHAPES], sources)
 
 
 def test_large_views_are_those_of_the_photos_themselves(files: tuple[PhotoFile, ...]) -> None:

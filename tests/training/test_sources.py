@@ -172,7 +172,7 @@ def test_frames_of_a_film(tmp_path: Path) -> None:
         assert abs(float(photo.pixels.mean()) - 20 * number) < 6
     other = tmp_path / "other.mp4"
     other.write_bytes(b"no film")
-    with pytest.raises(QuerySplatError, match="not a video"):
+    with pytest.raises(QuerySplatError, match="not a film"):
         open_source(SourceSettings("captured", (str(other),))).capture(0, 0)
 
 

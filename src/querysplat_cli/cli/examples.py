@@ -4,6 +4,7 @@ EXAMPLES = {
     "reconstruct": (
         ("reconstruct photos/ -o scene.ply", "a scene of a folder of photos"),
         ("reconstruct photos/ -o scene.ply --holdout-every 4", "and a score on every fourth photo, held out"),
+        ("reconstruct clip.mp4 -o scene.ply", "a scene of a film"),
         ("reconstruct photos/ -o scene.ply --budget 20", "done after about 20 seconds"),
         ("reconstruct photos/ -o scene.ply --poses transforms.json", "with cameras of another tool"),
     ),
@@ -35,6 +36,7 @@ EXAMPLES = {
     ),
     "convert": (
         ("convert scene.ply scene.spz", "a smaller file"),
+        ("convert scene.ply scene.sog", "for PlayCanvas and SuperSplat"),
         ("convert scene.ply upright.ply --up z", "turn the axis that points up to -y"),
         ("convert scene.ply clean.ply --clean", "without floaters, and what that costs"),
         ("convert scene.ply points.ply --points", "a coloured point cloud"),

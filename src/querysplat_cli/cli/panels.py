@@ -2,12 +2,15 @@
 
 PANELS = {
     "Scene": ("scene", "scenes", "source", "target", "first", "second"),
-    "Photos": ("inputs", "holdout_every", "max_size", "max_views", "fit", "exposure", "photos", "pictures"),
+    "Photos": (
+        *("inputs", "film_frames", "holdout_every", "max_size", "max_views", "fit", "lens", "exposure"),
+        *("photos", "pictures"),
+    ),
     "Quality": (
         *("quality", "budget", "tto", "tto_target", "tto_space", "steps", "lr", "space"),
         *("queries", "prune", "densify", "backdrop", "keep_everything"),
     ),
-    "Cameras": ("poses", "refine_cameras", "holdout_cameras", "cameras", "colmap", "matcher"),
+    "Cameras": ("poses", "metres_by", "refine_cameras", "holdout_cameras", "cameras", "colmap", "matcher"),
     "Model": (
         "preset",
         "encoder",
@@ -23,7 +26,10 @@ PANELS = {
     "Cases": ("splits", "protocol", "views", "scales", "cases", "shard", "splits_only", "merge"),
     "Rows and scores": ("sweep", "predictions", "name", "metrics", "fitted"),
     "Pictures": ("frames", "seconds", "fps", "size", "background", "query"),
-    "Changes": ("up", "scale", "clean", "prune_to", "crop", "remove", "keep_sphere", "points", "text"),
+    "Changes": (
+        *("up", "scale", "clean", "prune_to", "crop", "remove", "keep_sphere"),
+        *("points", "text", "spz_version"),
+    ),
     "Output": (
         *(
             "ply",

@@ -39,10 +39,18 @@ def lines(report: Report) -> Iterator[str]:
     if report.matching:
         yield _matching(report.matching)
     yield from (f"warning: {warning}" for warning in report.warnings)
+    if report.scale:
+        yield _scale(report.scale)
     yield "; ".join(_quality(report))
     yield _time(report)
     yield f"{report.ply}; {Path(report.scene) / 'preview.png'} shows photos beside renders, report.json has the rest"
     yield f"next: querysplat render {report.ply} -o film.mp4, or querysplat tto {report.scene} for a better scene"
+
+
+def _scale(scale: dict[str, Any]) -> str:
+    off = "" if scale["residual_m"] is None else f", off by {scale['residual_m']:.3g} m in the median"
+    what = "photos" if scale["source"] == "gps" else "distances"
+    return f"lengths are in metres, by {scale['source']} ({scale['count']} {what}{off})"
 
 
 def _matching(matching: dict[str, Any]) -> str:

@@ -3,6 +3,7 @@
 from querysplat_cli.cli.verb import Printing
 from querysplat_cli.commands.view_requests import Watching
 from querysplat_cli.pipeline.settings import ResumeSettings
+from querysplat_cli.scene.files import with_name
 
 
 def tto(settings: ResumeSettings, printing: Printing, watching: Watching) -> None:
@@ -14,7 +15,7 @@ def tto(settings: ResumeSettings, printing: Printing, watching: Watching) -> Non
     from querysplat_cli.cli.watching import watching_stages
     from querysplat_cli.pipeline.resume import optimise_scene
 
-    with watching_stages(watching, printing, settings.scene.stem) as stages:
+    with watching_stages(watching, printing, with_name(settings.scene).stem) as stages:
         report = optimise_scene(settings, stages)
     print_report(report, printing)
     exit_if_interrupted(report)

@@ -15,7 +15,8 @@ from querysplat_cli.scene.files import atomic_folder, refuse_existing
 from querysplat_cli.scene.formats.colmap import copy_colmap, write_colmap
 from querysplat_cli.scene.formats.known import find_known_cameras, read_known_cameras
 from querysplat_cli.scene.formats.point_cloud import PointCloud, points_of
-from querysplat_cli.scene.formats.transforms import is_rigid, write_transforms
+from querysplat_cli.scene.formats.transforms import write_transforms
+from querysplat_cli.scene.formats.transforms_frame import is_rigid
 from querysplat_cli.scene.match_cameras import match_cameras
 from querysplat_cli.scene.photo_files import read_photo_files
 from querysplat_cli.scene.photos import WHOLE, find_photos, load_photo, short_names
@@ -42,7 +43,7 @@ def convert(request: Conversion) -> dict[str, Any]:
     if request.photos and request.text:
         raise QuerySplatError("--text is for COLMAP models, --photos for scene folders", "Leave one of them out.")
     if request.changes:
-        raise QuerySplatError("options that turn, scale or cut are for Gaussians", "Give a .ply, .spz or .sog.")
+        raise QuerySplatError("options that turn, scale or cut are for Gaussians", "Give a .ply, .spz, .sog or .glb.")
     return _convert_cameras(request)
 
 

@@ -60,7 +60,7 @@ def convert_gaussians(request: Conversion) -> dict[str, Any]:
             write_points(drafts[0], cloud)
             written, after = len(cloud), levels[-1]
         else:
-            written = write_gaussians(drafts[0], placed[kept])
+            written = write_gaussians(drafts[0], placed[kept], request.spz_version)
             after = _psnr_of_file(drafts[0], place, views)
         size = drafts[0].stat().st_size
         if folder:

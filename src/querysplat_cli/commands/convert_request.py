@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 
 from annotated_types import Ge, Le
 
+from querysplat_cli.runtime.choices import SpzVersion
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.json_files import shown
 from querysplat_cli.runtime.options import Force, Option
@@ -64,14 +65,17 @@ class Conversion:
     source: Annotated[
         Path,
         Option(
-            "Gaussians: a .ply, .spz or .sog. Cameras: a transforms.json, a COLMAP model or a scene folder.",
+            "Gaussians: a .ply, .spz, .sog or .glb. Cameras: a transforms.json, a COLMAP model or a scene folder.",
             argument=True,
         ),
     ]
     target: Annotated[
         Path,
-        Option("Gaussians: a .ply or .spz. Cameras: a .json, or a folder for a COLMAP model.", argument=True),
+        Option("Gaussians: a .ply, .spz, .sog or .glb. Cameras: a .json, or a folder for COLMAP.", argument=True),
     ]
+    spz_version: Annotated[
+        SpzVersion, Option("Of an .spz: 3, which most viewers read, or 4, whose compression is newer.")
+    ] = "3"
     text: Annotated[bool, Option("Write the COLMAP model as text.")] = False
     photos: Annotated[
         Path | None,

@@ -1,6 +1,7 @@
 """What `info` does: a scene in numbers, and what is odd about it."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from querysplat_cli.commands.info_plot import draw_info
 from querysplat_cli.commands.view_requests import InfoRequest
 from querysplat_cli.pipeline.gaussian_files import file_of_scene, folder_of_scene, read_gaussians
 from querysplat_cli.runtime.figures import check_drawing
+from querysplat_cli.runtime.json_files import read_json
 from querysplat_cli.scene.files import refuse_existing, with_name
 from querysplat_cli.scene.formats.transforms import NamedCameras, read_cameras
 from querysplat_cli.scene.gaussians import Gaussians
@@ -55,21 +57,28 @@ def scene_info(request: InfoRequest) -> dict[str, Any]:
     file, cameras = file_of_scene(path), folder_of_scene(path) / "cameras.json"
     gaussians = read_gaussians(file)
     inputs = read_cameras(cameras)[0] if cameras.is_file() else None
-    found = {"file": str(file), "bytes": file.stat().st_size, **describe(gaussians, inputs)}
+    behind = _backdrop(folder_of_scene(path) / "report.json", len(gaussians))
+    found = {"file": str(file), "bytes": file.stat().st_size, **describe(gaussians, inputs, behind)}
     if request.plot:
         draw_info(request.plot, gaussians, found)
     return found
 
 
-def describe(gaussians: Gaussians, inputs: NamedCameras | None, policy: OddPolicy = ODD_POLICY) -> dict[str, Any]:
-    """Everything about the Gaussians that needs no file. Lengths are in scene units, angles in degrees."""
+def describe(
+    gaussians: Gaussians, inputs: NamedCameras | None, backdrop: int = 0, policy: OddPolicy = ODD_POLICY
+) -> dict[str, Any]:
+    """Everything about the Gaussians that needs no file. Lengths are in scene units, angles in degrees.
+
+    The last `backdrop` Gaussians stand behind everything (`queries/backdrop.py`). They count as Gaussians only.
+    """
+    count, gaussians = len(gaussians), gaussians[: len(gaussians) - backdrop]
     low, high = _box(opaque_centres(gaussians), 0.05)
     extent = float((high - low).norm())
     longest = gaussians.scales.amax(1)
     odd = _odd(gaussians, extent, policy)
-    count = len(gaussians)
     return {
         "gaussians": count,
+        "backdrop": backdrop,
         "sh_degree": gaussians.sh_degree,
         "extent": {
             "diagonal": extent,
@@ -86,6 +95,15 @@ def describe(gaussians: Gaussians, inputs: NamedCameras | None, policy: OddPolic
             for name, rows in odd.items()
         },
     }
+
+
+def _backdrop(report: Path, count: int) -> int:
+    """How many of a scene's `count` Gaussians are its backdrop, by its report; 0 where the report is of another."""
+    entries = read_json(report) if report.is_file() else {}
+    if not isinstance(entries, dict) or entries.get("gaussians") != count:
+        return 0
+    behind = entries.get("backdrop")
+    return behind if isinstance(behind, int) and 0 <= behind < count else 0
 
 
 def _box(points: Tensor, left_out: float) -> tuple[Tensor, Tensor]:

@@ -51,7 +51,8 @@ class RenderRequest:
     """Pictures or a film of a .ply."""
 
     scene: Annotated[
-        Path, Option("A scene folder, or a .ply, .spz or .sog of SH degree 0 to 3.", metavar="SCENE", argument=True)
+        Path,
+        Option("A scene folder, or a .ply, .spz, .sog or .glb of SH degree 0 to 3.", metavar="SCENE", argument=True),
     ]
     output: Annotated[
         Path | None,

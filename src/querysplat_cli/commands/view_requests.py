@@ -9,7 +9,7 @@ from annotated_types import Ge, Le
 from querysplat_cli.runtime.options import Force, Option
 
 ScenePath = Annotated[
-    Path, Option("A scene folder, or a .ply, .spz or .sog of SH degree 0 to 3.", metavar="SCENE", argument=True)
+    Path, Option("A scene folder, or a .ply, .spz, .sog or .glb of SH degree 0 to 3.", metavar="SCENE", argument=True)
 ]
 
 

@@ -1,5 +1,6 @@
 """A local server for the viewer's page. It answers on 127.0.0.1 only, and has no files but those of one scene."""
 
+import sys
 import threading
 import webbrowser
 from collections.abc import Callable, Iterator
@@ -46,6 +47,11 @@ class _Server(ThreadingHTTPServer):
     daemon_threads = True
     files: Files
 
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Say nothing where the browser went away in the middle of an answer."""
+        if not isinstance(sys.exception(), ConnectionError):
+            super().handle_error(request, client_address)
+
 
 class _Handler(BaseHTTPRequestHandler):
     protocol_version = "HTTP/1.1"
@@ -68,7 +74,10 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _content(self, name: str) -> bytes | None:
         own = viewer_file(name)
-        return self.server.files(name) if own is None else own
+        try:
+            return self.server.files(name) if own is None else own
+        except FileNotFoundError:  # the scene was moved while it was shown
+            return None
 
     def _is_ours(self) -> bool:
         port = self.server.server_port

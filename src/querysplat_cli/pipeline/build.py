@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import torch
 
@@ -18,13 +17,14 @@ from querysplat_cli.pipeline.policy import PIPELINE_POLICY
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.prune.gaussians import target_count
 from querysplat_cli.prune.views import near_duplicates
+from querysplat_cli.queries.backdrop import shows_background
 from querysplat_cli.queries.prepare import PreparedQueries, prepare
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.exposures import Exposures
 from querysplat_cli.scene.gaussians import Gaussians, joined
 from querysplat_cli.scene.photo_files import PhotoFile, photo_files
-from querysplat_cli.scene.views import LeftOut, Views
+from querysplat_cli.scene.views import LeftOut, PhotoSource, Views
 from querysplat_cli.tto.adapt import Adapted
 from querysplat_cli.tto.cameras import refinable, with_refined_focal
 from querysplat_cli.tto.exposure_fit import PhotoColours, compare_photos
@@ -94,12 +94,12 @@ class Allowance:
     """What the making of one scene may use.
 
     share: its time; None sets no limit.
-    paths: the files of the photos by name, for an optimisation on larger pictures than the working ones.
+    sources: where the photos come from, by name, for an optimisation on larger pictures than the working ones.
     last: the encoder cannot be used any more afterwards: its weights make room for the decoders.
     """
 
     share: BudgetShare | None = None
-    paths: Mapping[str, Path] = field(default_factory=dict)
+    sources: Mapping[str, PhotoSource] = field(default_factory=dict)
     last: bool = False
 
 
@@ -169,11 +169,11 @@ def _finished(
 ) -> BuiltScene:
     """The scene after its optimisation."""
     adapted, time = _optimised(posed, prepared, model, settings, stages, allowance.share, _transforms(colours))
-    files = photo_files(posed.views.names, posed.photo_cameras, allowance.paths) if allowance.paths else ()
+    files = photo_files(posed.views.names, posed.photo_cameras, allowance.sources) if allowance.sources else ()
     more = time is None or time.for_more
     scene = BuiltScene(posed, geometry, prepared, adapted, files, colours=colours, time_for_more=more)
     scene = _taken_further(scene, next(model.parameters()).device, settings, stages, time)
-    if not settings.backdrop or prepared.anchors is None:
+    if not settings.backdrop or prepared.anchors is None or not shows_background(posed.views):
         return scene
     return replace(scene, backdrop=scene.inputs.backdrop(scene.gaussians))
 

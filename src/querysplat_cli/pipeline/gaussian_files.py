@@ -5,52 +5,66 @@ from pathlib import Path
 
 import torch
 
+from querysplat_cli.runtime.choices import SpzVersion
 from querysplat_cli.runtime.errors import QuerySplatError
-from querysplat_cli.scene.formats.compressed import check_spz, read_sog, read_spz, write_spz
+from querysplat_cli.scene.formats.compressed import check_spz, read_spz, write_spz
+from querysplat_cli.scene.formats.gltf import read_glb, write_glb
 from querysplat_cli.scene.formats.ply import read_ply, write_ply
+from querysplat_cli.scene.formats.sog import read_sog, write_sog
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.sim3 import Sim3
 from querysplat_cli.splat.transform import transform_gaussians
 
-READERS: dict[str, Callable[[Path], Gaussians]] = {".ply": read_ply, ".spz": read_spz, ".sog": read_sog}
-WRITERS: dict[str, Callable[[Path, Gaussians], int]] = {".ply": write_ply, ".spz": write_spz}
+READERS: dict[str, Callable[[Path], Gaussians]] = {
+    ".ply": read_ply,
+    ".spz": read_spz,
+    ".sog": read_sog,
+    ".glb": read_glb,
+}
+WRITERS: dict[str, Callable[[Path, Gaussians], int]] = {
+    ".ply": write_ply,
+    ".spz": write_spz,
+    ".sog": write_sog,
+    ".glb": write_glb,
+}
+Y_UP = {".spz", ".glb"}
+"""Kinds whose specification says that y points up."""
 COMPRESSED_PLY = ".compressed.ply"
 FLIPPED = Sim3(1.0, torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64)), torch.zeros(3).double())
-"""From the y-down axes of .ply files to the y-up axes that SPZ specifies. It is its own inverse."""
+"""From the y-down axes of .ply files to axes whose y points up. It is its own inverse."""
 
 
 def read_gaussians(path: Path) -> Gaussians:
-    """The Gaussians of a .ply, .spz or .sog. Raises QuerySplatError when the file is missing, of another kind, damaged
-    or empty, and MissingPart without the package for its kind.
+    """The Gaussians of a .ply, .spz, .sog or .glb.
+
+    Raises QuerySplatError when the file is missing, of another kind, damaged or empty, and MissingPart without the
+    package for its kind.
     """
     kind = path.suffix.lower()
     if kind not in READERS:
         raise QuerySplatError(f"{path}: not a kind of file for Gaussians", f"Give a {', '.join(READERS)}.")
     if not path.is_file():
-        raise QuerySplatError(f"{path}: no such file", "Give a .ply, .spz or .sog.")
+        raise QuerySplatError(f"{path}: no such file", "Give a .ply, .spz, .sog or .glb.")
     gaussians = READERS[kind](path)
-    return transform_gaussians(gaussians, FLIPPED) if kind == ".spz" else gaussians
+    return transform_gaussians(gaussians, FLIPPED) if kind in Y_UP else gaussians
 
 
-def write_gaussians(path: Path, gaussians: Gaussians) -> int:
-    """Write a .ply or .spz, whole or not at all; returns how many Gaussians are in the file (the finite ones)."""
-    if path.suffix.lower() == ".spz":
+def write_gaussians(path: Path, gaussians: Gaussians, spz_version: SpzVersion = "3") -> int:
+    """Write a .ply, .spz, .sog or .glb, whole or not at all; returns how many Gaussians are in it (the finite ones)."""
+    if path.suffix.lower() in Y_UP:
         gaussians = transform_gaussians(gaussians, FLIPPED)
+    if path.suffix.lower() == ".spz":
+        return write_spz(path, gaussians, int(spz_version))
     return WRITERS[path.suffix.lower()](path, gaussians)
 
 
 def check_target(path: Path) -> None:
     """Raise QuerySplatError unless `path` names a kind of file that is written, and no folder; worth doing first."""
     kind = path.suffix.lower()
-    if kind == ".sog":
-        raise QuerySplatError(
-            f"{path}: no kept Python library writes .sog (sogpy 1.0.2 mixes up the colours of its SH)",
-            "Write a .ply, and convert that with PlayCanvas's splat-transform.",
-        )
     if path.name.lower().endswith(COMPRESSED_PLY):
         raise QuerySplatError(f"{path}: {COMPRESSED_PLY} is a format of PlayCanvas, which is not written", "Use .spz.")
     if kind not in WRITERS:
-        raise QuerySplatError(f"{path}: not a kind of file for Gaussians", f"Use {' or '.join(WRITERS)}.")
+        raise QuerySplatError(f"{path}: not a kind of file for Gaussians", f"Use {', '.join(WRITERS)}.")
     if path.is_dir():
         raise QuerySplatError(f"{path}: a folder has that name", "Choose another output.")
     if kind == ".spz":

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 import torch
@@ -19,11 +18,12 @@ from querysplat_cli.pipeline.full_size import LargePhotos, full_size_quality
 from querysplat_cli.pipeline.gaussian_files import check_target, folder_of_scene
 from querysplat_cli.pipeline.given_frame import given_frame
 from querysplat_cli.pipeline.memory import MemoryNeeds, within_memory
+from querysplat_cli.pipeline.metric import in_metres, metres_of
+from querysplat_cli.pipeline.omitted import omissions_of
 from querysplat_cli.pipeline.perceptual import optimisation_lpips
 from querysplat_cli.pipeline.scene_folder import StoredScene, refuse_foreign, write_scene
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.prune.resolution import Blurred, blurred
-from querysplat_cli.reporting import omissions
 from querysplat_cli.reporting.report import (
     Report,
     exposure_entry,
@@ -45,9 +45,11 @@ from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.files import check_writable, refuse_existing, refuse_replacing
 from querysplat_cli.scene.formats.known import read_known_cameras
+from querysplat_cli.scene.inputs import load_inputs
+from querysplat_cli.scene.lenses import pinhole_photos
 from querysplat_cli.scene.photo_files import photo_files
-from querysplat_cli.scene.photos import find_photos, load_photos
-from querysplat_cli.scene.views import LeftOut, Photo
+from querysplat_cli.scene.photos import find_photos
+from querysplat_cli.scene.views import LeftOut, Photo, PhotoSource
 from querysplat_cli.splat.compile_ahead import compile_ahead
 
 
@@ -66,9 +68,9 @@ class _Inputs:
     bytes_expected: int | None
 
     @property
-    def paths(self) -> dict[str, Path]:
-        """The files of the photos by name."""
-        return {photo.name: photo.path for photo in self.photos}
+    def sources(self) -> dict[str, PhotoSource]:
+        """Where the photos come from, by name."""
+        return {photo.name: photo.source for photo in self.photos}
 
 
 @dataclass(frozen=True)
@@ -130,27 +132,32 @@ def _reconstruct(settings: ReconstructSettings, device: torch.device, stages: St
             f"--quality {settings.quality}: this encoder cuts the photos, and large ones would not fit its cameras",
             "Use --encoder classical, or --quality standard.",
         )
+    metres = metres_of(settings.metres_by, passes.chosen.inputs, inputs.photos, poses_known=inputs.known is not None)
     scenes = 2 if passes.other and passes.other.heldout and not settings.one_scene else 1
     share = inputs.budget.share(scenes) if inputs.budget else None
-    allowance = Allowance(share, inputs.paths, last=passes.other is None or settings.one_scene)
+    allowance = Allowance(share, inputs.sources, last=passes.other is None or settings.one_scene)
     scene = encode_and_build(passes.chosen.inputs, inputs.encoder, inputs.model, settings, stages, allowance)
     scores = _score(inputs, passes, scene, settings, stages)
     with stages("write"):
         report = _report(inputs, passes, scene, scores, settings, stages)
-        write_scene(settings.ply, _stored(inputs, passes, scene, settings), scene.gaussians, report.as_dict())
+        stored = _stored(inputs, passes, scene, settings)
+        if metres:
+            stored, report = in_metres(stored, report, metres)
+        write_scene(settings.ply, stored, scene.gaussians, report.as_dict())
     return report
 
 
 def _read_inputs(settings: ReconstructSettings, device: torch.device, stages: Stages) -> _Inputs:
     free = free_bytes(device)
     with stages("photos") as progress:
-        photos, unread = load_photos(find_photos(settings.inputs), progress=progress)
+        photos, unread = load_inputs(find_photos(settings.inputs), settings.film_frames, progress=progress)
     if device.type == "cpu":
         compile_ahead()
     with stages("model") as progress:
         model, encoder = load_parts(settings, device)
         optimisation_lpips(settings.lpips, official=model.config.queries == "learned")  # a damaged file ends it here
-        known = read_known_cameras(settings.poses) if settings.poses else None
+        known = read_known_cameras(settings.poses, fisheye=True) if settings.poses else None
+        photos, known = pinhole_photos(photos, known, settings.lens)
         budget = Budget(settings.budget, stages.elapsed) if settings.budget else None
         size = settings.max_size or encoder.size
         adjustable = encoder.name == "classical" and not settings.max_size
@@ -195,7 +202,7 @@ def _score(
     other = passes.other
     if other and other.heldout and not settings.one_scene and scene.time_for_more and not scene.interrupted:
         with stages(f"{other.protocol} score"):
-            rest = Allowance(inputs.budget.share() if inputs.budget else None, inputs.paths)
+            rest = Allowance(inputs.budget.share() if inputs.budget else None, inputs.sources)
             second = encode_and_build(other.inputs, inputs.encoder, inputs.model, settings, Stages(), rest)
             if not second.interrupted:
                 heldout[other.protocol] = _score_heldout(second, other)
@@ -220,7 +227,7 @@ def _heldout_photos(inputs: _Inputs, cameras: PosedSplit, scene: BuiltScene) -> 
     heldout = scene.heldout(cameras)
     if heldout is None:
         return None
-    return LargePhotos(*heldout, photo_files(heldout[0].names, cameras.heldout_photo_cameras, inputs.paths))
+    return LargePhotos(*heldout, photo_files(heldout[0].names, cameras.heldout_photo_cameras, inputs.sources))
 
 
 def _report(
@@ -243,7 +250,7 @@ def _report(
             "heldout": heldout_entry(passes.chosen.protocol, scores.heldout, passes.difference),
             **({"full_size": scores.large} if scores.large else {}),
         },
-        left_out=[asdict(omission) for omission in _omissions(settings, scene, inputs.finest)],
+        left_out=[asdict(omission) for omission in omissions_of(settings, scene, inputs.finest)],
         warnings=[*passes.warnings, *scene.geometry.warnings],
         tto=[*tto_entries(scene.adapted.runs), *(further.runs if further else [])],
         settings={
@@ -258,25 +265,6 @@ def _report(
         backdrop=len(scene.backdrop) if scene.backdrop else 0,
         matching=matching_entry(passes.chosen.inputs.matching),
     )
-
-
-def _omissions(settings: ReconstructSettings, scene: BuiltScene, finest: Blurred | None) -> list[omissions.Omission]:
-    used = optimisation_lpips(settings.lpips, official=scene.prepared.anchors is None) is not None
-    found = omissions.lpips(scene.adapted, used=used, further=bool(scene.full_size))
-    found += omissions.of_adapted(scene.adapted)
-    if scene.prepared.anchor_report and not settings.keep_everything:
-        found.append(omissions.queries(scene.prepared.anchor_report, scene.adapted))
-    if scene.geometry.depth is None:
-        found.append(omissions.UNUSED_DEPTH)
-    if finest:
-        found.append(omissions.resolution(finest))
-    if settings.poses:
-        found.append(omissions.sfm(settings.poses))
-    if settings.one_scene and settings.holdout_every:
-        found.append(omissions.second_score(settings.quality))
-    elif not scene.time_for_more:
-        found.append(omissions.SECOND_SCORE)
-    return found
 
 
 def _stored(inputs: _Inputs, passes: HoldoutCameras, scene: BuiltScene, settings: ReconstructSettings) -> StoredScene:

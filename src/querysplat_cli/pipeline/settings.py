@@ -12,11 +12,13 @@ from querysplat_cli.runtime.choices import (
     Fit,
     FullSizeLevel,
     HoldoutProtocol,
+    Lens,
     Matcher,
     Quality,
     Space,
     Target,
 )
+from querysplat_cli.runtime.lengths import read_scale
 from querysplat_cli.runtime.options import (
     Device,
     Force,
@@ -52,7 +54,9 @@ TtoLpips = Annotated[
 class ReconstructSettings:
     """How photos become a scene. None means that the program chooses, or that there is no limit."""
 
-    inputs: Annotated[tuple[Path, ...], Option("A folder of photos, or photo files.", metavar="IMAGES", argument=True)]
+    inputs: Annotated[
+        tuple[Path, ...], Option("A folder of photos or films, or such files.", metavar="IMAGES", argument=True)
+    ]
     ply: Annotated[
         Path,
         Option("The scene to write. A folder of the same name goes beside it.", ("--output", "-o"), metavar="FILE.ply"),
@@ -64,6 +68,7 @@ class ReconstructSettings:
     ] = None
     holdout_cameras: Annotated[
         HoldoutProtocol,
+        Lens,
         Option(
             "With --holdout-every: estimate the cameras of the scene from the inputs alone (isolated, the paper's "
             "protocol), or from all photos at once (joint)."
@@ -94,6 +99,17 @@ class ReconstructSettings:
         int | None,
         Ge(1),
         Option("The most queries to use. Of learned queries these are the first N.", metavar="N|auto", auto=True),
+    ] = None
+    film_frames: Annotated[
+        int | None,
+        Ge(1),
+        Option(
+            "The most frames to take of films, all films together. auto takes one whenever the picture has moved by a "
+            "twelfth of its longer side, 24 to 100 in all.",
+            ("--frames",),
+            metavar="N|auto",
+            auto=True,
+        ),
     ] = None
     max_size: Annotated[
         int | None,
@@ -151,6 +167,24 @@ class ReconstructSettings:
             "Scenes of --poses keep the frame of the given cameras."
         ),
     ] = "upright"
+    metres_by: Annotated[
+        str | None,
+        Option(
+            "Make the unit of the scene a metre: by gps in EXIF, or by the distance between the places of two "
+            "photos, such as a.jpg,b.jpg=1.5.",
+            ("--scale",),
+            metavar="gps|A,B=M",
+            default="no metres",
+            parse=read_scale,
+        ),
+    ] = None
+    lens: Annotated[
+        Lens,
+        Option(
+            "equirectangular: the photos are panoramas of 360°, which become views of 100°. auto: those that say so "
+            "in their XMP data."
+        ),
+    ] = "auto"
     device: Device = "auto"
     seed: Seed = 42
     force: Force = False

@@ -67,6 +67,12 @@ def backdrop(gaussians: Gaussians, views: Views, cameras: Cameras) -> Gaussians:
     )
 
 
+def shows_background(views: Views) -> bool:
+    """Whether the photos show what is around the things in them. Masks that leave little cut these out."""
+    pixels = sum(height * width for height, width in views.sizes)
+    return float(views.masks.sum()) >= QUERY_POLICY.backdrop_least_shown * pixels
+
+
 def _radii(
     gaussians: Gaussians, cameras: Cameras, centre: Float[Tensor, "3"], directions: Float[Tensor, "n 3"]
 ) -> Float[Tensor, "n"]:

@@ -34,7 +34,10 @@ def border_blocks(views: Views, cameras: Cameras, depth: Float[Tensor, "views he
 
 @dataclass(frozen=True)
 class ExtendedBorders:
-    """The views at a fraction of their size on a larger canvas; masks are True *outside* the photos only."""
+    """The views at a fraction of their size on a larger canvas; masks are True *outside* the photos only.
+
+    What the user masked inside a photo is no border.
+    """
 
     views: Views
     cameras: Cameras
@@ -50,13 +53,14 @@ def extend_borders(
     """
     ring = margin // cell
     pictures, masks = [], []
-    for image, z, mask in zip(views.images, depth, views.masks, strict=True):
+    for image, z, mask, (height, width) in zip(views.images, depth, views.masks, views.sizes, strict=True):
         mean = _shares(torch.cat([image, 1 / z[None]]), mask, cell, ring)
+        beyond = _shares(image, _rectangle(mask, height, width), cell, ring)[-1] <= 0.5
         inside = mean[-1] > 0.5
         distance, (row, column) = distance_transform_edt(~inside.numpy(), return_indices=True)
         spread = mean[:, torch.from_numpy(row).long(), torch.from_numpy(column).long()]
         pictures.append(spread[:-1] / spread[-1])
-        masks.append(torch.from_numpy((distance > 0) & (distance <= ring)) & inside.any())
+        masks.append(torch.from_numpy((distance > 0) & (distance <= ring)) & beyond & inside.any())
     colour, inverse = torch.stack(pictures).split((3, 1), 1)
     K = cameras.K.clone()
     K[:, :2] /= cell
@@ -68,6 +72,17 @@ def extend_borders(
         replace(cameras, K=K, height=rows, width=columns),
         1 / inverse[:, 0],
     )
+
+
+def _rectangle(mask: Bool[Tensor, "rows columns"], height: int, width: int) -> Bool[Tensor, "rows columns"]:
+    """Where the photo lies on the canvas: the mask itself, or the whole picture where the user masked parts of it."""
+    box = torch.zeros_like(mask)
+    if mask.any():
+        rows, columns = (mask.any(axis).nonzero()[:, 0].tolist() for axis in (1, 0))
+        box[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] = True
+    if not mask.equal(box):
+        box[:height, :width] = True
+    return box
 
 
 def _shares(

@@ -51,6 +51,9 @@ class QueryPolicy:
     """Relative to the photo's median depth: nearer and farther pixels count as if they were here."""
     backdrop_fade: float = 0.15
     """Beyond the border of a photo, its colours lose their influence over this share of the longer side."""
+    backdrop_least_shown: float = 0.5
+    """Where masks leave less than this share of the photos, what is masked is the background, and there is no backdrop.
+    Chosen on no set: none has masks."""
     backdrop_opacity: float = 0.99
     """Of each Gaussian of the backdrop."""
     fill: float = 0.7

@@ -31,8 +31,9 @@ class Report:
     `left_out` lists what was left out of the scene or of the work; each entry is an `Omission`. `warnings` are
     sentences on why the scene may be wrong. `full_size` describes the optimisation on large photos, if there was
     one. `exposure` says how far the photos agree in colour, where that was measured. `backdrop` counts the Gaussians of
-    the backdrop, the last ones of the file. `unseen` is how much of a film around the scene no photo saw (None where
-    there is no film). `matching` says what a network did, or would have done, for photos that SIFT matches badly.
+    the backdrop, the last ones of the file. `scale` says where metres come from (None: lengths are in no unit).
+    `unseen` is how much of a film around the scene no photo saw (None where there is no film). `matching` says what a
+    network did, or would have done, for photos that SIFT matches badly.
     """
 
     ply: str
@@ -51,6 +52,7 @@ class Report:
     full_size: dict[str, Any] | None = None
     exposure: dict[str, Any] | None = None
     unseen: dict[str, float] | None = None
+    scale: dict[str, Any] | None = None
     backdrop: int = 0
     matching: dict[str, Any] | None = None
 

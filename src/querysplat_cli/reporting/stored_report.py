@@ -45,6 +45,18 @@ class _Exposure:
 
 
 @dataclass(frozen=True)
+class _Scale:
+    """Where metres come from."""
+
+    __pydantic_config__ = STRICT_TYPES
+
+    source: str
+    count: Count
+    metres_per_unit: float
+    residual_m: float | None
+
+
+@dataclass(frozen=True)
 class _Matching:
     __pydantic_config__ = STRICT_TYPES
 
@@ -120,6 +132,7 @@ class _Report:
     full_size: _FullSize | None
     exposure: _Exposure | None = None
     unseen: dict[str, float] | None = None
+    scale: _Scale | None = None
     backdrop: Count = 0
     matching: _Matching | None = None
     warnings: tuple[str, ...] = ()

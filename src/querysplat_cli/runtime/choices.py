@@ -34,6 +34,13 @@ Fit = Literal["crop", "pad"]
 """How a photo fits a network. crop: the largest centred square. pad: the whole photo, on a canvas as wide as the widest
 and as high as the highest photo."""
 
+SpzVersion = Literal["3", "4"]
+"""Versions of .spz that are written: 3 is compressed by gzip, 4 by Zstandard."""
+
+Lens = Literal["auto", "equirectangular"]
+"""What took the photos. auto: cameras with a pinhole or the lens of --poses, and panoramas that say that they are some.
+equirectangular: every photo is a panorama of 360°."""
+
 Matcher = Literal["auto", "sift", "sift-affine", "disk-lightglue", "xfeat"]
 """How the classical encoder matches photos. auto: SIFT, and for photos that it matches badly a network, where one is
 installed, or affine SIFT. The others are used for all photos."""

@@ -47,7 +47,7 @@ class Only:
 
 
 StoredScenePath = Annotated[
-    Path, Option("The folder that `reconstruct` wrote, or the .ply or .spz beside it.", argument=True)
+    Path, Option("The folder that `reconstruct` wrote, or the file of Gaussians beside it.", argument=True)
 ]
 Seed = Annotated[
     int,

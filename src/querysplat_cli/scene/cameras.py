@@ -35,7 +35,7 @@ class PhotoCamera:
     """One photo's camera as other tools describe it: OpenCV world-to-camera, and intrinsics with lens distortion.
 
     `focal` is (fx, fy), `principal` (cx, cy) in pixels of a photo of `height` × `width`, pixel centres at
-    +0.5; `distortion` is OpenCV's (k1, k2, p1, p2).
+    +0.5; `distortion` is OpenCV's (k1, k2, p1, p2), or (k1, k2, k3, k4) of its fisheye model.
     """
 
     w2c: np.ndarray
@@ -44,6 +44,7 @@ class PhotoCamera:
     distortion: tuple[float, float, float, float]
     height: int
     width: int
+    fisheye: bool = False
 
     @staticmethod
     def pinhole(w2c: np.ndarray, K: np.ndarray, height: int, width: int) -> "PhotoCamera":

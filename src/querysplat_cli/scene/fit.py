@@ -10,6 +10,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from querysplat_cli.runtime.choices import Fit
+from querysplat_cli.scene.masks import WHOLLY, resized_mask
 from querysplat_cli.scene.views import Photo, Views
 
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
@@ -27,8 +28,14 @@ def network_views(photos: Sequence[Photo], size: int, patch: int, fit: Fit) -> V
     if fit == "crop":
         images = torch.stack([centred_crop(_size(each), (side, side)).picture(each) for each in pixels])
         masks = torch.ones(len(photos), side, side, dtype=torch.bool)
+        for mask, photo in zip(masks, photos, strict=True):
+            if photo.mask is not None:
+                mask &= centred_crop(photo.mask.shape, (side, side)).picture(_as_picture(photo.mask))[0] >= WHOLLY
     else:
         images, masks = _padded(pixels, side, patch)
+        for mask, photo in zip(masks, photos, strict=True):
+            if photo.mask is not None:
+                mask[mask.clone()] = _within(mask, photo.mask)
     canvas = (images.shape[-2], images.shape[-1])
     return Views(images, masks, tuple(photo.name for photo in photos), (canvas,) * len(photos))
 
@@ -95,6 +102,17 @@ def _padded(pixels: Sequence[Tensor], side: int, patch: int) -> tuple[Tensor, Te
         image[:, top : top + height, left : left + width] = each
         mask[top : top + height, left : left + width] = True
     return images, masks
+
+
+def _as_picture(mask: np.ndarray) -> Tensor:
+    """255 where the mask is True, in three channels."""
+    return torch.from_numpy(mask.astype(np.uint8) * 255).expand(3, -1, -1)
+
+
+def _within(mask: Tensor, shown: np.ndarray) -> Tensor:
+    """A photo's mask at the size of the rectangle in which `mask` is True, flattened."""
+    height, width = int(mask.any(1).sum()), int(mask.any(0).sum())
+    return torch.from_numpy(resized_mask(shown, height, width)).flatten()
 
 
 def _size(picture: Tensor) -> tuple[int, int]:

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from querysplat_cli.scene.cameras import PhotoCamera, same_shape
-from querysplat_cli.scene.formats.transforms import is_rigid
+from querysplat_cli.scene.formats.transforms_frame import is_rigid
 from querysplat_cli.scene.views import LeftOut, Photo
 
 

@@ -15,9 +15,12 @@ from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.json_files import read_json
 from querysplat_cli.runtime.tables import STRICT, from_tables
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera, same_shape
-from querysplat_cli.scene.photos import load_photo, longer_side
+from querysplat_cli.scene.films import film_size, frame_pixels
+from querysplat_cli.scene.lenses import shown_part
+from querysplat_cli.scene.photos import load_photo, longer_side, reduced
+from querysplat_cli.scene.resample import PinholeView
 from querysplat_cli.scene.undistort import on_canvas, undistorted
-from querysplat_cli.scene.views import Photo, Views
+from querysplat_cli.scene.views import Photo, PhotoSource, Views
 
 MAKE_AGAIN = "Make the scene again."
 OVERSAMPLING = 2
@@ -27,7 +30,9 @@ Straightening blurs by about a pixel of its own size."""
 
 @dataclass(frozen=True)
 class PhotoFile:
-    """One photo's file and lens.
+    """One photo's file and lens. `pts` is the presentation time stamp of a film's frame; None for a photo.
+
+    `view` is the part of a wide photo that this one shows; None for the whole of an ordinary one.
 
     focal, principal: (fx, fy) and (cx, cy) in pixels of a photo of `height` × `width`, pixel centres at +0.5. The file
     may hold more pixels of the same shape.
@@ -41,12 +46,15 @@ class PhotoFile:
     distortion: tuple[float, float, float, float]
     height: int
     width: int
+    pts: int | None = None
+    view: PinholeView | None = None
 
     @classmethod
-    def of(cls, name: str, path: Path, camera: PhotoCamera) -> "PhotoFile":
+    def of(cls, name: str, source: PhotoSource, camera: PhotoCamera) -> "PhotoFile":
         focal, principal = tuple(map(float, camera.focal)), tuple(map(float, camera.principal))
         distortion = tuple(map(float, camera.distortion))
-        return cls(name, path.resolve(), focal, principal, distortion, camera.height, camera.width)  # type: ignore[arg-type]
+        lens = focal, principal, distortion, camera.height, camera.width
+        return cls(name, source.path.resolve(), *lens, source.pts, source.view)  # type: ignore[arg-type]
 
     @property
     def lens(self) -> PhotoCamera:
@@ -54,17 +62,30 @@ class PhotoFile:
         return PhotoCamera(np.eye(4), self.focal, self.principal, self.distortion, self.height, self.width)
 
     def full_size(self) -> tuple[int, int]:
-        """(height, width) of the picture in the file."""
-        scale = longer_side(self.path, default=max(self.height, self.width)) / max(self.height, self.width)
-        return round(self.height * scale), round(self.width * scale)
+        """(height, width) of the picture in the file, or of the part of it that the photo shows."""
+        if self.pts is not None:
+            whole = film_size(self.path)
+        else:
+            scale = longer_side(self.path, default=0) / max(self.height, self.width) or 1.0
+            whole = round(self.height * scale), round(self.width * scale)
+        return self.view.shape(self.view.photo_width(max(whole))) if self.view else whole
 
     def load(self, max_side: int) -> Photo:
         """The photo, reduced to a longer side of at most `max_side`. Raises QuerySplatError when it has changed."""
+        photo = self._load(self.view.photo_side(max_side) if self.view else max_side)
+        if self.view:
+            photo = shown_part(photo, self.view)
+        if not same_shape((photo.height, photo.width), (self.height, self.width)):
+            raise QuerySplatError(f"{self.path} has another shape than when the scene was made", MAKE_AGAIN)
+        return photo
+
+    def _load(self, max_side: int) -> Photo:
+        """The whole picture of the file."""
+        if self.pts is not None:
+            return Photo(self.name, self.path, reduced(frame_pixels(self.path, self.pts), max_side), pts=self.pts)
         photo = load_photo(self.path, self.name, max_side)
         if not isinstance(photo, Photo):
             raise QuerySplatError(f"{self.path}: {photo.why}", "Put the photo back, or make the scene again.")
-        if not same_shape((photo.height, photo.width), (self.height, self.width)):
-            raise QuerySplatError(f"{self.path} has another shape than when the scene was made", MAKE_AGAIN)
         return photo
 
 
@@ -81,6 +102,8 @@ class _Entry:
     distortion: tuple[float, float, float, float]
     height: int
     width: int
+    pts: int | None = None
+    view: PinholeView | None = None
 
 
 @dataclass(frozen=True)
@@ -91,14 +114,18 @@ class _Listing:
 
 
 def photo_files(
-    names: Sequence[str], cameras: Sequence[PhotoCamera] | None, paths: Mapping[str, Path]
+    names: Sequence[str], cameras: Sequence[PhotoCamera] | None, sources: Mapping[str, PhotoSource]
 ) -> tuple[PhotoFile, ...]:
     """The files of views by their names; none where the views show photos without resampling (no `cameras`)."""
-    return tuple(PhotoFile.of(name, paths[name], camera) for name, camera in zip(names, cameras or (), strict=False))
+    return tuple(PhotoFile.of(name, sources[name], camera) for name, camera in zip(names, cameras or (), strict=False))
 
 
 def write_photo_files(path: Path, files: Sequence[PhotoFile]) -> None:
     entries = [{**asdict(file), "path": str(file.path)} for file in files]
+    for entry in entries:
+        for key in ("pts", "view"):
+            if entry[key] is None:
+                del entry[key]
     path.write_text(json.dumps({"photos": entries}, indent=1) + "\n")
 
 
@@ -110,8 +137,9 @@ def read_photo_files(path: Path) -> dict[str, PhotoFile]:
     entries = from_tables(_Listing, read_json(path, MAKE_AGAIN), what="list of photos", docs="docs/cli.md").photos
     for entry in entries:
         file = PhotoFile(**{**vars(entry), "path": Path(entry.path)})
-        if file.lens.fault() or "\0" in entry.path:
-            raise QuerySplatError(f"{path}: the lens of {file.name} makes no sense: {file.lens.fault()}", MAKE_AGAIN)
+        fault = file.lens.fault() or (file.view.fault() if file.view else "")
+        if fault or "\0" in entry.path:
+            raise QuerySplatError(f"{path}: the lens of {file.name} makes no sense: {fault}", MAKE_AGAIN)
         found[file.name] = file
     return found
 
@@ -132,12 +160,13 @@ def large_views(files: Sequence[PhotoFile], views: Views, cameras: Cameras, max_
     The cameras keep their pose and focal length, which optimisation may have corrected. Photos are read and
     straightened one at a time.
     """
-    pictures, scales = [], []
+    pictures, masks, scales = [], [], []
     for file, (height, width) in zip(files, views.sizes, strict=True):
         one, _ = undistorted([file.load(OVERSAMPLING * max_size)], [file.lens], max_size=max_size)
         ((rows, columns),) = one.sizes
         pictures.append((one.images[0, :, :rows, :columns] * 255).round().clamp(0, 255).to(torch.uint8))
+        masks.append(one.masks[0, :rows, :columns])
         scales.append(torch.tensor([columns / width, rows / height, 1.0]))
     K = torch.stack(scales)[:, :, None] * cameras.K
-    large = on_canvas(pictures, views.names)
+    large = on_canvas(pictures, views.names, masks)
     return large, Cameras(cameras.w2c, K, *large.masks.shape[1:])

@@ -5,19 +5,22 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path, PurePath
-from typing import Any
 
 import cv2
 import numpy as np
-from PIL import ExifTags, Image, ImageOps, UnidentifiedImageError
+from PIL import Image, ImageOps, UnidentifiedImageError
 
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Progress
+from querysplat_cli.scene.exif import Gps, focal_length, gps_place, says_panorama
+from querysplat_cli.scene.masks import BadMask, mask_file, read_mask, resized_mask
 from querysplat_cli.scene.views import LeftOut, Photo
 
 SUFFIXES = {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".ppm", ".pgm", ".heic", ".heif", ".avif"}
 HEIF_SUFFIXES = {".heic", ".heif"}
+FILM_SUFFIXES = {".mp4", ".mov", ".m4v", ".webm", ".mkv", ".avi"}
 PICTURE_FOLDERS = ("images", "images_2", "images_4", "images_8")
 """Where DL3DV and nerfstudio keep the pictures of a scene, largest first."""
 SCENE_FOLDERS = ("", "nerfstudio", "colmap")
@@ -27,20 +30,16 @@ LONGEST_NUMBER = 100
 SMALLEST_SIDE = 64
 WHOLE = 1 << 16
 """As `max_side`, this reduces no photo."""
-FULL_FRAME_DIAGONAL = 43.2666
-"""Millimetres: FocalLengthIn35mmFilm is the focal length that has the same diagonal field of view on 36 × 24."""
-SENSIBLE_FOCAL = (0.3, 20.0)
-"""Range of plausible focal lengths in units of the longer side. Others in EXIF are ignored."""
-MILLIMETRES = {1: 25.4, 2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}
-"""Length of EXIF's FocalPlaneResolutionUnit; 1 means "none", which cameras write for inches."""
+HALF_OPAQUE = 128
+"""Pixels of a smaller alpha, of 255, take no part."""
 
 
 def find_photos(inputs: Sequence[Path]) -> list[Path]:
     """The files to read, in natural order (2 before 10) within each folder, none twice.
 
-    A folder means all files in it that are not hidden, or, where it has no pictures of its own, those in its
+    A folder means all files in it that are not hidden, or, where it has no pictures or films of its own, those in its
     largest `images`, `images_2`, `images_4` or `images_8` (a DL3DV, nerfstudio or COLMAP
-    scene). Raises QuerySplatError when an input is missing or has no pictures.
+    scene). Raises QuerySplatError when an input is missing or has neither pictures nor films.
     """
     found: dict[Path, Path] = {}
     for path in inputs:
@@ -58,29 +57,42 @@ def load_photos(
 ) -> tuple[list[Photo], list[LeftOut]]:
     """Decoded photos in the order of `paths`, and the files that are not usable as photos, with the reason.
 
-    Sides longer than `max_side` pixels are reduced (area filter). Transparency is laid over white; 16-bit
-    values keep their high byte; of several frames the first is taken; colour profiles are not applied.
-    Photos with the same file name get as much of their folders in their names as makes these unique. Raises
-    QuerySplatError when there is no usable photo at all.
+    Sides longer than `max_side` pixels are reduced (area filter). Transparency is laid over white, and masked, unless a
+    file in `masks` says what takes part (`scene/masks.py`). 16-bit values keep their high byte; of several frames the
+    first is taken; colour profiles are not applied. Photos with the same file name get as much of their folders in
+    their names as makes these unique. Raises QuerySplatError when there is no usable photo at all.
     """
+    photos, left_out = decoded_photos(paths, short_names(paths), max_side, progress)
+    if not photos:
+        raise none_usable(left_out)
+    return photos, left_out
+
+
+def decoded_photos(
+    paths: Sequence[Path], names: Sequence[str], max_side: int, progress: Progress
+) -> tuple[list[Photo], list[LeftOut]]:
+    """As `load_photos`, under these names; there may be no usable photo."""
     photos: list[Photo] = []
     left_out: list[LeftOut] = []
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        results = pool.map(lambda path, name: load_photo(path, name, max_side), paths, short_names(paths))
+        results = pool.map(lambda path, name: load_photo(path, name, max_side), paths, names)
         for number, result in enumerate(results, start=1):
             if isinstance(result, Photo):
                 photos.append(result)
             else:
                 left_out.append(result)
             progress(result.name, number / len(paths))
-    if not photos:
-        raise QuerySplatError(
-            f"none of the {len(paths)} files is a usable photo: "
-            + "; ".join(f"{each.name} ({each.why})" for each in left_out[:3])
-            + ("; …" if len(left_out) > 3 else ""),
-            "Give JPEG, PNG, TIFF, WebP or BMP pictures.",
-        )
     return photos, left_out
+
+
+def none_usable(left_out: Sequence[LeftOut]) -> QuerySplatError:
+    """The error where no file is left to make a scene of."""
+    return QuerySplatError(
+        f"none of the {len(left_out)} files is a usable photo: "
+        + "; ".join(f"{each.name} ({each.why})" for each in left_out[:3])
+        + ("; …" if len(left_out) > 3 else ""),
+        "Give JPEG, PNG, TIFF, WebP or BMP pictures, or MP4, MOV or WebM films.",
+    )
 
 
 def load_photo(path: Path, name: str, max_side: int) -> Photo | LeftOut:
@@ -91,16 +103,21 @@ def load_photo(path: Path, name: str, max_side: int) -> Photo | LeftOut:
     try:
         if not path.stat().st_size:
             return LeftOut(name, "the file is empty")
-        pixels, focal = _decode(path, max_side)
+        found = _decode(path, max_side)
+        pixels, mask = found.pixels, _mask(path, found)
     except UnidentifiedImageError:
         return LeftOut(name, _why_not_a_picture(path))
+    except BadMask as error:
+        return LeftOut(name, str(error))
     except Image.DecompressionBombError:
         return LeftOut(name, "far too many pixels for a photo")
     except Exception as error:  # damage can raise anything in Pillow's decoders
         return LeftOut(name, f"it cannot be decoded: {error}")
     if min(pixels.shape[:2]) < SMALLEST_SIDE:
         return LeftOut(name, f"{pixels.shape[1]} × {pixels.shape[0]} pixels are too few")
-    return Photo(name, path, pixels, focal)
+    if mask is not None and not mask.any():
+        return LeftOut(name, "its mask hides all of it")
+    return Photo(name, path, pixels, found.focal, mask=mask, panorama=found.panorama, gps=found.gps)
 
 
 def longer_side(path: Path, default: int) -> int:
@@ -146,7 +163,7 @@ def _folder_photos(folder: Path) -> list[Path]:
     inner = [folder / scene / name for scene in SCENE_FOLDERS for name in PICTURE_FOLDERS]
     for place in (folder, *inner):
         files = _visible_files(place) if place.is_dir() else []
-        if any(file.suffix.lower() in SUFFIXES for file in files):
+        if any(file.suffix.lower() in SUFFIXES | FILM_SUFFIXES for file in files):
             return files
     if not any(folder.iterdir()):
         raise QuerySplatError(f"{folder}: an empty folder", "Put the photos there, or give another folder.")
@@ -164,21 +181,43 @@ def _is_picture(path: Path) -> bool:
     return path.suffix.lower() in SUFFIXES
 
 
-def _decode(path: Path, max_side: int) -> tuple[np.ndarray, float | None]:
-    """Upright, reduced RGB, and the focal length in its pixels."""
+@dataclass(frozen=True)
+class _Decoded:
+    """A picture file: upright, reduced RGB, the focal length in its pixels, where it is opaque, and if it is 360°."""
+
+    pixels: np.ndarray
+    focal: float | None = None
+    opaque: np.ndarray | None = None
+    panorama: bool = False
+    gps: Gps | None = None
+
+
+def _mask(path: Path, found: _Decoded) -> np.ndarray | None:
+    """The pixels that take part by the mask's file, or else by the alpha channel; None where all of them do."""
+    file = mask_file(path)
+    if file is None and found.opaque is None:
+        return None
+    height, width = found.pixels.shape[:2]
+    mask = read_mask(file, height, width) if file else resized_mask(np.asarray(found.opaque), height, width)
+    return None if mask.all() else mask
+
+
+def _decode(path: Path, max_side: int) -> _Decoded:
     if path.suffix.lower() in HEIF_SUFFIXES:
         _register_heif()
     try:
         image = Image.open(path)
     except UnidentifiedImageError:
-        return reduced(_decode_deep_tiff(path), max_side), None
+        return _Decoded(reduced(_decode_deep_tiff(path), max_side))
     with image:
-        focal = _focal(image)
+        focal, panorama, gps = focal_length(image), says_panorama(image), gps_place(image)
         width, height = image.size
         scale = min(1.0, max_side / max(width, height))
         image.draft("RGB", (round(width * scale), round(height * scale)))
-        pixels = reduced(_rgb(ImageOps.exif_transpose(image)), max_side)
-    return pixels, focal and focal * max(pixels.shape) / max(width, height)
+        upright = ImageOps.exif_transpose(image)
+        pixels = reduced(_rgb(upright), max_side)
+        opaque = np.asarray(upright.convert("RGBA").getchannel("A")) >= HALF_OPAQUE if _has_alpha(upright) else None
+    return _Decoded(pixels, focal and focal * max(pixels.shape) / max(width, height), opaque, panorama, gps)
 
 
 def _rgb(image: Image.Image) -> np.ndarray:
@@ -187,10 +226,14 @@ def _rgb(image: Image.Image) -> np.ndarray:
         return np.repeat(high.clip(0, 255).astype(np.uint8)[..., None], 3, axis=2)
     if image.mode == "F":
         raise ValueError("floating-point pixels have no agreed white")
-    if image.mode in ("RGBA", "LA", "La", "RGBa", "PA") or "transparency" in image.info:
+    if _has_alpha(image):
         colour = image.convert("RGBA")
         image = Image.alpha_composite(Image.new("RGBA", colour.size, "white"), colour)
     return np.array(image.convert("RGB"))
+
+
+def _has_alpha(image: Image.Image) -> bool:
+    return image.mode in ("RGBA", "LA", "La", "RGBa", "PA") or "transparency" in image.info
 
 
 def _decode_deep_tiff(path: Path) -> np.ndarray:
@@ -208,41 +251,6 @@ def reduced(pixels: np.ndarray, max_side: int) -> np.ndarray:
     if scale >= 1:
         return pixels
     return cv2.resize(pixels, (round(width * scale), round(height * scale)), interpolation=cv2.INTER_AREA)
-
-
-def _focal(image: Image.Image) -> float | None:
-    """EXIF's focal length in pixels of the picture as stored, if it is plausible."""
-    width, height = image.size
-    try:
-        exif = image.getexif().get_ifd(ExifTags.IFD.Exif)
-        focal = _focal_from_film(exif, width, height) or _focal_from_sensor(exif, width, height)
-    except (ValueError, TypeError, ZeroDivisionError, KeyError, SyntaxError, OSError):
-        return None
-    low, high = SENSIBLE_FOCAL
-    return focal if focal and low < focal / max(width, height) < high else None
-
-
-def _focal_from_film(exif: dict[int, Any], width: int, height: int) -> float | None:
-    film = float(exif.get(ExifTags.Base.FocalLengthIn35mmFilm, 0))
-    return film * float(np.hypot(width, height)) / FULL_FRAME_DIAGONAL if film else None
-
-
-def _focal_from_sensor(exif: dict[int, Any], width: int, height: int) -> float | None:
-    """Focal length times the sensor's pixels per millimetre; the file may have been reduced after it was taken.
-
-    Some cameras state the density along one side only.
-    """
-    millimetres = float(exif.get(ExifTags.Base.FocalLength, 0))
-    unit = MILLIMETRES[int(exif.get(ExifTags.Base.FocalPlaneResolutionUnit, 2))]
-    sides = (
-        (ExifTags.Base.FocalPlaneXResolution, ExifTags.Base.ExifImageWidth, width),
-        (ExifTags.Base.FocalPlaneYResolution, ExifTags.Base.ExifImageHeight, height),
-    )
-    for density_tag, full_tag, pixels in sides:
-        density = float(exif.get(density_tag, 0))
-        if millimetres and density:
-            return millimetres * density / unit * pixels / (float(exif.get(full_tag, 0)) or pixels)
-    return None
 
 
 def _register_heif() -> None:

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera, rescaled
+from querysplat_cli.scene.masks import WHOLLY, resized_mask
 from querysplat_cli.scene.views import Photo, Views
 
 CANVAS_MULTIPLE = 12
@@ -22,32 +23,45 @@ def undistorted(photos: Sequence[Photo], cameras: Sequence[PhotoCamera], *, max_
     that fx and fy differ slightly for a strongly distorting lens. It lies in the canvas's top-left corner. Pictures
     are never enlarged.
     """
-    pictures, matrices = [], []
+    pictures, masks, matrices = [], [], []
     for photo, camera in zip(photos, cameras, strict=True):
-        flat, K = _straightened(photo.pixels, rescaled(camera, photo.height, photo.width))
+        lens = rescaled(camera, photo.height, photo.width)
+        flat, K = _straightened(photo.pixels, lens)
         scale = min(1.0, max_size / max(photo.height, photo.width))
         height, width = max(1, round(photo.height * scale)), max(1, round(photo.width * scale))
         if scale < 1:
             # In float32: on 8 bits OpenCV rounds every mean, and halves always upwards.
             flat = cv2.resize(flat.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA)
         pictures.append(flat)
+        masks.append(_straight_mask(photo, lens, height, width))
         matrices.append(np.diag([width / photo.width, height / photo.height, 1.0]) @ K)
     tensors = [torch.from_numpy(picture).permute(2, 0, 1).float() / 255 for picture in pictures]
-    views = on_canvas(tensors, tuple(photo.name for photo in photos))
+    views = on_canvas(tensors, tuple(photo.name for photo in photos), masks)
     w2c = torch.from_numpy(np.stack([camera.w2c for camera in cameras])).float()
     return views, Cameras(w2c, torch.from_numpy(np.stack(matrices)).float(), *views.masks.shape[1:])
 
 
-def on_canvas(pictures: Sequence[Tensor], names: tuple[str, ...]) -> Views:
-    """Pictures [3, height, width] of one type, each in the top-left corner of a canvas that holds the largest sides."""
+def on_canvas(pictures: Sequence[Tensor], names: tuple[str, ...], shown: Sequence[Tensor | None]) -> Views:
+    """Pictures [3, height, width] of one type, each in the top-left corner of a canvas that holds the largest sides.
+
+    `shown` are masks [height, width] of the pictures; None where all of one takes part. The rest becomes black.
+    """
     sizes = tuple((picture.shape[1], picture.shape[2]) for picture in pictures)
     height, width = (-(-max(side) // CANVAS_MULTIPLE) * CANVAS_MULTIPLE for side in zip(*sizes, strict=True))
     images = torch.zeros(len(pictures), 3, height, width, dtype=pictures[0].dtype)
     masks = torch.zeros(len(pictures), height, width, dtype=torch.bool)
-    for row, (picture, (rows, columns)) in enumerate(zip(pictures, sizes, strict=True)):
-        images[row, :, :rows, :columns] = picture
-        masks[row, :rows, :columns] = True
+    for row, (picture, (rows, columns), part) in enumerate(zip(pictures, sizes, shown, strict=True)):
+        images[row, :, :rows, :columns] = picture if part is None else picture * part
+        masks[row, :rows, :columns] = True if part is None else part
     return Views(images, masks, names, sizes)
+
+
+def _straight_mask(photo: Photo, camera: PhotoCamera, height: int, width: int) -> Tensor | None:
+    """The photo's mask without distortion, at this size."""
+    if photo.mask is None:
+        return None
+    flat, _ = _straightened(photo.mask.astype(np.float32), camera)
+    return torch.from_numpy(resized_mask(flat >= WHOLLY, height, width))
 
 
 def _straightened(pixels: np.ndarray, camera: PhotoCamera) -> tuple[np.ndarray, np.ndarray]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -9,19 +10,46 @@ import torch
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
+from querysplat_cli.scene.exif import Gps
+from querysplat_cli.scene.resample import PinholeView
+
+
+@dataclass(frozen=True)
+class PhotoSource:
+    """Where a photo comes from: a picture file, or the frame of a film with this presentation time stamp.
+
+    `view` is the part of it that the photo shows, where its lens is too wide for a pinhole camera.
+    """
+
+    path: Path
+    pts: int | None = None
+    view: PinholeView | None = None
+
 
 @dataclass(frozen=True)
 class Photo:
     """One decoded photo: upright (EXIF orientation applied), 8-bit RGB [height, width, 3].
 
     Large photos are reduced when they are read, so `pixels` may be smaller than the file's picture. `focal` is
-    the focal length in pixels of `pixels` where EXIF gives it, None otherwise.
+    the focal length in pixels of `pixels` where EXIF gives it, None otherwise. `pts` is the presentation time stamp
+    of a film's frame; None for a photo. `mask` [height, width] is True where the photo takes part; None: everywhere.
+    `panorama` is whether the file says that it shows 360°, `gps` where it was taken. `view` is the part of a wide photo
+    that this one shows.
     """
 
     name: str
     path: Path
     pixels: np.ndarray
     focal: float | None = None
+    pts: int | None = None
+    mask: np.ndarray | None = None
+    panorama: bool = False
+    gps: Gps | None = None
+    view: PinholeView | None = None
+
+    @property
+    def source(self) -> PhotoSource:
+        return PhotoSource(self.path, self.pts, self.view)
 
     @property
     def height(self) -> int:
@@ -37,8 +65,8 @@ class Views:
     """Undistorted images on one canvas, each in its top-left corner.
 
     `images` are sRGB as stored, in [0, 1]. Large pictures are kept as uint8, from 0 to 255. `masks` are True where a
-    picture covers the canvas, and False on the padding of smaller ones. `sizes` are (height, width) of each picture in
-    pixels.
+    picture covers the canvas and takes part, and False on the padding of smaller ones and where the user masked it.
+    `sizes` are (height, width) of each picture in pixels.
     """
 
     images: Float[Tensor, "views 3 height width"] | UInt8[Tensor, "views 3 height width"]
@@ -48,6 +76,12 @@ class Views:
 
     def __len__(self) -> int:
         return len(self.images)
+
+    @cached_property
+    def have_holes(self) -> tuple[bool, ...]:
+        """For each view, whether parts of its picture take no part."""
+        shown = zip(self.masks, self.sizes, strict=True)
+        return tuple(not bool(mask[:height, :width].all()) for mask, (height, width) in shown)
 
     def picture(self, view: int) -> Float[Tensor, "3 height width"]:
         """One image in [0, 1]."""

@@ -1,24 +1,21 @@
 """Sources of training scenes: procedural ones and captured ones."""
 
-from collections.abc import Iterator
 from functools import lru_cache
 from pathlib import Path
 from typing import Protocol, runtime_checkable
 
-import av
 import numpy as np
 
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.drafts import scratch_folder
+from querysplat_cli.scene.films import evenly_spaced_frames, is_film
 from querysplat_cli.scene.formats.dataset import CapturedScene, fetch, find_scenes
-from querysplat_cli.scene.photos import load_photos, reduced
+from querysplat_cli.scene.photos import load_photos
 from querysplat_cli.scene.views import Photo
 from querysplat_cli.training.captures import Capture, drawn_views
 from querysplat_cli.training.config import SourceSettings
 from querysplat_cli.training.policy import TRAINING_POLICY
 from querysplat_cli.training.procedural import Procedural
-
-VIDEOS = {".mp4", ".mov", ".mkv", ".avi", ".webm", ".m4v"}
 
 
 @runtime_checkable
@@ -43,7 +40,7 @@ class Captured:
     def __init__(self, settings: SourceSettings) -> None:
         self._settings = settings
         places = [Path(place).expanduser() for place in settings.places]
-        films = [place for place in places if place.suffix.lower() in VIDEOS]
+        films = [place for place in places if is_film(place)]
         if missing := [film for film in films if not film.is_file()]:
             raise QuerySplatError(f"{missing[0]}: no such file", "Give a video, a scene, or a folder of scenes.")
         folders = [place for place in places if place not in films]
@@ -83,22 +80,4 @@ class Captured:
 
 @lru_cache(maxsize=1)
 def _film(path: Path) -> tuple[Photo, ...]:
-    """At most the policy's `film_frames` frames of a video, evenly spaced."""
-    try:
-        with av.open(str(path)) as container:
-            total = sum(1 for _ in container.decode(video=0))
-        step = max(1, -(-total // TRAINING_POLICY.film_frames))
-        with av.open(str(path)) as container:
-            frames = tuple(_frames(container, step))
-    except (av.FFmpegError, OSError, IndexError) as error:
-        raise QuerySplatError(f"{path}: not a video that can be read: {error}", "Give an MP4 or MOV file.") from error
-    if not frames:
-        raise QuerySplatError(f"{path}: a video without a picture", "Give an MP4 or MOV file.")
-    return frames
-
-
-def _frames(container: "av.container.InputContainer", step: int) -> Iterator[Photo]:
-    for number, frame in enumerate(container.decode(video=0)):
-        if number % step == 0:
-            pixels = reduced(frame.to_ndarray(format="rgb24"), TRAINING_POLICY.longest_side)
-            yield Photo(f"{number:06d}.png", Path(f"{number:06d}.png"), pixels)
+    return evenly_spaced_frames(path, TRAINING_POLICY.film_frames, TRAINING_POLICY.longest_side)

@@ -113,10 +113,10 @@ class RenderingLoss:
             if self.exposures:
                 self.exposures.refit(view, rendering, photo[0][0], photo[1][0])
                 rendering = self._exposed(rendering, view)
-            picture = rendering.over(behind)
+            picture = self._picture(rendering, behind, view)
             distance = self._distance(picture, photo)
             ((photometric_loss(picture, *photo) + distance) / len(chosen)).backward()
-            value, error = self._compared(rendering, photo)
+            value, error = self._compared(rendering, photo, view)
             losses.append(value + float(distance.detach()))
             errors.append(error)
         camera_gradient = (gradient_of(w2c), gradient_of(K)) if asked else None
@@ -129,14 +129,15 @@ class RenderingLoss:
         return self.exposures.exposed(rendering, view) if self.exposures else rendering
 
     def _photo(self, view: int) -> tuple[Tensor, Tensor]:
-        """The photo of a view and its mask, as a batch of one."""
-        return self.views.picture(view)[None], self.views.masks[[view]]
+        """The photo of a view, black where it is masked, and its mask, as a batch of one."""
+        picture, mask = self.views.picture(view)[None], self.views.masks[[view]]
+        return picture * mask[:, None] if self.views.have_holes[view] else picture, mask
 
     def _scores(self, gaussians: Gaussians, view: int) -> tuple[float, float]:
         """The loss of a view and the mean squared error, over `background`."""
         rendering, photo = self.render(gaussians, view), self._photo(view)
-        value, error = self._compared(rendering, photo)
-        return value + float(self._distance(rendering.over(self.background), photo)), error
+        value, error = self._compared(rendering, photo, view)
+        return value + float(self._distance(self._picture(rendering, self.background, view), photo)), error
 
     def _distance(self, picture: Tensor, photo: tuple[Tensor, Tensor]) -> Tensor:
         """LPIPS by its weight; 0 where it is left out."""
@@ -145,9 +146,14 @@ class RenderingLoss:
         return TTO_POLICY.lpips * perceptual_loss(self.perceptual, picture, *photo)
 
     @torch.no_grad()
-    def _compared(self, rendering: Rendering, photo: tuple[Tensor, Tensor]) -> tuple[float, float]:
+    def _compared(self, rendering: Rendering, photo: tuple[Tensor, Tensor], view: int) -> tuple[float, float]:
         """L1 + 0.2·D-SSIM and the mean squared error, over `background`."""
-        return photometric_value(rendering.over(self.background), *photo)
+        return photometric_value(self._picture(rendering, self.background, view), *photo)
+
+    def _picture(self, rendering: Rendering, background: Tensor | None, view: int) -> Tensor:
+        """The render over `background`, black where the photo is masked: SSIM's windows reach beyond masks."""
+        picture = rendering.over(background)
+        return picture * self.views.masks[[view]][:, None] if self.views.have_holes[view] else picture
 
 
 def tensors(holder: Any) -> list[Tensor]:

@@ -9,6 +9,7 @@ import numpy as np
 import pycolmap
 
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY, MatchEffort
+from querysplat_cli.scene.masks import MASKS, resized_mask
 from querysplat_cli.scene.views import Photo
 
 
@@ -33,6 +34,30 @@ def write_grey(photos: Sequence[Photo], folder: Path, size: int) -> tuple[tuple[
             raise OSError(f"cannot write to {folder}")
         sizes.append((height, width))
     return tuple(sizes)
+
+
+def write_masks(photos: Sequence[Photo], sizes: Sequence[tuple[int, int]], folder: Path) -> None:
+    """Write the masks of the photos for COLMAP, beside the grey pictures, if any photo has one."""
+    if all(photo.mask is None for photo in photos):
+        return
+    (folder / MASKS).mkdir()
+    for number, (photo, (height, width)) in enumerate(zip(photos, sizes, strict=True)):
+        shown = np.ones((height, width), bool) if photo.mask is None else resized_mask(photo.mask, height, width)
+        if not cv2.imwrite(str(_mask_file(folder, number)), shown.astype(np.uint8) * 255):
+            raise OSError(f"cannot write to {folder}")
+
+
+def takes_part(folder: Path, photo: int, points: np.ndarray) -> np.ndarray:
+    """Which of the points [n, 2], in pixels of a photo's grey picture, lie inside its mask."""
+    if not _mask_file(folder, photo).is_file():
+        return np.ones(len(points), bool)
+    shown = np.asarray(cv2.imread(str(_mask_file(folder, photo)), cv2.IMREAD_GRAYSCALE))
+    column, row = np.clip(points.astype(np.int64), 0, np.array(shown.shape[::-1]) - 1).T
+    return np.asarray(shown[row, column] > 0)
+
+
+def _mask_file(folder: Path, photo: int) -> Path:
+    return folder / MASKS / f"{image_name(photo)}.png"
 
 
 def extract_features(database: Path, folder: Path, effort: MatchEffort) -> None:
@@ -65,7 +90,10 @@ def _search(database: Path, folder: Path, effort: MatchEffort) -> None:
         options.sift.peak_threshold = effort.peak_threshold
     if effort.most_found is not None:
         options.sift.max_num_features = effort.most_found
-    pycolmap.extract_features(database, folder, extraction_options=options)
+    reader = pycolmap.ImageReaderOptions()
+    if (folder / MASKS).is_dir():
+        reader.mask_path = folder / MASKS
+    pycolmap.extract_features(database, folder, reader_options=reader, extraction_options=options)
 
 
 def _keep_spread(store: pycolmap.Database, images: Sequence[int], most: int) -> None:

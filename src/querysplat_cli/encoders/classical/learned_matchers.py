@@ -132,7 +132,8 @@ def _lightglue(path: Path, **settings: Any) -> nn.Module:
         kind, number, *rest = name.split(".")
         attention = kind in ("self_attn", "cross_attn")
         renamed[".".join(["transformers", number, kind, *rest]) if attention else name] = tensor
-    network = LightGlue(features=None, **({"input_dim": 128} | settings))
+    usual = {"input_dim": 128, "filter_threshold": LEARNED_POLICY.least_score}
+    network = LightGlue(features=None, **(usual | settings))
     return _filled(network, renamed, path)
 
 

@@ -7,11 +7,13 @@ import numpy as np
 import pycolmap
 
 from querysplat_cli.encoders.classical.append_matches import append_features, append_matches
+from querysplat_cli.encoders.classical.features import takes_part
 from querysplat_cli.encoders.classical.learned_matchers import LearnedMatcher
 from querysplat_cli.encoders.classical.learned_policy import LEARNED_POLICY
 from querysplat_cli.encoders.classical.matches import Matches
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
 from querysplat_cli.encoders.classical.verified_pairs import Verification, read_pairs, verify_pairs
+from querysplat_cli.scene.lenses import same_panorama
 from querysplat_cli.scene.views import Photo
 
 
@@ -22,6 +24,7 @@ def with_learned_matches(
 
     Features of the network are appended to those of their photos, and these pairs are verified again.
     """
+    pairs = [pair for pair in pairs if not same_panorama(photos[pair[0]], photos[pair[1]])]
     found = {photo: matcher.features(photos[photo]) for photo in sorted({photo for pair in pairs for photo in pair})}
     with pycolmap.Database.open(matches.database) as store:
         first_new = {photo: store.num_keypoints_for_image(photo + 1) for photo in found}
@@ -29,7 +32,12 @@ def with_learned_matches(
             (one, two): matcher.matches(found[one], found[two]) + np.array([first_new[one], first_new[two]])
             for one, two in pairs
         }
-        append_features(store, {photo: some.scaled(matches.sizes[photo]) for photo, some in found.items()})
+        places = {photo: some.scaled(matches.sizes[photo]) for photo, some in found.items()}
+        shown = {photo: takes_part(matches.folder, photo, new[:, :2]) for photo, new in places.items()}
+        for (one, two), new in rows.items():
+            kept = shown[one][new[:, 0] - first_new[one]] & shown[two][new[:, 1] - first_new[two]]
+            rows[one, two] = new[kept]
+        append_features(store, places)
         changed = append_matches(store, rows)
     verify_pairs(
         matches.database, matches.folder, changed, Verification.of(matches.sizes, CAMERA_POLICY.ordinary, seed)

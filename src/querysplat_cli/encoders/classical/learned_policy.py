@@ -16,6 +16,9 @@ class LearnedPolicy:
     features on whole pixels or little better."""
     most_features: int = 4096
     """A network keeps so many features of a photo."""
+    least_score: float = 0.25
+    """LightGlue's score of a match below which it is left out. With its usual 0.1, some pairs of fox that are 24 photos
+    apart get a focal length that is 15 % wrong, by matches that lie near their epipolar lines and are not right."""
     enough_inliers: int = 400
     """Pairs of a few photos with fewer matches that agree are matched again. Features of a network add to those of
     SIFT."""

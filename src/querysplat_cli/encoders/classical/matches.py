@@ -14,6 +14,7 @@ from querysplat_cli.encoders.classical.features import (
     feature_sizes,
     image_name,
     write_grey,
+    write_masks,
 )
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY, MatchEffort
 from querysplat_cli.encoders.classical.verified_pairs import Pair, Verification, match_pairs, read_pairs
@@ -21,6 +22,7 @@ from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.cameras import PhotoCamera, rescaled
 from querysplat_cli.scene.drafts import scratch_folder
+from querysplat_cli.scene.lenses import same_panorama
 from querysplat_cli.scene.views import Photo
 
 
@@ -82,6 +84,7 @@ def matched(
     with scratch_folder() as folder, _naming_the_folder(folder):
         progress("finding features", 0.0)
         sizes = write_grey(photos, folder, effort.feature_size)
+        write_masks(photos, sizes, folder)
         focals = tuple(
             photo.focal * size[1] / photo.width if photo.focal else None
             for photo, size in zip(photos, sizes, strict=True)
@@ -93,7 +96,7 @@ def matched(
         extract_features(matches.database, folder, effort)
         with pycolmap.Database.open(matches.database) as store:
             features = tuple(store.num_keypoints_for_image(i + 1) for i in range(len(photos)))
-            chosen = _choose_pairs(store, len(photos))
+            chosen = _choose_pairs(store, photos)
         progress("matching", 0.3)
         match_pairs(matches.database, folder, chosen, effort, Verification.of(sizes, effort, seed))
         with pycolmap.Database.open(matches.database) as store:
@@ -162,14 +165,21 @@ def write_images(store: pycolmap.Database, keyed: Sequence[tuple[Hashable, pycol
         store.write_image(image, use_image_id=True)
 
 
-def _choose_pairs(store: pycolmap.Database, count: int) -> list[tuple[int, int]]:
-    everything = [(i, j) for i in range(count) for j in range(i + 1, count)]
+def _choose_pairs(store: pycolmap.Database, photos: Sequence[Photo]) -> list[tuple[int, int]]:
+    """Pairs to match: all of a few photos; else similar ones, neighbours, and frames near each other in a film."""
+    count = len(photos)
+    everything = [(i, j) for i in range(count) for j in range(i + 1, count) if not same_panorama(photos[i], photos[j])]
     if count <= CAMERA_POLICY.exhaustive_photos:
         return everything
     similarity = _similarity([_largest_features(store, photo) for photo in range(count)])
     order = np.argsort(-similarity, axis=1, kind="stable")[:, : CAMERA_POLICY.most_partners]
     near = {(min(i, j), max(i, j)) for i in range(count) for j in order[i].tolist() if i != j}
-    return [(i, j) for i, j in everything if (i, j) in near or j - i <= 2]
+    return [(i, j) for i, j in everything if (i, j) in near or j - i <= 2 or _near_in_film(photos, i, j)]
+
+
+def _near_in_film(photos: Sequence[Photo], first: int, second: int) -> bool:
+    same = photos[first].pts is not None and photos[first].path == photos[second].path
+    return same and second - first in CAMERA_POLICY.film_steps
 
 
 def _largest_features(store: pycolmap.Database, photo: int) -> np.ndarray:

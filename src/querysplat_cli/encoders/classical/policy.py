@@ -81,6 +81,8 @@ class CameraPolicy:
     """Up to this many photos, every pair is matched."""
     most_partners: int = 20
     """With more photos, each is matched with this many of the most similar ones."""
+    film_steps: tuple[int, ...] = (1, 2, 3, 4, 8, 16)
+    """Frames of one film are also matched when they are so many chosen frames apart."""
     compared_features: int = 256
     """Similarity is judged by so many of each photo's largest features (preemptive matching, Wu 2013)."""
     compared_ratio: float = 0.8

@@ -125,7 +125,8 @@ def _with_network(
     except MissingPart as missing:
         if chosen:
             raise
-        return replace(trial, matching=Matching("", len(pairs), missing=missing.message))
+        now = _agreeing(trial.matches, pairs)
+        return replace(trial, matching=Matching("", len(pairs), (now, now), missing=missing.message))
     progress(f"matching {len(pairs)} pairs with {matcher.name}", 0.65)
     start = time.monotonic()
     more = with_learned_matches(trial.matches, photos, pairs, matcher, seed=seed)

@@ -15,7 +15,7 @@ import numpy as np
 import pycolmap
 
 from querysplat_cli.encoders.classical.append_matches import append_features, append_matches
-from querysplat_cli.encoders.classical.features import extract_features, image_name
+from querysplat_cli.encoders.classical.features import extract_features, image_name, takes_part
 from querysplat_cli.encoders.classical.matches import Matches, shared_cameras, write_images
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
 from querysplat_cli.encoders.classical.verified_pairs import Verification, match_pairs, read_pairs, verify_pairs
@@ -125,6 +125,7 @@ def _matched_views(matches: Matches, views: Sequence[TiltedView], folder: Path) 
             keypoints = _in_photo(store.read_keypoints(view.number + 1), view)
             height, width = matches.sizes[view.photo]
             inside = np.all((keypoints[:, :2] >= 0) & (keypoints[:, :2] < [width, height]), axis=1)
+            inside &= takes_part(matches.folder, view.photo, keypoints[:, :2])
             for other in range(photos):
                 if other != view.photo and store.exists_matches(other + 1, view.number + 1):
                     rows = store.read_matches(other + 1, view.number + 1)

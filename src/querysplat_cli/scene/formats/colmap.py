@@ -24,6 +24,12 @@ DISTORTION_PARAMETERS = {
     "OPENCV": (0, 1, 2, 3),
 }
 """For each lens model, which of OpenCV's (k1, k2, p1, p2) its extra parameters are."""
+FISHEYE_PARAMETERS = {
+    "SIMPLE_RADIAL_FISHEYE": (0,),
+    "RADIAL_FISHEYE": (0, 1),
+    "OPENCV_FISHEYE": (0, 1, 2, 3),
+}
+"""The same of OpenCV's fisheye (k1, k2, k3, k4)."""
 
 
 def find_model(folder: Path) -> Path | None:
@@ -32,20 +38,21 @@ def find_model(folder: Path) -> Path | None:
     return next((place for place in places if any(map(Path.is_file, _model_files(place)))), None)
 
 
-def read_colmap(folder: Path) -> dict[str, PhotoCamera]:
+def read_colmap(folder: Path, *, fisheye: bool = False) -> dict[str, PhotoCamera]:
     """Cameras by photo name (with its folder only where names repeat) of the model in `folder`.
 
-    Raises QuerySplatError when the model is damaged, or a lens has more than k1, k2, p1, p2.
+    Raises QuerySplatError when the model is damaged, or a lens has more than k1, k2, p1, p2. With `fisheye`, fisheye
+    lenses are read, too.
     """
     try:
-        return _cameras(folder)
+        return _cameras(folder, DISTORTION_PARAMETERS | (FISHEYE_PARAMETERS if fisheye else {}))
     except QuerySplatError:
         raise
     except Exception as error:  # damage can raise anything in COLMAP's classes
         raise QuerySplatError(f"{folder}: no COLMAP model that can be read: {error}", "Export it again.") from error
 
 
-def _cameras(folder: Path) -> dict[str, PhotoCamera]:
+def _cameras(folder: Path, lenses: Mapping[str, tuple[int, ...]]) -> dict[str, PhotoCamera]:
     model = _opened(folder)
     images = sorted((image for image in model.images.values() if image.has_pose), key=lambda image: image.name)
     if not images:
@@ -57,25 +64,25 @@ def _cameras(folder: Path) -> dict[str, PhotoCamera]:
     cameras = {}
     for name, image in zip(names, images, strict=True):
         camera = model.cameras[image.camera_id]
-        if camera.model_name not in DISTORTION_PARAMETERS:
+        if camera.model_name not in lenses:
             raise QuerySplatError(
-                f"{folder}: the lens model of {name} is {camera.model_name}; "
-                f"supported are {', '.join(DISTORTION_PARAMETERS)}",
+                f"{folder}: the lens model of {name} is {camera.model_name}; supported are {', '.join(lenses)}",
                 "Undistort the photos first, with `colmap image_undistorter`.",
             )
         w2c = np.eye(4)
         w2c[:3] = image.cam_from_world().matrix()
         distortion = [0.0, 0.0, 0.0, 0.0]
-        for place, index in zip(DISTORTION_PARAMETERS[camera.model_name], camera.extra_params_idxs(), strict=True):
+        for place, index in zip(lenses[camera.model_name], camera.extra_params_idxs(), strict=True):
             distortion[place] = float(camera.params[index])
-        k1, k2, p1, p2 = distortion
+        k1, k2, k3, k4 = distortion
         found = PhotoCamera(
             w2c=w2c,
             focal=(float(camera.focal_length_x), float(camera.focal_length_y)),
             principal=(float(camera.principal_point_x), float(camera.principal_point_y)),
-            distortion=(k1, k2, p1, p2),
+            distortion=(k1, k2, k3, k4),
             height=int(camera.height),
             width=int(camera.width),
+            fisheye=camera.model_name in FISHEYE_PARAMETERS,
         )
         if found.fault() or not np.isfinite(w2c).all():
             why = found.fault() or "its pose is not a number"

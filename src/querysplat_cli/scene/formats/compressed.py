@@ -1,7 +1,7 @@
-"""Compressed files of Gaussians through gsply: .spz (Niantic), read and written, and .sog (PlayCanvas), read.
+"""Niantic's .spz through gsply.
 
-Both are lossy: 8 bits of opacity, logarithmic scale and colour; .spz clamps SH beyond the first to [−1, 1). Axes are
-those of the file: SPZ's are x right, y up, z backward by its specification, a .sog's those of the .ply it was made of.
+It is lossy: 8 bits of opacity, logarithmic scale and colour; SH beyond the first are clamped to [−1, 1). Axes are those
+of the file: x right, y up, z backward by its specification.
 """
 
 import math
@@ -35,8 +35,11 @@ def read_spz(path: Path) -> Gaussians:
     return _finite(path, gaussians)
 
 
-def write_spz(path: Path, gaussians: Gaussians) -> int:
-    """Write version 3, which all readers support; returns how many Gaussians are in the file (the finite ones)."""
+def write_spz(path: Path, gaussians: Gaussians, version: int = 3) -> int:
+    """Write version 3 (gzip), which all readers support, or 4 (Zstandard); returns how many Gaussians are in the file.
+
+    These are the finite ones.
+    """
     gsply = _gsply()
     rows = _finite_rows(gaussians)
     if not len(rows):
@@ -54,20 +57,8 @@ def write_spz(path: Path, gaussians: Gaussians) -> int:
         format="ply",
     )
     with atomic_path(path) as draft:
-        gsply.write_spz(draft, data, version=3, fractional_bits=min(max(bits, 1), MOST_FRACTIONAL_BITS))
+        gsply.write_spz(draft, data, version=version, fractional_bits=min(max(bits, 1), MOST_FRACTIONAL_BITS))
     return len(rows)
-
-
-def read_sog(path: Path) -> Gaussians:
-    """The Gaussians of a .sog file. Raises MissingPart without gsply's part for it, QuerySplatError when damaged."""
-    gsply = _gsply()
-    try:
-        gaussians = _gaussians(gsply.sogread(path))
-    except ImportError as error:
-        raise _missing("gsply[sogs]") from error
-    except Exception as error:  # damage can raise anything in the decoder
-        raise QuerySplatError(f"{path}: damaged, or no .sog: {error}", "Export it again.") from error
-    return _finite(path, gaussians)
 
 
 def check_spz() -> None:

@@ -12,7 +12,8 @@ from querysplat_cli.runtime.json_files import read_json
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.drafts import scratch_folder
 from querysplat_cli.scene.formats.colmap import MODEL_FOLDERS, read_colmap
-from querysplat_cli.scene.formats.transforms import is_rigid, read_transforms
+from querysplat_cli.scene.formats.transforms import read_transforms
+from querysplat_cli.scene.formats.transforms_frame import is_rigid
 from querysplat_cli.scene.photos import SUFFIXES, natural_key
 
 DATASET_FOLDERS = ("images_4", "images_2", "images", "images_8")

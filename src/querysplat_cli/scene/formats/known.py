@@ -11,13 +11,13 @@ JSON_NAMES = ("transforms.json", "cameras.json", "colmap/transforms.json", "nerf
 """Where nerfstudio, our scene folder and DL3DV keep the file."""
 
 
-def read_known_cameras(path: Path) -> dict[str, PhotoCamera]:
+def read_known_cameras(path: Path, *, fisheye: bool = False) -> dict[str, PhotoCamera]:
     """Cameras by photo name from a transforms.json, a folder that holds one, or a COLMAP model's folder.
 
-    Raises QuerySplatError when there are none, or they cannot be read.
+    With `fisheye`, those of fisheye lenses, too. Raises QuerySplatError when there are none, or they cannot be read.
     """
     source = find_known_cameras(path)
-    return read_colmap(source) if source.is_dir() else read_transforms(source)
+    return read_colmap(source, fisheye=fisheye) if source.is_dir() else read_transforms(source, fisheye=fisheye)
 
 
 def find_known_cameras(path: Path) -> Path:

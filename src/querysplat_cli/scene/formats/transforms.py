@@ -17,15 +17,11 @@ from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.json_files import read_json, shown
 from querysplat_cli.scene.cameras import FARTHEST_CENTRE, LONGEST_SIDE, Cameras, PhotoCamera
 from querysplat_cli.scene.files import atomic_path
+from querysplat_cli.scene.formats.transforms_frame import frame_camera, is_rigid, opengl_from_opencv
 from querysplat_cli.scene.photos import names_a_photo, short_names
 from querysplat_cli.scene.pictures import stored_name
 from querysplat_cli.scene.sim3 import Sim3
 from querysplat_cli.scene.views import Views
-
-OPENGL_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
-LENS_MODELS = {"PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"}
-RIGID_TOLERANCE = 1e-3
-"""How far rounding in a file may move R·Rᵀ from the identity."""
 
 
 @dataclass(frozen=True)
@@ -37,18 +33,22 @@ class NamedCameras:
     sizes: tuple[tuple[int, int], ...]
 
 
-def read_transforms(path: Path) -> dict[str, PhotoCamera]:
+def read_transforms(path: Path, *, fisheye: bool = False) -> dict[str, PhotoCamera]:
     """Cameras by photo name, with the lens distortion and the picture size that the file states.
 
     A photo's name is the file name in `file_path` (the folder often does not exist as written), or in our own
     `photo`, with as much of the folder as makes it unique. Intrinsics may be given for each
     frame. A matrix that is no rigid motion is passed on as it is: the encoder leaves that photo out by name.
-    Raises QuerySplatError when the file is unreadable, incomplete, or states a lens other than OpenCV's.
+    Raises QuerySplatError when the file is unreadable, incomplete, or states a lens other than OpenCV's. With
+    `fisheye`, OpenCV's fisheye lenses are read, too.
     """
     content = _load(path)
     frames = [*content["frames"], *content.get("heldout_frames", [])]
     names = short_names([PurePosixPath(_photo(path, frame)) for frame in frames])
-    return {name: _photo_camera(path, name, {**content, **frame}) for name, frame in zip(names, frames, strict=True)}
+    return {
+        name: frame_camera(path, name, {**content, **frame}, fisheye=fisheye)
+        for name, frame in zip(names, frames, strict=True)
+    }
 
 
 def write_cameras(
@@ -144,23 +144,6 @@ def _working_frame(path: Path, entry: Any) -> Sim3 | None:
     return Sim3(scale, torch.from_numpy(rigid[:3, :3]), torch.from_numpy(rigid[:3, 3]))
 
 
-def opencv_from_opengl(c2w: np.ndarray) -> np.ndarray:
-    """OpenCV world-to-camera [4, 4] of a rigid OpenGL camera-to-world [4, 4]."""
-    return _rigid_inverse(c2w @ OPENGL_AXES)
-
-
-def opengl_from_opencv(w2c: np.ndarray) -> np.ndarray:
-    """The reverse of `opencv_from_opengl`."""
-    return _rigid_inverse(w2c) @ OPENGL_AXES
-
-
-def _rigid_inverse(matrix: np.ndarray) -> np.ndarray:
-    inverse = np.eye(4)
-    inverse[:3, :3] = matrix[:3, :3].T
-    inverse[:3, 3] = -matrix[:3, :3].T @ matrix[:3, 3]
-    return inverse
-
-
 def _frames(cameras: Cameras, views: Views, frame: Sim3 | None) -> list[dict[str, Any]]:
     cameras = cameras.to(torch.float64)
     cameras = cameras.transformed(frame) if frame else cameras
@@ -186,7 +169,7 @@ def _named_cameras(
 ) -> NamedCameras:
     """The cameras in the frame that `frame` maps to the file's."""
     names = tuple(_inside(_photo(path, entry)) for entry in frames)
-    cameras = [_photo_camera(path, name, {**content, **entry}) for name, entry in zip(names, frames, strict=True)]
+    cameras = [frame_camera(path, name, {**content, **entry}) for name, entry in zip(names, frames, strict=True)]
     for name, camera in zip(names, cameras, strict=True):
         if not is_rigid(camera.w2c):
             raise QuerySplatError(f"{path}: the matrix of {name} is no rigid motion", "Remove that frame.")
@@ -210,64 +193,6 @@ def _canvas(path: Path, stated: Any, sizes: Sequence[tuple[int, int]]) -> tuple[
     if not (whole and all(low <= side <= LONGEST_SIDE for low, side in zip(least, stated, strict=True))):
         raise QuerySplatError(f"{path}: the canvas {shown(stated)} cannot hold its pictures", "Export the file again.")
     return stated[0], stated[1]
-
-
-def is_rigid(w2c: np.ndarray) -> bool:
-    """Whether the matrix [4, 4] is finite and its rotation part is a rotation, within rounding."""
-    rotation = w2c[:3, :3]
-    if not np.isfinite(w2c).all():
-        return False
-    return bool(np.abs(rotation @ rotation.T - np.eye(3)).max() < RIGID_TOLERANCE and np.linalg.det(rotation) > 0)
-
-
-def _photo_camera(path: Path, name: str, frame: Mapping[str, Any]) -> PhotoCamera:
-    """One frame's camera; `frame` also has the settings that are common to the file."""
-    lens = frame.get("camera_model", "OPENCV")
-    if lens not in LENS_MODELS or any(frame.get(key) for key in ("k3", "k4", "is_fisheye")):
-        raise QuerySplatError(
-            f"{path}: the lens of {name} is not one of OpenCV's with k1, k2, p1, p2 ({lens})",
-            "Undistort the photos first, for instance with `colmap image_undistorter`.",
-        )
-    try:
-        width, height, focal = _whole(frame, "w"), _whole(frame, "h"), _number(frame, "fl_x")
-        rows = frame["transform_matrix"]
-        if not all(type(number) in (int, float) for row in rows for number in row):
-            raise ValueError("transform_matrix has other things than numbers")
-        c2w = np.array(rows, dtype=np.float64)
-        if c2w.shape not in ((4, 4), (3, 4)):
-            raise ValueError("transform_matrix is not 4 × 4")
-        k1, k2, p1, p2 = (_number(frame, key, 0.0) for key in ("k1", "k2", "p1", "p2"))
-        with np.errstate(over="ignore", invalid="ignore"):
-            w2c = opencv_from_opengl(np.vstack([c2w[:3], [0, 0, 0, 1]]))
-        camera = PhotoCamera(
-            w2c=w2c,
-            focal=(focal, _number(frame, "fl_y", focal)),
-            principal=(_number(frame, "cx", width / 2), _number(frame, "cy", height / 2)),
-            distortion=(k1, k2, p1, p2),
-            height=height,
-            width=width,
-        )
-        if camera.fault():
-            raise ValueError(camera.fault())
-        return camera
-    except KeyError as error:
-        raise QuerySplatError(f"{path}: {name} has no {error}", "Every frame needs w, h, fl_x and a matrix.") from None
-    except (TypeError, ValueError, OverflowError) as error:
-        raise QuerySplatError(f"{path}: the camera of {name} makes no sense: {error}", "Export it again.") from None
-
-
-def _number(frame: Mapping[str, Any], key: str, default: float | None = None) -> float:
-    value = frame[key] if default is None else frame.get(key, default)
-    if type(value) not in (int, float):
-        raise ValueError(f"{key} is {shown(value)}, no number")
-    return float(value)
-
-
-def _whole(frame: Mapping[str, Any], key: str) -> int:
-    value = _number(frame, key)
-    if value != int(value):
-        raise ValueError(f"{key} is {shown(value)}, no whole number")
-    return int(value)
 
 
 def _picture(photo: str, file: str) -> dict[str, str]:

@@ -1,0 +1,41 @@
+"""The size of a scene in metres, where the user asks for it."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from querysplat_cli.encoders.base import PosedViews
+from querysplat_cli.pipeline.scene_folder import StoredScene
+from querysplat_cli.reporting.report import Report
+from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.lengths import BY_GPS, lengths
+from querysplat_cli.scene.metres import Metres, metres_by_distances, metres_by_gps
+from querysplat_cli.scene.sim3 import Sim3
+from querysplat_cli.scene.views import Photo
+
+
+def metres_of(
+    scale: str | None, posed: PosedViews, photos: Sequence[Photo], *, poses_known: bool = False
+) -> Metres | None:
+    """The length of the unit of `posed`, by the value of --scale; None without one.
+
+    Raises as `scene/metres.py` does, and QuerySplatError where the cameras are known, because these have a unit.
+    """
+    if scale is None:
+        return None
+    if poses_known:
+        raise QuerySplatError("--scale: the cameras of --poses have a unit already", "Leave one of the two out.")
+    centres = dict(zip(posed.views.names, posed.cameras.centres.double().numpy(), strict=True))
+    if scale == BY_GPS:
+        return metres_by_gps(centres, {photo.name: photo.gps for photo in photos if photo.gps})
+    return metres_by_distances(centres, lengths(scale))
+
+
+def in_metres(scene: StoredScene, report: Report, metres: Metres) -> tuple[StoredScene, Report]:
+    """The scene whose files have metres for units, and the report that says so."""
+    return replace(scene, frame=rescaled_frame(scene.frame, metres)), replace(report, scale=metres.entry())
+
+
+def rescaled_frame(frame: Sim3 | None, metres: Metres) -> Sim3:
+    """The frame of the files with the same axes and origin, and with metres for units."""
+    before = frame or Sim3.identity()
+    return Sim3(metres.per_unit, before.rotation, before.translation * (metres.per_unit / before.scale))

@@ -1,0 +1,27 @@
+"""What a run of `reconstruct` left out of the scene or of the work."""
+
+from querysplat_cli.pipeline.build import BuiltScene
+from querysplat_cli.pipeline.perceptual import optimisation_lpips
+from querysplat_cli.pipeline.settings import ReconstructSettings
+from querysplat_cli.prune.resolution import Blurred
+from querysplat_cli.reporting import omissions
+
+
+def omissions_of(settings: ReconstructSettings, scene: BuiltScene, finest: Blurred | None) -> list[omissions.Omission]:
+    """One entry for each part. `finest` is the size that holds all detail of blurred photos (None: they are sharp)."""
+    used = optimisation_lpips(settings.lpips, official=scene.prepared.anchors is None) is not None
+    found = omissions.lpips(scene.adapted, used=used, further=bool(scene.full_size))
+    found += omissions.of_adapted(scene.adapted)
+    if scene.prepared.anchor_report and not settings.keep_everything:
+        found.append(omissions.queries(scene.prepared.anchor_report, scene.adapted))
+    if scene.geometry.depth is None:
+        found.append(omissions.UNUSED_DEPTH)
+    if finest:
+        found.append(omissions.resolution(finest))
+    if settings.poses:
+        found.append(omissions.sfm(settings.poses))
+    if settings.one_scene and settings.holdout_every:
+        found.append(omissions.second_score(settings.quality))
+    elif not scene.time_for_more:
+        found.append(omissions.SECOND_SCORE)
+    return found

@@ -1,0 +1,77 @@
+"""Colours of film frames: 8-bit sRGB from any bit depth, tone-mapped from HDR."""
+
+from functools import cache
+
+import av
+import cv2
+import numpy as np
+
+PQ, HLG = 16, 18
+"""Transfer characteristics of HDR films (ITU-T H.273)."""
+UNTAGGED = 2
+BT709 = 1
+HD_HEIGHT = 720
+"""Films that do not state their colour matrix have BT.709 from this height on, and BT.601 below, as players assume."""
+WHITE_NITS = 203.0
+"""Luminance of white paper in HDR (ITU-R BT.2408). It becomes sRGB white, before highlights are compressed."""
+PEAK_NITS = 1000.0
+KNEE = 0.7
+"""Linear light from which highlights are compressed, relative to white paper."""
+REC2020_TO_REC709 = np.array(
+    [[1.660491, -0.587641, -0.072850], [-0.124550, 1.132900, -0.008349], [-0.018151, -0.100579, 1.118730]], np.float32
+)
+REC2020_LUMA = np.array([[0.2627, 0.6780, 0.0593]], np.float32)
+
+
+def rgb_of(frame: av.VideoFrame, transfer: int) -> np.ndarray:
+    """The picture as stored (not yet upright), 8-bit sRGB [height, width, 3].
+
+    `transfer` is the film's transfer characteristic (ITU-T H.273). PQ and HLG are tone-mapped; any other one is shown
+    as it is.
+    """
+    matrix = BT709 if frame.colorspace == UNTAGGED and frame.height >= HD_HEIGHT else None
+    if transfer in (PQ, HLG):
+        return tone_mapped(frame.to_ndarray(format="rgb48le", src_colorspace=matrix), transfer)
+    return np.asarray(frame.to_ndarray(format="rgb24", src_colorspace=matrix))
+
+
+def tone_mapped(pixels: np.ndarray, transfer: int) -> np.ndarray:
+    """8-bit sRGB of 16-bit BT.2020 colours [height, width, 3] with the transfer PQ or HLG.
+
+    Up to `KNEE` the light is kept. Above, up to `PEAK_NITS`, it is compressed along an extended Reinhard curve
+    (Reinhard et al. 2002, eq. 4) of the largest channel, so that hues are kept.
+    """
+    light = _linear_light(transfer)[pixels]
+    if transfer == HLG:
+        # BT.2100: the display's gamma of 1.2 acts on the luminance of the scene.
+        luminance = np.maximum(cv2.transform(light, REC2020_LUMA), 1e-6)
+        light = light * (PEAK_NITS / WHITE_NITS * luminance**0.2).reshape(*light.shape[:2], 1)
+    light = np.maximum(cv2.transform(light, REC2020_TO_REC709), 0)
+    largest = light.max(axis=2, keepdims=True)
+    over = np.maximum(largest - KNEE, 0) / (1 - KNEE)
+    most = (PEAK_NITS / WHITE_NITS - KNEE) / (1 - KNEE)
+    compressed = KNEE + (1 - KNEE) * over * (1 + over / most**2) / (1 + over)
+    light *= np.where(largest > KNEE, compressed / np.maximum(largest, 1e-6), 1)
+    return _srgb_of_light()[(light.clip(0, 1) * 4095 + 0.5).astype(np.uint16)]
+
+
+@cache
+def _linear_light(transfer: int) -> np.ndarray:
+    """Of each 16-bit code value: for PQ light relative to white paper, for HLG the light of the scene in [0, 1]."""
+    code = np.linspace(0, 1, 1 << 16)
+    if transfer == PQ:
+        # SMPTE ST 2084.
+        power = code ** (1 / 78.84375)
+        nits = 1e4 * (np.maximum(power - 0.8359375, 0) / (18.8515625 - 18.6875 * power)) ** (1 / 0.1593017578125)
+        return (nits / WHITE_NITS).astype(np.float32)
+    # ITU-R BT.2100, inverse OETF.
+    a, b, c = 0.17883277, 0.28466892, 0.55991073
+    return np.where(code <= 0.5, code**2 / 3, (np.exp((code - c) / a) + b) / 12).astype(np.float32)
+
+
+@cache
+def _srgb_of_light() -> np.ndarray:
+    """8-bit sRGB of linear light in steps of 1 / 4095."""
+    light = np.linspace(0, 1, 4096)
+    code = np.where(light <= 0.0031308, 12.92 * light, 1.055 * np.maximum(light, 1e-9) ** (1 / 2.4) - 0.055)
+    return (code * 255).round().astype(np.uint8)

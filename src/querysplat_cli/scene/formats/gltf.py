@@ -1,0 +1,150 @@
+"""glTF 2.0 with KHR_gaussian_splatting (release candidate of July 2026), as one binary .glb file.
+
+A scene is a primitive of points. Rotations are x, y, z, w; scales are linear, opacities in [0, 1]; SH have the order
+and sign of 3DGS. Axes are those of the file: +y is up.
+"""
+
+import itertools
+import json
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.scene.files import atomic_path
+from querysplat_cli.scene.formats.ply import HIGHEST_OPACITY, LOWEST_OPACITY, NoGaussian
+from querysplat_cli.scene.gaussians import Gaussians
+
+EXTENSION = "KHR_gaussian_splatting"
+MAGIC, JSON_CHUNK, BINARY_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
+FLOAT, ARRAY_BUFFER, POINTS = 5126, 34962, 0
+KINDS = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
+HEADER = struct.Struct("<III")
+CHUNK = struct.Struct("<II")
+
+
+def write_glb(path: Path, gaussians: Gaussians) -> int:
+    """Write the finite Gaussians; returns how many there are."""
+    finite = gaussians[gaussians.finite]
+    if not len(finite):
+        raise NoGaussian(path)
+    columns = {name: np.ascontiguousarray(values, "<f4") for name, values in _attributes(finite).items()}
+    offsets = np.concatenate([[0], np.cumsum([values.nbytes for values in columns.values()])]).tolist()
+    document = _document(columns, offsets)
+    listing = json.dumps(document, separators=(",", ":")).encode()
+    listing += b" " * (-len(listing) % 4)
+    total = HEADER.size + CHUNK.size + len(listing) + CHUNK.size + offsets[-1]
+    with atomic_path(path) as draft, draft.open("wb") as file:
+        file.write(HEADER.pack(MAGIC, 2, total) + CHUNK.pack(len(listing), JSON_CHUNK) + listing)
+        file.write(CHUNK.pack(offsets[-1], BINARY_CHUNK))
+        for values in columns.values():
+            file.write(values.tobytes())
+    return len(finite)
+
+
+def read_glb(path: Path) -> Gaussians:
+    """The Gaussians of the first primitive of a .glb that has any. Raises QuerySplatError when it is damaged."""
+    try:
+        gaussians = _gaussians(*_chunks(path.read_bytes()))
+    except QuerySplatError:
+        raise
+    except Exception as error:  # damage can raise anything while the parts are put together
+        raise QuerySplatError(f"{path}: damaged, or no .glb of Gaussians: {error}", "Export it again.") from error
+    gaussians = gaussians[gaussians.finite]
+    if not len(gaussians):
+        raise NoGaussian(path)
+    return gaussians
+
+
+def _attributes(gaussians: Gaussians) -> dict[str, np.ndarray]:
+    quats = torch.nn.functional.normalize(gaussians.quats.double(), dim=1)
+    found = {
+        "POSITION": gaussians.means.numpy(),
+        f"{EXTENSION}:ROTATION": quats[:, [1, 2, 3, 0]].numpy(),
+        f"{EXTENSION}:SCALE": gaussians.scales.numpy(),
+        f"{EXTENSION}:OPACITY": gaussians.opacities.numpy()[:, None],
+    }
+    for degree in range(gaussians.sh_degree + 1):
+        for number in range(2 * degree + 1):
+            found[_coefficient(degree, number)] = gaussians.sh[:, degree**2 + number].numpy()
+    return found
+
+
+def _coefficient(degree: int, number: int) -> str:
+    return f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{number}"
+
+
+def _document(columns: dict[str, np.ndarray], offsets: list[int]) -> dict[str, Any]:
+    accessors: list[dict[str, Any]] = []
+    for number, values in enumerate(columns.values()):
+        accessors.append(
+            {"bufferView": number, "componentType": FLOAT, "count": len(values), "type": KINDS[values.shape[1]]}
+        )
+    position = columns["POSITION"]
+    accessors[0] |= {"min": position.min(0).tolist(), "max": position.max(0).tolist()}
+    views = [
+        {"buffer": 0, "byteOffset": start, "byteLength": end - start, "target": ARRAY_BUFFER}
+        for start, end in itertools.pairwise(offsets)
+    ]
+    primitive = {
+        "attributes": {name: number for number, name in enumerate(columns)},
+        "mode": POINTS,
+        "extensions": {EXTENSION: {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}},
+    }
+    return {
+        "asset": {"version": "2.0", "generator": "querysplat"},
+        "extensionsUsed": [EXTENSION],
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [primitive]}],
+        "accessors": accessors,
+        "bufferViews": views,
+        "buffers": [{"byteLength": offsets[-1]}],
+    }
+
+
+def _chunks(content: bytes) -> tuple[dict[str, Any], bytes]:
+    magic, version, total = HEADER.unpack_from(content)
+    if magic != MAGIC or version != 2 or total > len(content):
+        raise ValueError("its header is not that of a whole glTF 2.0 file")
+    length, kind = CHUNK.unpack_from(content, HEADER.size)
+    start = HEADER.size + CHUNK.size
+    if kind != JSON_CHUNK:
+        raise ValueError("it does not begin with its JSON")
+    document = json.loads(content[start : start + length])
+    size, kind = CHUNK.unpack_from(content, start + length)
+    if kind != BINARY_CHUNK:
+        raise ValueError("it has no binary part")
+    begin = start + length + CHUNK.size
+    return document, content[begin : begin + size]
+
+
+def _gaussians(document: dict[str, Any], binary: bytes) -> Gaussians:
+    primitives = [each for mesh in document["meshes"] for each in mesh["primitives"]]
+    attributes = next(each["attributes"] for each in primitives if EXTENSION in each.get("extensions", {}))
+
+    def column(name: str) -> torch.Tensor:
+        accessor = document["accessors"][attributes[name]]
+        view = document["bufferViews"][accessor["bufferView"]]
+        if accessor["componentType"] != FLOAT or view.get("byteStride"):
+            raise ValueError(f"{name} is not stored as plain float32")
+        width = next(count for count, kind in KINDS.items() if kind == accessor["type"])
+        start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
+        values = np.frombuffer(binary, "<f4", accessor["count"] * width, start)
+        return torch.from_numpy(values.reshape(-1, width).astype(np.float32))
+
+    degree = 0
+    while _coefficient(degree + 1, 0) in attributes:
+        degree += 1
+    bands = [column(_coefficient(each, number)) for each in range(degree + 1) for number in range(2 * each + 1)]
+    return Gaussians(
+        column("POSITION"),
+        column(f"{EXTENSION}:ROTATION")[:, [3, 0, 1, 2]],
+        column(f"{EXTENSION}:SCALE"),
+        column(f"{EXTENSION}:OPACITY")[:, 0].clamp(LOWEST_OPACITY, HIGHEST_OPACITY),
+        torch.stack(bands, 1),
+    )

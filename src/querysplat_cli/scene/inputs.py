@@ -1,0 +1,71 @@
+"""The photos of a scene: picture files, and the frames of films that show something new."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.progress import Progress
+from querysplat_cli.scene.film_choice import FilmChoice, choose_frames
+from querysplat_cli.scene.film_survey import FilmSurvey, survey_film
+from querysplat_cli.scene.films import frame_pixels, is_film, read_ahead
+from querysplat_cli.scene.photos import decoded_photos, load_photos, none_usable, reduced, short_names
+from querysplat_cli.scene.views import LeftOut, Photo
+
+
+def load_inputs(
+    paths: Sequence[Path],
+    frames: int | None = None,
+    max_side: int = 1600,
+    progress: Progress = lambda text, fraction: None,
+) -> tuple[list[Photo], list[LeftOut]]:
+    """Photos and chosen frames of films in the order of `paths`, and what is not used, with the reason.
+
+    `frames` is the most frames of all films together; None lets the motion decide. A film has one entry for all its
+    other frames. Photos are read as by `load_photos`. Raises QuerySplatError when there is no usable photo at all, and
+    when `frames` is given without a film.
+    """
+    films = [path for path in paths if is_film(path)]
+    if not films:
+        if frames:
+            raise QuerySplatError("--frames is for films, and there is no film among the inputs", "Leave it out.")
+        return load_photos(paths, max_side, progress)
+    names = dict(zip(paths, short_names(paths), strict=True))
+    surveys, left_out = _surveyed(films, names, progress)
+    found: dict[Path, list[Photo]] = {}
+    for choice in choose_frames(surveys, frames):
+        path = choice.survey.path
+        progress(f"{names[path]}: reading {len(choice.rows)} frames", 1.0)
+        found[path] = _frames(choice, names[path], max_side)
+        if choice.left_out:
+            left_out.append(LeftOut(names[path], choice.left_out))
+    pictures = [path for path in paths if path not in films]
+    photos, unread = decoded_photos(pictures, [names[path] for path in pictures], max_side, progress)
+    for photo in photos:
+        found[photo.path] = [photo]
+    left_out += unread
+    if not found:
+        raise none_usable(left_out)
+    return [photo for path in paths for photo in found.get(path, ())], left_out
+
+
+def _surveyed(
+    films: Sequence[Path], names: dict[Path, str], progress: Progress
+) -> tuple[list[FilmSurvey], list[LeftOut]]:
+    surveys, left_out = [], []
+    for path in films:
+        try:
+            surveys.append(survey_film(path, lambda share, name=names[path]: progress(f"looking at {name}", share)))  # type: ignore[misc]
+        except QuerySplatError as error:
+            left_out.append(LeftOut(names[path], error.message.removeprefix(f"{path}: ")))
+    return surveys, left_out
+
+
+def _frames(choice: FilmChoice, name: str, max_side: int) -> list[Photo]:
+    path, survey = choice.survey.path, choice.survey
+    stamps = [int(survey.pts[row]) for row in choice.rows]
+    read_ahead(path, stamps)
+    found = []
+    for row, pts in zip(choice.rows, stamps, strict=True):
+        pixels = reduced(frame_pixels(path, pts), max_side)
+        found.append(Photo(f"{name}_{survey.seconds[row]:08.3f}.jpg", path, pixels, pts=pts))
+    return found

@@ -1,0 +1,56 @@
+"""Masks: which pixels of a photo take part. They are files in a folder `masks`, or the photo's own alpha channel."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+from PIL import Image, ImageOps
+
+from querysplat_cli.scene.cameras import same_shape
+
+MASKS, IMAGES = "masks", "images"
+WHOLLY = 0.99
+"""A reduced pixel takes part when at least this share of it does, so that no masked colour is mixed in."""
+
+
+class BadMask(Exception):
+    """A mask that cannot be used. Its text is a phrase for the user."""
+
+
+def mask_file(photo: Path) -> Path | None:
+    """The mask of a photo, if it has one.
+
+    For `images_4/a.jpg` these are, in this order, `images_4/masks/`, `masks_4/` and `masks/` with `a.jpg.png` (COLMAP),
+    `a.png` or `a.jpg` (nerfstudio).
+    """
+    folder = photo.parent
+    level = folder.name.removeprefix(IMAGES) if folder.name.startswith(IMAGES) else ""
+    for place in dict.fromkeys((folder / MASKS, folder.parent / f"{MASKS}{level}", folder.parent / MASKS)):
+        if place.is_dir():
+            for name in (f"{photo.name}.png", f"{photo.stem}.png", photo.name):
+                if (place / name).is_file():
+                    return place / name
+    return None
+
+
+def read_mask(path: Path, height: int, width: int) -> np.ndarray:
+    """True [height, width] where the photo takes part: where the mask is brighter than half of its brightest pixel.
+
+    Raises BadMask, with a phrase for the user, when the mask cannot be read or has another shape than the photo.
+    """
+    try:
+        with Image.open(path) as image:
+            grey = np.asarray(ImageOps.exif_transpose(image).convert("L"), np.int64)
+    except Exception as error:  # damage can raise anything in Pillow's decoders
+        raise BadMask(f"its mask {path.name} cannot be read") from error
+    if not same_shape(grey.shape, (height, width)):
+        raise BadMask(f"its mask {path.name} is {grey.shape[1]} × {grey.shape[0]}, another shape than the photo's")
+    return resized_mask(2 * grey > grey.max(), height, width)
+
+
+def resized_mask(mask: np.ndarray, height: int, width: int) -> np.ndarray:
+    """A mask [rows, columns] at another size."""
+    if mask.shape == (height, width):
+        return mask
+    shares = cv2.resize(mask.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA)
+    return np.asarray(shares >= WHOLLY)

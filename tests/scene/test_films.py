@@ -1,0 +1,133 @@
+"""Films are decoded upright, in true colours, and their frames are found again by pts."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from film_files import pan, write_film
+from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.scene import films
+from querysplat_cli.scene.film_colours import HLG, PQ, tone_mapped
+from querysplat_cli.scene.films import evenly_spaced_frames, film_frames, film_size, frame_pixels
+
+BT2020 = 9
+
+
+def plain(colour: tuple[int, int, int], count: int = 3) -> list[np.ndarray]:
+    return [np.full((96, 160, 3), colour, np.uint8) for _ in range(count)]
+
+
+def flagged() -> np.ndarray:
+    """Grey, with a white corner at the top left."""
+    picture = np.full((96, 160, 3), 60, np.uint8)
+    picture[:48, :80] = 255
+    return picture
+
+
+@pytest.mark.parametrize(
+    ("rotation", "shape", "corner"),
+    [(0, (96, 160), (0, 0)), (90, (160, 96), (1, 0)), (180, (96, 160), (1, 1)), (-90, (160, 96), (0, 1))],
+)
+def test_frames_are_upright(tmp_path: Path, rotation: int, shape: tuple[int, int], corner: tuple[int, int]) -> None:
+    path = write_film(tmp_path / "turned.mp4", [flagged()] * 2, rotation=rotation)
+    pixels = next(film_frames(path)).rgb()
+    assert pixels.shape[:2] == film_size(path) == shape
+    quarters = pixels.reshape(2, shape[0] // 2, 2, shape[1] // 2, 3).mean((1, 3, 4))
+    assert np.unravel_index(quarters.argmax(), (2, 2)) == corner
+
+
+@pytest.mark.parametrize(("suffix", "codec"), [("mov", "libx264"), ("webm", "libvpx-vp9"), ("avi", "mpeg4")])
+def test_containers(tmp_path: Path, suffix: str, codec: str) -> None:
+    path = write_film(tmp_path / f"film.{suffix}", pan([0, 20, 40]), codec=codec)
+    frames = list(film_frames(path))
+    assert len(frames) == 3
+    for frame in frames:
+        difference = frame_pixels(path, frame.pts).astype(int) - frame.rgb()
+        assert np.abs(difference).mean() < 2
+
+
+def test_time_stamps_are_those_of_the_film_not_of_a_rate(tmp_path: Path) -> None:
+    times = [0, 40, 900, 1000, 2500]
+    path = write_film(tmp_path / "phone.mp4", pan([0, 5, 10, 15, 20]), milliseconds=times)
+    assert [round(1000 * frame.seconds) for frame in film_frames(path)] == times
+
+
+def test_a_frame_is_found_again_by_its_pts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    levels = [10 * i for i in range(20)]
+    path = write_film(tmp_path / "grey.mp4", [np.full((96, 160, 3), level, np.uint8) for level in levels])
+    stamps = [frame.pts for frame in film_frames(path)]
+    for number in (13, 2, 19):
+        assert abs(float(frame_pixels(path, stamps[number]).mean()) - levels[number]) < 3
+    with pytest.raises(QuerySplatError, match="no frame at pts"):
+        frame_pixels(path, stamps[3] + 1)
+    monkeypatch.setattr(films, "_PACKED", films._PackedFrames(most_bytes=1))
+    for number in (5, 4):
+        assert abs(float(frame_pixels(path, stamps[number]).mean()) - levels[number]) < 3
+
+
+def test_a_replaced_film_is_decoded_anew(tmp_path: Path) -> None:
+    path = write_film(tmp_path / "film.mp4", plain((200, 200, 200)))
+    assert frame_pixels(path, 0).mean() > 190
+    write_film(path, plain((20, 20, 20)))
+    os.utime(path, ns=(1, 1))
+    assert frame_pixels(path, 0).mean() < 30
+
+
+def test_ten_bits_of_standard_range_keep_their_colour(tmp_path: Path) -> None:
+    eight = next(film_frames(write_film(tmp_path / "8.mp4", plain((200, 30, 60))))).rgb()
+    deep = write_film(tmp_path / "10.mp4", plain((200, 30, 60)), codec="libx265", pixels="yuv420p10le")
+    assert np.abs(next(film_frames(deep)).rgb().astype(int) - eight).max() <= 4
+
+
+@pytest.mark.parametrize("transfer", [PQ, HLG])
+def test_hdr_is_tone_mapped(tmp_path: Path, transfer: int) -> None:
+    tags = {"color_trc": transfer, "color_primaries": BT2020, "colorspace": BT2020}
+    path = write_film(tmp_path / "hdr.mp4", plain((150, 150, 150)), codec="libx265", pixels="yuv420p10le", tags=tags)
+    (pixel,) = np.unique(next(film_frames(path)).rgb().reshape(-1, 3), axis=0)
+    expected = tone_mapped(np.full((1, 1, 3), round(150 / 255 * 65535), np.uint16), transfer)[0, 0]
+    assert np.abs(pixel.astype(int) - expected).max() <= 3
+    assert np.ptp(pixel) <= 2  # grey stays grey
+
+
+def test_tone_mapping_follows_the_standards() -> None:
+    """100 nits have the sRGB code of 100/203 of the light (BT.2408), and the curve never falls."""
+    for transfer, code in ((PQ, 0.5081), (HLG, 0.6296)):
+        found = tone_mapped(np.full((1, 1, 3), round(code * 65535), np.uint16), transfer)
+        assert np.abs(found.astype(int) - 186).max() <= 1, transfer
+        ramp = np.repeat(np.arange(0, 65536, 64, dtype=np.uint16)[None, :, None], 3, axis=2)
+        grey = tone_mapped(ramp, transfer)[0, :, 0].astype(int)
+        assert (np.diff(grey) >= 0).all()
+        assert grey[0] == 0
+        assert grey[-1] == 255
+
+
+def test_oblong_pixels_become_square(tmp_path: Path) -> None:
+    path = write_film(tmp_path / "dv.mp4", plain((9, 9, 9)), tags={"sample_aspect_ratio": 2})
+    assert next(film_frames(path)).rgb().shape == (96, 320, 3)
+    assert film_size(path) == (96, 320)
+
+
+@pytest.mark.parametrize(
+    ("content", "why"), [(b"", "the file is empty"), (b"no film", "not a film that can be read")], ids=["empty", "text"]
+)
+def test_what_is_no_film(tmp_path: Path, content: bytes, why: str) -> None:
+    path = tmp_path / "film.mp4"
+    path.write_bytes(content)
+    with pytest.raises(QuerySplatError, match=why):
+        list(film_frames(path))
+
+
+def test_a_cut_off_film_gives_what_it_has(tmp_path: Path) -> None:
+    """As after a dead battery, of a format that has no table at its end."""
+    path = write_film(tmp_path / "film.webm", pan(range(0, 400, 10)), codec="libvpx-vp9")
+    whole = len(list(film_frames(path)))
+    path.write_bytes(path.read_bytes()[: path.stat().st_size * 2 // 3])
+    assert 5 < len(list(film_frames(path))) < whole
+
+
+def test_evenly_spaced_frames(tmp_path: Path) -> None:
+    path = write_film(tmp_path / "film.mp4", pan(range(0, 200, 10)))
+    assert [photo.name for photo in evenly_spaced_frames(path, 7, 96)] == [f"{i:06d}.png" for i in range(0, 20, 3)]
+    assert max(evenly_spaced_frames(path, 1, 96)[0].pixels.shape) == 96

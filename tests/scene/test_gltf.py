@@ -1,0 +1,70 @@
+"""glTF with KHR_gaussian_splatting."""
+
+import json
+import struct
+from pathlib import Path
+
+import pytest
+import torch
+from test_compressed import cloud
+
+from querysplat_cli.pipeline.gaussian_files import read_gaussians, write_gaussians
+from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.scene.formats.gltf import EXTENSION, read_glb, write_glb
+
+
+@pytest.mark.parametrize("degree", [0, 1, 2, 3])
+def test_what_is_written_is_read_back(tmp_path: Path, degree: int) -> None:
+    scene = cloud(50, degree)
+    assert write_glb(tmp_path / "a.glb", scene) == 50
+    found = read_glb(tmp_path / "a.glb")
+    for name in ("means", "scales", "opacities", "sh"):
+        assert getattr(found, name).equal(getattr(scene, name)), name
+    torch.testing.assert_close(found.quats, torch.nn.functional.normalize(scene.quats, dim=1))
+
+
+def test_the_file_is_valid_gltf(tmp_path: Path) -> None:
+    write_glb(tmp_path / "a.glb", cloud(7, 1))
+    content = (tmp_path / "a.glb").read_bytes()
+    magic, version, total, length, kind = struct.unpack_from("<4sIII4s", content)
+    assert (magic, version, total, kind) == (b"glTF", 2, len(content), b"JSON")
+    assert length % 4 == 0
+    document = json.loads(content[20 : 20 + length])
+    assert document["extensionsUsed"] == [EXTENSION]
+    (primitive,) = document["meshes"][0]["primitives"]
+    assert primitive["mode"] == 0
+    assert primitive["extensions"][EXTENSION] == {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}
+    names = {name.removeprefix(f"{EXTENSION}:") for name in primitive["attributes"]}
+    bands = {"SH_DEGREE_0_COEF_0", *(f"SH_DEGREE_1_COEF_{n}" for n in range(3))}
+    assert names == {"POSITION", "ROTATION", "SCALE", "OPACITY", *bands}
+    kinds = {"POSITION": "VEC3", f"{EXTENSION}:ROTATION": "VEC4", f"{EXTENSION}:OPACITY": "SCALAR"}
+    for name, wanted in kinds.items():
+        accessor = document["accessors"][primitive["attributes"][name]]
+        assert (accessor["type"], accessor["count"], accessor["componentType"]) == (wanted, 7, 5126)
+    last = document["bufferViews"][-1]
+    assert last["byteOffset"] + last["byteLength"] == document["buffers"][0]["byteLength"]
+    assert {"min", "max"} <= document["accessors"][primitive["attributes"]["POSITION"]].keys()
+
+
+def test_y_is_up_in_the_file_and_down_in_a_scene(tmp_path: Path) -> None:
+    scene = cloud(20, 1)
+    write_gaussians(tmp_path / "a.glb", scene)
+    torch.testing.assert_close(read_glb(tmp_path / "a.glb").means, scene.means * torch.tensor([1.0, -1.0, -1.0]))
+    found = read_gaussians(tmp_path / "a.glb")
+    torch.testing.assert_close(found.means, scene.means)
+    torch.testing.assert_close(found.sh, scene.sh, atol=1e-5, rtol=1e-5)
+
+
+@pytest.mark.parametrize("content", [b"", b"no such file", b"glTF" + bytes(40)])
+def test_damaged_files_are_refused(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "a.glb").write_bytes(content)
+    with pytest.raises(QuerySplatError, match="damaged"):
+        read_glb(tmp_path / "a.glb")
+
+
+def test_a_file_that_ends_early_is_refused(tmp_path: Path) -> None:
+    write_glb(tmp_path / "a.glb", cloud(7, 1))
+    content = (tmp_path / "a.glb").read_bytes()
+    (tmp_path / "a.glb").write_bytes(content[:-40])
+    with pytest.raises(QuerySplatError, match="damaged"):
+        read_glb(tmp_path / "a.glb")

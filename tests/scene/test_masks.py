@@ -1,0 +1,157 @@
+"""Masks beside the photos and alpha channels: which pixels take part, through all of the reading of photos."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import ExifTags, Image
+
+from querysplat_cli.scene.cameras import PhotoCamera
+from querysplat_cli.scene.fit import network_views
+from querysplat_cli.scene.masks import mask_file
+from querysplat_cli.scene.photo_files import PhotoFile, large_views
+from querysplat_cli.scene.photos import find_photos, load_photos
+from querysplat_cli.scene.undistort import undistorted
+from querysplat_cli.scene.views import Photo
+
+HEIGHT, WIDTH = 96, 160
+LENS = PhotoCamera(np.eye(4), (150.0, 150.0), (80.0, 48.0), (0.1, 0.0, 0.0, 0.0), HEIGHT, WIDTH)
+
+
+def left_half(height: int = HEIGHT, width: int = WIDTH) -> np.ndarray:
+    mask = np.zeros((height, width), np.uint8)
+    mask[:, : width // 2] = 255
+    return mask
+
+
+def save(path: Path, pixels: np.ndarray, **options: object) -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(pixels).save(path, **options)
+    return path
+
+
+def grey(folder: Path, name: str = "a.jpg") -> Path:
+    return save(folder / name, np.full((HEIGHT, WIDTH, 3), 120, np.uint8))
+
+
+def load(path: Path, max_side: int = 1600) -> Photo:
+    photos, left_out = load_photos([path], max_side)
+    assert not left_out
+    return photos[0]
+
+
+@pytest.mark.parametrize(
+    ("photo", "mask"),
+    [
+        ("images/a.jpg", "masks/a.jpg.png"),
+        ("images/a.jpg", "masks/a.png"),
+        ("images_4/a.jpg", "masks_4/a.png"),
+        ("images_4/a.jpg", "masks/a.jpg"),
+        ("a.jpg", "masks/a.jpg.png"),
+    ],
+)
+def test_where_masks_are(tmp_path: Path, photo: str, mask: str) -> None:
+    path = grey((tmp_path / photo).parent)
+    assert mask_file(path) is None
+    assert load(path).mask is None
+    save(tmp_path / mask, left_half())
+    assert mask_file(path) == tmp_path / mask
+    found = load(path).mask
+    assert found is not None
+    assert found.shape == (HEIGHT, WIDTH)
+    assert 0.45 < found.mean() < 0.52
+    assert found[:, : WIDTH // 2 - 8].all()
+    assert not found[:, WIDTH // 2 + 8 :].any()
+
+
+def test_masks_are_no_photos(tmp_path: Path) -> None:
+    path = grey(tmp_path)
+    save(tmp_path / "masks" / "a.png", left_half())
+    assert find_photos([tmp_path]) == [path]
+
+
+def test_masks_of_ones_and_zeros_and_of_another_size(tmp_path: Path) -> None:
+    path = grey(tmp_path)
+    save(tmp_path / "masks" / "a.png", left_half(48, 80) // 255)
+    for side in (1600, 128):
+        mask = load(path, side).mask
+        assert mask is not None
+        assert mask.shape == load(path, side).pixels.shape[:2]
+        assert abs(mask.mean() - 0.5) < 0.02
+
+
+def test_masks_turn_with_their_photos(tmp_path: Path) -> None:
+    """A mask of the upright picture, as other tools make it, fits a photo that the phone stored lying."""
+    exif = Image.Exif()
+    exif[ExifTags.Base.Orientation] = 6
+    save(tmp_path / "a.jpg", np.full((HEIGHT, WIDTH, 3), 120, np.uint8), exif=exif)
+    save(tmp_path / "masks" / "a.png", left_half(WIDTH, HEIGHT))
+    mask = load(tmp_path / "a.jpg").mask
+    assert mask is not None
+    assert mask.shape == (WIDTH, HEIGHT)
+
+
+def test_alpha_is_a_mask(tmp_path: Path) -> None:
+    pixels = np.dstack([np.full((HEIGHT, WIDTH, 3), 120, np.uint8), left_half()])
+    photo = load(save(tmp_path / "cut.png", pixels))
+    assert photo.mask is not None
+    np.testing.assert_array_equal(photo.mask, left_half() > 0)
+    pixels[..., 3] = 255
+    assert load(save(tmp_path / "whole.png", pixels)).mask is None
+
+
+@pytest.mark.parametrize(
+    ("mask", "why"),
+    [
+        (np.zeros((HEIGHT, WIDTH), np.uint8), "hides all"),
+        (left_half(HEIGHT, HEIGHT), "another shape"),
+        (None, "cannot be read"),
+    ],
+    ids=["black", "square", "damaged"],
+)
+def test_masks_that_cannot_be_used(tmp_path: Path, mask: np.ndarray | None, why: str) -> None:
+    grey(tmp_path, "b.jpg")
+    path = grey(tmp_path)
+    if mask is None:
+        (tmp_path / "masks").mkdir()
+        (tmp_path / "masks" / "a.png").write_bytes(b"no picture")
+    else:
+        save(tmp_path / "masks" / "a.png", mask)
+    _, left_out = load_photos([path, tmp_path / "b.jpg"])
+    assert [each.name for each in left_out] == ["a.jpg"]
+    assert why in left_out[0].why
+
+
+def test_views_are_black_where_the_photo_is_masked(tmp_path: Path) -> None:
+    photo = Photo("a.jpg", tmp_path, np.full((HEIGHT, WIDTH, 3), 120, np.uint8), mask=left_half() > 0)
+    views, _ = undistorted([photo, replace(photo, mask=None)], [LENS, LENS], max_size=80)
+    assert views.have_holes == (True, False)
+    height, width = views.sizes[0]
+    shown = views.masks[0, :height, :width]
+    assert abs(float(shown.float().mean()) - 0.5) < 0.03
+    assert (views.images[0, :, :height, :width].amax(0) > 0).equal(shown)
+    assert views.masks[1, :height, :width].all()
+
+
+def test_large_views_are_masked_too(tmp_path: Path) -> None:
+    path = grey(tmp_path, "a.png")
+    save(tmp_path / "masks" / "a.png", left_half())
+    photo = load(path)
+    small, cameras = undistorted([photo], [LENS], max_size=80)
+    large, _ = large_views([PhotoFile.of("a.png", photo.source, LENS)], small, cameras, WIDTH)
+    assert large.have_holes == (True,)
+    assert abs(float(large.masks[0, :HEIGHT, :WIDTH].float().mean()) - 0.5) < 0.03
+
+
+@pytest.mark.parametrize("fit", ["crop", "pad"])
+def test_views_of_networks_have_the_mask(tmp_path: Path, fit: str) -> None:
+    pixels = np.full((HEIGHT, WIDTH, 3), 120, np.uint8)
+    photo = Photo("a.jpg", tmp_path, pixels, mask=left_half() > 0)
+    views = network_views([photo, replace(photo, mask=None)], 84, 14, fit)
+    masked, whole = views.masks
+    middle = masked.shape[1] // 2
+    assert not masked[:, middle + 2 :].any()
+    assert masked[:, : middle - 2].equal(whole[:, : middle - 2])
+    assert torch.isfinite(views.images).all()
