@@ -349,7 +349,8 @@ def page(found: list[Outcome], command: str, seconds: float) -> str:
         intro.replace("\n", " "),
         table(found),
         "After a kill comes what the next run does first: it sweeps what was left. No command is killed in its first "
-        "0.8 CPU seconds, in which Python itself starts. Every case with its message, exit code, time and files is in "
+        "0.8 seconds, in which Python itself starts. Seconds of kills are those that the command computed where their "
+        "name says CPU, and those of the clock elsewhere. Every case with its message, exit code, time and files is in "
         "`benchmarks/results/abuse.json`.",
         "## Cases that are not clean",
         markdown(("inputs", "case", "faults"), [(e.family, f"`{e.what}`", "; ".join(e.faults)) for e in faulty])

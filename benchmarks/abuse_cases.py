@@ -154,7 +154,7 @@ def _exposures(sound: Sound) -> Iterator[Case]:
     lies = [(what, json.dumps({"photos": [{"name": "0.png", "matrix": m}]}).encode()) for what, m in matrices.items()]
     twice = json.loads(whole)["photos"] * 2
     lies += [("sound", whole), ("twice", json.dumps({"photos": twice}).encode())]
-    for what, content in (*lies, *changed_json(whole, "exposures", 40), *damaged(whole, "exposures", 20, 8)):
+    for what, content in (*lies, *changed_json(whole, "exposures", 20), *damaged(whole, "exposures", 10, 4)):
         for option in ((), ("--exposure", "off")):
             command = ("tto", "s", "--steps", "0", *option, QUIET)
             text = f"{what}{', --exposure off' if option else ''}"

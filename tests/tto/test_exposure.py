@@ -272,6 +272,8 @@ def test_files(tmp_path: Path) -> None:
         ([{"name": "a", "matrix": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}], "3 × 4"),
         ([{"name": "a", "matrix": [[1, 0, 0, float("nan")], [0, 1, 0, 0], [0, 0, 1, 0]]}], "finite"),
         ([{"name": "a", "matrix": [[0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]}], "inverted"),
+        ([{"name": "a", "matrix": [[1, 1e30, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]}], "no exposure's"),
+        ([{"name": "a", "matrix": [[1e300] * 4, [-1e300] * 4, [1e300, 0, 0, 0]]}], "no exposure's"),
     ],
 )
 def test_damaged_files(entries: list[dict[str, object]], message: str, tmp_path: Path) -> None:

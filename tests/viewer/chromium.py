@@ -27,7 +27,7 @@ FLAGS = (
     ),
     *("--host-resolver-rules=MAP * ~NOTFOUND , EXCLUDE 127.0.0.1", "--remote-debugging-pipe"),
 )
-PATIENCE = 60.0
+PATIENCE = 180.0
 """Seconds until a state that does not come is an error. The tests share their machine."""
 
 

@@ -45,6 +45,7 @@ class Scene:
 
     @cached_property
     def gaussians(self) -> Gaussians:
+        """The Gaussians of the file, in float32, with their backdrop where they have one."""
         return read_gaussians(self.ply)
 
     @property

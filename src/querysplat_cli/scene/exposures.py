@@ -14,6 +14,11 @@ from querysplat_cli.runtime.json_files import read_json
 from querysplat_cli.scene.tensor_dataclass import TensorDataclass
 from querysplat_cli.scene.views import Views
 
+LARGEST = 1e3
+"""The largest number in a transform that is read. Ten stops between photos are a factor of 1,024 in light, and far less
+in sRGB.
+"""
+
 
 @dataclass(frozen=True)
 class Exposures(TensorDataclass):
@@ -73,6 +78,8 @@ def read_exposures(path: Path, names: Sequence[str]) -> Exposures | None:
         ) from error
     if matrices.shape[1:] != (3, 4) or not bool(matrices.isfinite().all()):
         raise QuerySplatError(f"{path} is damaged: it must hold 3 × 4 finite numbers for each photo", MAKE_AGAIN)
+    if bool((matrices.abs() > LARGEST).any()):
+        raise QuerySplatError(f"{path} is damaged: it holds a transform that is no exposure's", MAKE_AGAIN)
     if bool((torch.linalg.det(matrices[:, :, :3]).abs() < 1e-6).any()):
         raise QuerySplatError(f"{path} is damaged: it holds a transform that cannot be inverted", MAKE_AGAIN)
     return Exposures(matrices)
