@@ -4,16 +4,22 @@ import json
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
+import pycolmap
 import pytest
 import torch
+from plyfile import PlyData
 
 from querysplat_cli.cli import run
 from querysplat_cli.runtime.errors import ExitCode
-from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.cameras import Cameras, PhotoCamera
+from querysplat_cli.scene.formats.known import read_known_cameras
 from querysplat_cli.scene.formats.ply import read_ply, write_ply
 from querysplat_cli.scene.formats.transforms import read_cameras, read_working_cameras, write_cameras
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.scene.views import Views
+from querysplat_cli.scene.photo_files import PhotoFile, write_photo_files
+from querysplat_cli.scene.views import PhotoSource, Views
 from querysplat_cli.splat.render import render
 
 BODY = 600
@@ -152,3 +158,46 @@ def test_a_file_without_a_finite_gaussian_is_refused(tmp_path: Path, capsys: pyt
     (tmp_path / "a.ply").write_bytes(content)
     assert run(["convert", str(tmp_path / "a.ply"), str(tmp_path / "b.ply")]) == ExitCode.BAD_INPUT
     assert "no Gaussian with finite numbers" in capsys.readouterr().err
+
+
+def test_points_are_the_opaque_gaussians(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    said = converted(capsys, scene, tmp_path / "p.ply", "--points", "--scale", "2", "--clean")
+    vertices = PlyData.read(str(tmp_path / "p.ply"))["vertex"].data
+    assert said["gaussians"] == len(vertices) == BODY
+    assert vertices.dtype.names == ("x", "y", "z", "red", "green", "blue")
+    assert vertices["z"].min() >= 8
+    assert len(np.unique(vertices["red"])) > 20
+    assert said["scene"] is None
+    assert run(["convert", str(scene), str(tmp_path / "p.spz"), "--points"]) == ExitCode.BAD_INPUT
+
+
+def test_a_scene_becomes_a_colmap_model_of_its_photos(scene: Path, tmp_path: Path) -> None:
+    """The lens is that of the photo, at the size of its file; the pinhole cameras are those of cameras.json."""
+    folder = scene.with_suffix("")
+    cv2.imwrite(str(tmp_path / "a.png"), np.zeros((600, 800, 3), np.uint8))
+    lens = PhotoCamera(np.eye(4), (500.0, 505.0), (320.0, 241.0), (0.1, -0.02, 0.001, 0.0), 480, 640)
+    files = [PhotoFile.of(name, PhotoSource(tmp_path / name), lens) for name in ("a.png", "b.png")]  # b.png is gone
+    write_photo_files(folder / "photos.json", files)
+    assert run(["convert", str(folder), str(tmp_path / "model"), "-q"]) == 0
+    found = read_known_cameras(tmp_path / "model")
+    poses = read_known_cameras(folder / "cameras.json")
+    assert found["a.png"].distortion == pytest.approx(lens.distortion)
+    assert (found["a.png"].height, found["a.png"].width) == (600, 800)
+    assert found["a.png"].focal == pytest.approx((625.0, 631.25))
+    assert (found["b.png"].height, found["b.png"].focal) == (480, pytest.approx(lens.focal))
+    assert (found["c.png"].width, found["c.png"].distortion) == (192, (0, 0, 0, 0))  # no lens is known
+    for name, camera in poses.items():
+        assert found[name].w2c == pytest.approx(camera.w2c, abs=1e-6)
+    assert len(pycolmap.Reconstruction(tmp_path / "model").points3D) == BODY + 4
+    assert run(["convert", str(folder / "cameras.json"), str(tmp_path / "small"), "-q"]) == 0
+    assert {camera.width for camera in read_known_cameras(tmp_path / "small").values()} == {192}
+
+
+def test_float_depth_is_that_of_the_surface(scene: Path, tmp_path: Path) -> None:
+    assert run(["render", str(scene), "-o", str(tmp_path / "frames"), "--float-depth", "-q"]) == 0
+    depth = np.load(tmp_path / "frames" / "b_depth.npy")
+    confidence = np.load(tmp_path / "frames" / "b_confidence.npy")
+    assert depth.dtype == confidence.dtype == np.float32
+    assert depth.shape == confidence.shape == (144, 192)
+    assert 0 <= confidence.min() <= confidence.max() <= 1
+    assert 3.5 < depth[72, 96] < 6.5

@@ -12,10 +12,8 @@ from torch.nn import functional as F
 from querysplat_cli.cli import run
 from querysplat_cli.pipeline import optimise
 from querysplat_cli.pipeline.full_size import files_of
-from querysplat_cli.pipeline.read_scene import read_scene
+from querysplat_cli.pipeline.read_scene import read_scene, read_scene_gaussians
 from querysplat_cli.reporting.view_scores import score
-from querysplat_cli.scene.formats.ply import read_ply
-from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.photo_files import large_views
 from querysplat_cli.splat.smoothing import least_scales
 from querysplat_cli.tto import features
@@ -43,7 +41,7 @@ def decibels(ply: Path) -> list[float]:
     """PSNR of held-out photos at half the working size, at that size and at twice of it, on grey."""
     scene, _ = read_scene(ply)
     assert scene.heldout
-    gaussians, (views, cameras) = read_ply(ply), scene.heldout
+    gaussians, (views, cameras) = read_scene_gaussians(ply, scene), scene.heldout
     double = large_views(files_of(scene, views), views, cameras, 2 * WORKING)
     rows, columns = (size // 2 for size in views.images.shape[2:])
     smaller = replace(
@@ -62,16 +60,17 @@ def test_no_gaussian_of_the_file_is_thinner_than_pixels_and_far_away_is_better(
     photos: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     smooth = reconstruct(photos, "smooth.ply")
-    scene, _ = read_scene(smooth)
 
-    def thinnest(some: Gaussians) -> Tensor:
+    def thinnest(ply: Path) -> Tensor:
+        scene, _ = read_scene(ply)
+        some = read_scene_gaussians(ply, scene)
         return some.scales.amin(1) / least_scales(some.means, scene.cameras)
 
-    assert float(thinnest(read_ply(smooth)).min()) > 1 - 1e-4
+    assert float(thinnest(smooth).min()) > 1 - 1e-4
     monkeypatch.setattr(features, "convolved", lambda gaussians, cameras: gaussians)
     monkeypatch.setattr(optimise, "bounded", lambda gaussians, cameras: gaussians)
     free = reconstruct(photos, "free.ply")
-    assert float((thinnest(read_ply(free)) < 1).float().mean()) > 0.05
+    assert float((thinnest(free) < 1).float().mean()) > 0.05
     with_filter, without = decibels(smooth), decibels(free)
     gains = [one - other for one, other in zip(with_filter, without, strict=True)]
     # Half as large, where thin Gaussians flicker, is better. The drawn room's hard edges cost a little elsewhere, which

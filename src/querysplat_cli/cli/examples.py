@@ -39,7 +39,8 @@ EXAMPLES = {
         ("convert scene.ply scene.sog", "for PlayCanvas and SuperSplat"),
         ("convert scene.ply upright.ply --up z", "turn the axis that points up to -y"),
         ("convert scene.ply clean.ply --clean", "without floaters, and what that costs"),
-        ("convert scene model/ --text", "the cameras as a COLMAP model"),
+        ("convert scene.ply points.ply --points", "a coloured point cloud"),
+        ("convert scene model/ --text", "a COLMAP model: the photos' lenses, and points"),
     ),
     "info": (
         ("info scene.ply", "count, extent, histograms, and what is odd"),

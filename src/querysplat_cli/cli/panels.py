@@ -26,7 +26,10 @@ PANELS = {
     "Cases": ("splits", "protocol", "views", "scales", "cases", "shard", "splits_only", "merge"),
     "Rows and scores": ("sweep", "predictions", "name", "metrics", "fitted"),
     "Pictures": ("frames", "seconds", "fps", "size", "background", "query"),
-    "Changes": ("up", "scale", "clean", "prune_to", "crop", "remove", "keep_sphere", "text", "spz_version"),
+    "Changes": (
+        *("up", "scale", "clean", "prune_to", "crop", "remove", "keep_sphere"),
+        *("points", "text", "spz_version"),
+    ),
     "Output": (
         *(
             "ply",
@@ -35,6 +38,7 @@ PANELS = {
             "frame",
             "plot",
             "depth",
+            "float_depth",
             "alpha",
             "save_pictures",
             "nerfbaselines",

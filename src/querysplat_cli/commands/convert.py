@@ -1,21 +1,24 @@
 """What `convert` does: Gaussians from one kind of file to another, and cameras from one kind to another."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from querysplat_cli.commands.convert_gaussians import convert_gaussians
+from querysplat_cli.commands.convert_gaussians import backdrop_of, convert_gaussians
 from querysplat_cli.commands.convert_request import Conversion
-from querysplat_cli.pipeline.gaussian_files import READERS
+from querysplat_cli.pipeline.gaussian_files import READERS, file_of_scene, read_gaussians
 from querysplat_cli.pipeline.scene_folder import write_images
 from querysplat_cli.runtime.errors import QuerySplatError
-from querysplat_cli.scene.cameras import PhotoCamera
+from querysplat_cli.scene.cameras import PhotoCamera, rescaled
 from querysplat_cli.scene.files import atomic_folder, refuse_existing
 from querysplat_cli.scene.formats.colmap import copy_colmap, write_colmap
 from querysplat_cli.scene.formats.known import find_known_cameras, read_known_cameras
+from querysplat_cli.scene.formats.point_cloud import PointCloud, points_of
 from querysplat_cli.scene.formats.transforms import write_transforms
 from querysplat_cli.scene.formats.transforms_frame import is_rigid
 from querysplat_cli.scene.match_cameras import match_cameras
+from querysplat_cli.scene.photo_files import read_photo_files
 from querysplat_cli.scene.photos import WHOLE, find_photos, load_photo, short_names
 from querysplat_cli.scene.pictures import stored_name
 from querysplat_cli.scene.undistort import undistorted
@@ -63,8 +66,30 @@ def _convert_cameras(request: Conversion) -> dict[str, Any]:
             if source.is_dir():
                 copy_colmap(source, draft, text=request.text)
             else:
-                write_colmap(draft, cameras, text=request.text)
+                points = None
+                if request.source.is_dir():
+                    cameras, points = _with_lenses(source.parent, cameras), _points(source.parent)
+                write_colmap(draft, cameras, points=points, text=request.text)
     return {"target": str(request.target), "cameras": len(cameras), "left_out": left_out}
+
+
+def _with_lenses(folder: Path, cameras: Mapping[str, PhotoCamera]) -> dict[str, PhotoCamera]:
+    """The cameras of a scene with the lenses of its photos, at the photos' own size, where these are known."""
+    found = dict(cameras)
+    for name, file in read_photo_files(folder / "photos.json").items():
+        if name in cameras:
+            lens = rescaled(file.lens, *file.full_size()) if file.path.is_file() else file.lens
+            found[name] = replace(lens, w2c=cameras[name].w2c)
+    return found
+
+
+def _points(folder: Path) -> PointCloud | None:
+    """The points of the Gaussians beside a scene folder, without the backdrop."""
+    file = file_of_scene(folder)
+    if not file.is_file():
+        return None
+    gaussians = read_gaussians(file)
+    return points_of(gaussians[: len(gaussians) - backdrop_of(file, len(gaussians))])
 
 
 def _make_scene_folder(target: Path, cameras: Mapping[str, PhotoCamera], place: Path) -> dict[str, Any]:

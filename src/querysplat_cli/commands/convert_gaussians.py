@@ -22,6 +22,7 @@ from querysplat_cli.pipeline.gaussian_files import (
 from querysplat_cli.reporting.stored_report import read_report
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.files import atomic_together, refuse_existing
+from querysplat_cli.scene.formats.point_cloud import points_of, write_points
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.rotations import skew
 from querysplat_cli.scene.sim3 import Sim3
@@ -37,22 +38,33 @@ def convert_gaussians(request: Conversion) -> dict[str, Any]:
     Returns the dict that --json prints. Raises QuerySplatError, and writes nothing, on bad input.
     """
     check_target(request.target)
+    if request.points and request.target.suffix.lower() != ".ply":
+        raise QuerySplatError(f"{request.target}: points are written as .ply", "Choose a target that ends in .ply.")
     gaussians = read_gaussians(request.source)
     folder = _folder(request)
     place = Sim3(request.scale, _turn(request, gaussians), torch.zeros(3).double())
     views = compared_views(request.source, gaussians)
     here = views.here(gaussians)
     before = views.psnr(here)
-    kept, steps = edited(request, here, place.apply(gaussians.means), _backdrop(request.source, len(gaussians)), views)
+    backdrop = backdrop_of(request.source, len(gaussians))
+    kept, steps = edited(request, here, place.apply(gaussians.means), backdrop, views)
+    levels = [before, *(step.psnr for step in steps)]
     placed = transform_gaussians(gaussians, place) if place.scale != 1.0 or request.up else gaussians
     with ExitStack() as stack:
         drafts = stack.enter_context(atomic_together(request.target, *([folder] if folder else [])))
-        written = write_gaussians(drafts[0], placed[kept], request.spz_version)
-        after = _psnr_of_file(drafts[0], place, views)
+        if request.points:
+            body = kept & (torch.arange(len(kept)) < len(kept) - backdrop)
+            cloud = points_of(placed[body])
+            if not len(cloud):
+                raise QuerySplatError("no Gaussian is half opaque, so there is no point", "Convert without --points.")
+            write_points(drafts[0], cloud)
+            written, after = len(cloud), levels[-1]
+        else:
+            written = write_gaussians(drafts[0], placed[kept], request.spz_version)
+            after = _psnr_of_file(drafts[0], place, views)
         size = drafts[0].stat().st_size
         if folder:
             write_moved_folder(folder_of_scene(request.source), drafts[1], place, kept)
-    levels = [before, *(step.psnr for step in steps)]
     return {
         "target": str(request.target),
         "scene": str(folder) if folder else None,
@@ -73,7 +85,7 @@ def convert_gaussians(request: Conversion) -> dict[str, Any]:
 def _folder(request: Conversion) -> Path | None:
     """Where the scene's folder is written as well. Raises QuerySplatError where something else is."""
     source, target = folder_of_scene(request.source), folder_of_scene(request.target)
-    if not (source / "cameras.json").is_file() or not request.changes:
+    if not (source / "cameras.json").is_file() or not request.changes or request.points:
         return None
     if target.resolve() == source.resolve():
         raise QuerySplatError(
@@ -84,7 +96,7 @@ def _folder(request: Conversion) -> Path | None:
     return target
 
 
-def _backdrop(source: Path, count: int) -> int:
+def backdrop_of(source: Path, count: int) -> int:
     """How many of the Gaussians, the last ones, are a backdrop."""
     file = folder_of_scene(source) / "report.json"
     if not file.is_file():

@@ -117,6 +117,7 @@ class Conversion:
         Ge(1),
         Option("Keep the N Gaussians whose absence would change the views most.", ("--prune",), metavar="N"),
     ] = None
+    points: Annotated[bool, Option("Write a point cloud: centres and colours of the opaque Gaussians.")] = False
     force: Force = False
 
     @property

@@ -8,6 +8,7 @@ from typing import Any
 import av
 import numpy as np
 import torch
+from torch import Tensor
 
 from querysplat_cli.commands.requests import RenderRequest
 from querysplat_cli.pipeline.gaussian_files import file_of_scene, folder_of_scene, read_gaussians
@@ -20,6 +21,7 @@ from querysplat_cli.scene.formats.transforms import NamedCameras, read_cameras, 
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.paths import interpolate, opaque_centres, orbit, surround
 from querysplat_cli.scene.pictures import eight_bit, write_picture
+from querysplat_cli.splat.depth_confidence import depth_confidence
 from querysplat_cli.splat.render import Rendering, render
 from querysplat_cli.splat.transform import transform_gaussians
 
@@ -71,15 +73,17 @@ def render_file(request: RenderRequest, stages: Stages) -> Rendered:
                 _write_film(draft, pictures, request.fps)
         else:
             with atomic_folder(request.target) as draft:
-                for name, picture in zip(names, pictures, strict=True):
+                for name, (picture, confidence) in zip(names, pictures, strict=True):
                     _write_frame(draft / name, picture, request, unit)
+                    if confidence is not None:
+                        _write_floats(draft / name, picture, confidence, unit)
                 write_transforms(draft / "cameras.json", listed)
     return Rendered(str(request.target), len(cameras), len(gaussians), stages.seconds)
 
 
 def _check_target(request: RenderRequest) -> None:
-    if request.is_film and (request.depth or request.alpha):
-        raise QuerySplatError("--depth and --alpha are pictures, not films", "Write to a folder instead of an .mp4.")
+    if request.is_film and (request.depth or request.alpha or request.float_depth):
+        raise QuerySplatError("depth and --alpha are pictures, not films", "Write to a folder instead of an .mp4.")
     if request.seconds and not request.is_film:
         raise QuerySplatError("--seconds is for films", "Write to an .mp4, or leave it out.")
     if request.target.suffix.lower() in OTHER_KINDS:
@@ -149,14 +153,16 @@ def _listed(
 
 def _render_each(
     gaussians: Gaussians, cameras: Cameras, sizes: list[tuple[int, int]], request: RenderRequest, progress: Any
-) -> Iterator[Rendering]:
+) -> Iterator[tuple[Rendering, Tensor | None]]:
+    """Each picture, and the confidence [height, width] of its depth where that is asked for."""
     background = torch.tensor(request.background)
     for i, (height, width) in enumerate(sizes):
         view = Cameras(cameras.w2c[[i]], cameras.K[[i]], height, width)
         if request.size:
             view = view.resized(*request.size)
         with torch.no_grad():
-            yield render(gaussians, view, background=background)
+            picture = render(gaussians, view, background=background)
+            yield picture, depth_confidence(gaussians, view, picture) if request.float_depth else None
         progress("", (i + 1) / len(sizes))
 
 
@@ -172,11 +178,17 @@ def _write_frame(path: Path, picture: Rendering, request: RenderRequest, unit: f
         )
 
 
-def _write_film(path: Path, pictures: Iterator[Rendering], fps: int) -> None:
+def _write_floats(path: Path, picture: Rendering, confidence: Tensor, unit: float) -> None:
+    """Depth in units of the scene's files, and its confidence, as arrays [height, width] of float32."""
+    np.save(path.with_name(f"{path.name}_depth.npy"), (picture.depth[0] * unit).numpy())
+    np.save(path.with_name(f"{path.name}_confidence.npy"), confidence.numpy())
+
+
+def _write_film(path: Path, pictures: Iterator[tuple[Rendering, Tensor | None]], fps: int) -> None:
     """Write an H.264 film, which every browser and player shows."""
     with av.open(str(path), "w") as film:
         stream = None
-        for picture in pictures:
+        for picture, _ in pictures:
             frame = eight_bit(picture.colour[0].clamp(0, 1))
             frame = frame[: frame.shape[0] // 2 * 2, : frame.shape[1] // 2 * 2]  # H.264 needs even sizes
             if stream is None:

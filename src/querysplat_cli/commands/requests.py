@@ -92,6 +92,9 @@ class RenderRequest:
         Option("The colour behind the scene: red, green and blue from 0 to 1.", metavar="R,G,B", parse=read_colour),
     ] = (0.0, 0.0, 0.0)
     depth: Annotated[bool, Option("Write depth, too: 16-bit PNG, in thousandths of a scene unit.")] = False
+    float_depth: Annotated[
+        bool, Option("Write depth, too, and its confidence: .npy of 32-bit floats, depth in scene units.")
+    ] = False
     alpha: Annotated[bool, Option("Write opacity, too: 8-bit PNG.")] = False
     force: Force = False
 

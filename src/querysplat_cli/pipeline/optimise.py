@@ -60,11 +60,11 @@ def optimise_start(
     adapted = adapt(model, start, target, plan, options, _shown(plan, progress), look)
     if target.finest is not None:
         finest = _enlarged(adapted.cameras, options.finest_size)
-        adapted = replace(adapted, gaussians=bounded(adapted.gaussians, finest))
+        adapted = replace(adapted, gaussians=bounded(drawn_in(adapted.gaussians, adapted.cameras), finest))
     if not options.keep_all:
         last, tested = replace(target, cameras=adapted.cameras), tested_views(len(target.views))
         fewer, idle = without_idle_bands(adapted.gaussians, lambda some: last.psnr(some, tested))
-        adapted = replace(adapted, gaussians=drawn_in(fewer, adapted.cameras), idle_bands=idle)
+        adapted = replace(adapted, gaussians=fewer, idle_bands=idle)
     return to_device(adapted, torch.device("cpu"))
 
 

@@ -11,6 +11,7 @@ from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.json_files import shown
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.formats.colmap_files import check_binary
+from querysplat_cli.scene.formats.point_cloud import PointCloud
 from querysplat_cli.scene.photos import names_a_photo, short_names
 
 MODEL_FOLDERS = ("", "0", "sparse", "sparse/0", "colmap/sparse/0")
@@ -90,8 +91,10 @@ def _cameras(folder: Path, lenses: Mapping[str, tuple[int, ...]]) -> dict[str, P
     return cameras
 
 
-def write_colmap(folder: Path, cameras: Mapping[str, PhotoCamera], *, text: bool = False) -> None:
-    """Write a model without points into the empty `folder`; photos with equal intrinsics share one camera."""
+def write_colmap(
+    folder: Path, cameras: Mapping[str, PhotoCamera], *, points: PointCloud | None = None, text: bool = False
+) -> None:
+    """Write a model into the empty `folder`. Photos with equal intrinsics share a camera; none observes `points`."""
     pycolmap = load_pycolmap()
     model = pycolmap.Reconstruction()
     numbers: dict[tuple[object, ...], int] = {}
@@ -108,6 +111,8 @@ def write_colmap(folder: Path, cameras: Mapping[str, PhotoCamera], *, text: bool
             )
         image = pycolmap.Image(name=name, camera_id=numbers[key], image_id=image_id)
         model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(camera.w2c[:3]))
+    for place, colour in zip(points.places, points.colours, strict=True) if points else ():
+        model.add_point3D(place.astype(np.float64), pycolmap.Track(), colour)
     (model.write_text if text else model.write_binary)(folder)
 
 
