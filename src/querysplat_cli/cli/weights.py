@@ -32,7 +32,7 @@ def _table(found: Any) -> Any:
         ("licence", wanted.licence),
         ("is", str(found.path) if found.path else f"not here: {found.absent}"),
         ("sha256", found.sha256 or wanted.sha256 or "not published; the tensors are checked one by one"),
-        ("fault", f"[red]{found.fault}[/red]" if found.fault else ""),
+        ("fault", found.fault),
     ]
     return rows_table(wanted.file, [row for row in rows if row[1]], indent=2)
 

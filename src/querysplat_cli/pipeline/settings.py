@@ -181,8 +181,8 @@ class ReconstructSettings:
     lens: Annotated[
         Lens,
         Option(
-            "equirectangular: the photos are panoramas of 360°, which become views of 100°. auto: those that say so "
-            "in their XMP data."
+            "Which photos are panoramas of 360°, which become views of 100°. equirectangular: all of them. auto: those "
+            "that say so in their XMP data."
         ),
     ] = "auto"
     device: Device = "auto"
