@@ -16,6 +16,7 @@ from querysplat_cli.encoders.classical.compile_depth import (
     wait_until_compiled,
 )
 from querysplat_cli.encoders.classical.encoder import ClassicalEncoder
+from querysplat_cli.encoders.classical.search import AUTOMATIC
 
 
 def silent(text: str, fraction: float) -> None:
@@ -26,7 +27,7 @@ def test_nothing_is_left_to_compile() -> None:
     _compile()
     before = [list(function.signatures) for function, _ in SIGNATURES]
     assert all(before)
-    encoder = ClassicalEncoder()
+    encoder = ClassicalEncoder(AUTOMATIC)
     posed = encoder.estimate_cameras(photographs(room(), arc(4)), CameraRequest(128, 0, None), silent)
     encoder.estimate_geometry(posed, seed=0, progress=silent)
     assert [list(function.signatures) for function, _ in SIGNATURES] == before
