@@ -12,7 +12,6 @@ from safetensors.torch import load_file
 
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.formats.ply import columns, export_rows, read_ply, write_ply
-from querysplat_cli.scene.formats.ply_columns import read_columns
 from querysplat_cli.scene.gaussians import Gaussians
 
 
@@ -188,48 +187,16 @@ def test_files_that_are_no_scene_are_refused(tmp_path: Path) -> None:
             read_ply(tmp_path / f"{name}.ply")
 
 
-def test_the_bytes_are_those_of_plyfile(tmp_path: Path) -> None:
-    """An independent writer of the format makes the same file of the same columns."""
-    scene = gaussians(9, 1)
-    write_ply(tmp_path / "ours.ply", scene, comments=["a comment"])
-    PlyData.read(tmp_path / "ours.ply").write(tmp_path / "theirs.ply")
-    assert (tmp_path / "ours.ply").read_bytes() == (tmp_path / "theirs.ply").read_bytes()
-
-
-@pytest.mark.parametrize(("text", "order"), [(True, "="), (False, "<"), (False, ">")])
-def test_files_of_every_form_and_type_are_read(tmp_path: Path, text: bool, order: str) -> None:
-    """Elements in front of the vertices are skipped, and faces after them do not matter. plyfile writes the file."""
-    kinds = ["i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8"]
-    vertices = np.array([tuple(range(8)), tuple(range(8, 16))], [(f"p{kind}", kind) for kind in kinds])
-    ahead = np.zeros(3, [("a", "f8"), ("b", "u1")])
-    faces = np.array([([0, 1, 2],), ([0, 1],)], [("indices", object)])
-    elements = [
-        PlyElement.describe(ahead, "camera"),
-        PlyElement.describe(vertices, "vertex"),
-        PlyElement.describe(faces, "face", val_types={"indices": "i4"}, len_types={"indices": "u1"}),
-    ]
-    PlyData(elements, text=text, byte_order=order, comments=["a word"]).write(tmp_path / "a.ply")
-    found = read_columns(tmp_path / "a.ply")
-    assert found is not None
-    assert list(found) == [f"p{kind}" for kind in kinds]
-    for name in found:
-        np.testing.assert_array_equal(found[name], vertices[name])
-    windows = (tmp_path / "a.ply").read_bytes().replace(b"\n", b"\r\n") if text else None
-    if windows:
-        (tmp_path / "w.ply").write_bytes(windows)
-        assert read_columns(tmp_path / "w.ply") is not None
-
-
 def test_an_interrupted_write_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "scene.ply"
     write_ply(path, gaussians(3, 0))
     before = path.read_bytes()
 
-    def interrupted(path: Path, columns: object, comments: object) -> None:
-        path.write_bytes(b"half")
+    def interrupted(self: PlyData, stream: str) -> None:
+        Path(stream).write_bytes(b"half")
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("querysplat_cli.scene.formats.ply.write_columns", interrupted)
+    monkeypatch.setattr(PlyData, "write", interrupted)
     with pytest.raises(KeyboardInterrupt):
         write_ply(path, gaussians(9, 0))
     assert path.read_bytes() == before

@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 import torch
 from jaxtyping import Float
+from plyfile import PlyData, PlyElement
 from torch import Tensor
 
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.files import atomic_path
-from querysplat_cli.scene.formats.ply_columns import Columns, DamagedPly, SurplusPly, read_columns, write_columns
 from querysplat_cli.scene.gaussians import Gaussians
 
 NORMALS = ["nx", "ny", "nz"]
@@ -48,10 +48,12 @@ def write_ply(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = 
     if not len(finite):
         raise NoGaussian(path)
     names = columns(gaussians.sh_degree)
-    zero = np.zeros(len(finite), np.float32)
-    found = dict.fromkeys(names[:3] + NORMALS + names[3:], zero) | dict(zip(names, finite.numpy().T, strict=True))
+    vertices = np.zeros(len(finite), [(name, "<f4") for name in names[:3] + NORMALS + names[3:]])
+    for name, column in zip(names, finite.numpy().T, strict=True):
+        vertices[name] = column
+    element = PlyElement.describe(vertices, "vertex")
     with atomic_path(path) as draft:
-        write_columns(draft, found, comments)
+        PlyData([element], byte_order="<", comments=list(comments)).write(str(draft))
     return len(finite)
 
 
@@ -64,7 +66,7 @@ def read_ply(path: str | Path) -> Gaussians:
     """
     path = Path(path)
     vertices = _vertices(path)
-    present = tuple(vertices)
+    present = vertices.dtype.names or ()
     rest = sum(name.startswith("f_rest_") for name in present)
     missing = [name for name in columns(0) if name not in present]
     if "packed_position" in present:
@@ -79,6 +81,8 @@ def read_ply(path: str | Path) -> Gaussians:
     names = columns(REST_COUNTS.get(rest, 0))
     if rest not in REST_COUNTS or not set(names) <= set(present):
         raise QuerySplatError(f"{path}: its {rest} f_rest properties fit no SH degree from 0 to 3", "Export it again.")
+    if any(vertices.dtype[name].kind not in "fiu" for name in names):
+        raise QuerySplatError(f"{path}: some properties of its Gaussians are lists", "Export it again.")
     rows = torch.from_numpy(np.stack([vertices[name] for name in names], 1).astype(np.float64))
     gaussians = _gaussians(rows[~rows.isnan().any(1)])
     gaussians = gaussians[gaussians.finite]
@@ -134,15 +138,18 @@ def _gaussians(rows: Float[Tensor, "rows columns"]) -> Gaussians:
     ).to(torch.float32)
 
 
-def _vertices(path: Path) -> Columns:
+def _vertices(path: Path) -> np.ndarray:
     if not path.is_file():
         raise QuerySplatError(f"{path}: no such file", "Give a 3D Gaussian splatting .ply.")
     try:
-        vertices = read_columns(path)
-    except SurplusPly as error:
-        raise QuerySplatError(f"{path}: {error}", "Export or download it again.") from None
-    except (DamagedPly, ValueError, OSError, MemoryError) as error:
+        with path.open("rb") as stream:
+            data = PlyData.read(stream)
+            surplus = not data.text and stream.read(1)
+        vertices = data["vertex"].data
+    except KeyError:
+        raise QuerySplatError(f"{path}: a .ply without vertices", "Give a 3D Gaussian splatting .ply.") from None
+    except Exception as error:  # damage can raise anything in the parser
         raise QuerySplatError(f"{path}: damaged, or no .ply: {error}", "Export or download it again.") from error
-    if vertices is None:
-        raise QuerySplatError(f"{path}: a .ply without vertices", "Give a 3D Gaussian splatting .ply.")
+    if surplus:
+        raise QuerySplatError(f"{path}: holds more data than its header says", "Export or download it again.")
     return vertices
