@@ -1,5 +1,6 @@
 """Shared fixtures. Every jaxtyping annotation outside compiled code is checked while the tests run."""
 
+import signal
 from pathlib import Path
 
 import hypothesis
@@ -21,6 +22,9 @@ install_import_hook(
 
 hypothesis.settings.register_profile("querysplat", deadline=None, derandomize=True)
 hypothesis.settings.load_profile("querysplat")
+
+# `nohup` starts programs with SIGHUP ignored, and they leave it so. Tests of that signal need it as it usually is.
+signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 def _found(variable: str) -> Path:
