@@ -20,10 +20,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import torch
 
 from common.output import markdown, write_json
 from querysplat_cli.cli import run
+from querysplat_cli.commands.edits import inside_box
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.formats.ply import read_ply, write_ply
 from querysplat_cli.scene.gaussians import Gaussians
@@ -50,8 +50,7 @@ class Stage:
 
 def cut(gaussians: Gaussians, box: tuple[float, ...]) -> Gaussians:
     """The Gaussians whose centres are not in the box (x0, y0, z0, x1, y1, z1)."""
-    low, high = torch.tensor(box[:3]), torch.tensor(box[3:])
-    inside = ((gaussians.means >= low) & (gaussians.means <= high)).all(1)
+    inside = inside_box(box, gaussians.means)
     if not inside.any():
         raise QuerySplatError(f"no centre of a Gaussian is in the box {box}", "Give another box.")
     return gaussians[~inside]

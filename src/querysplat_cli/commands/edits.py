@@ -66,10 +66,10 @@ def _finders(
     if request.clean:
         yield "clean", lambda here, kept: _dirt(here, kept & body, views)
     if request.crop:
-        crop = ~_inside(request.crop, places)
+        crop = ~inside_box(request.crop, places)
         yield "crop", lambda here, kept: (crop, {})
     if request.remove:
-        inside = _inside(request.remove, places)
+        inside = inside_box(request.remove, places)
         yield "remove", lambda here, kept: (inside, {})
     if request.keep_sphere:
         centre, radius = places.new_tensor(request.keep_sphere[:3]), request.keep_sphere[3]
@@ -99,6 +99,7 @@ def _least(here: Gaussians, kept: Mask, chosen: Mask, most: int, views: Compared
     return gone
 
 
-def _inside(box: tuple[float, ...], places: Float[Tensor, "n 3"]) -> Mask:
+def inside_box(box: tuple[float, ...], places: Float[Tensor, "n 3"]) -> Mask:
+    """Which places lie in the box (x0, y0, z0, x1, y1, z1), its faces included."""
     low, high = places.new_tensor(box).reshape(2, 3)
     return ((places >= low) & (places <= high)).all(1)

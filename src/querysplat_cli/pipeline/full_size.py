@@ -119,7 +119,7 @@ def take_to_full_size(
         drawn_in(to_device(result.gaussians, torch.device("cpu")), photos.cameras),
         result.runs[-1][0].max_size,
         _entries(result),
-        {**_summary(plan, result), "hiding": int(hidden.sum())},
+        _summary(plan, result, int(hidden.sum())),
         result.interrupted,
         result.exposures,
     )
@@ -160,7 +160,7 @@ def _entries(result: FullSizeResult) -> list[dict[str, Any]]:
     return [{**entry, "max_size": size} for entry, size in zip(tto_entries(runs), sizes, strict=True)]
 
 
-def _summary(plan: FullSizePlan, result: FullSizeResult) -> dict[str, Any]:
+def _summary(plan: FullSizePlan, result: FullSizeResult, left_out: int) -> dict[str, Any]:
     return {
         "level": plan.level,
         "ended": result.ended,
@@ -168,4 +168,5 @@ def _summary(plan: FullSizePlan, result: FullSizeResult) -> dict[str, Any]:
         "planned_seconds": round(plan.seconds, 1),
         "stages": [asdict(stage) for stage in plan.stages],
         "most_rounds": plan.most_rounds,
+        "hiding": left_out,
     }
