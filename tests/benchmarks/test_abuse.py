@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+
 from hostile import attempt as runs
 from hostile.attempt import attempt
 from hostile.case import REFUSED, Case, one_file
