@@ -24,7 +24,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file
 
 SLOW = 10.0
-STUCK = 240.0
+STUCK = 240
 """Seconds after which a case is ended."""
 REST = 5.0
 """Seconds without computing after which a process counts as a server that waits."""
@@ -82,9 +82,10 @@ def attempt(case: Any, scratch: Path) -> Outcome:
     temporary.mkdir()
     case.make(work)
     before = snapshot(work)
-    started = time.perf_counter()
-    code = (_call if case.kind == "call" else _process)(case, work, temporary, log)
-    seconds = time.perf_counter() - started
+    run, clock = (_call, time.process_time) if case.kind == "call" else (_process, time.perf_counter)
+    started = clock()
+    code = run(case, work, temporary, log)
+    seconds = clock() - started
     text = log.read_text(errors="replace")
     if case.kind == "kill":
         _next_run(work, temporary)
@@ -110,10 +111,12 @@ def _call(case: Any, work: Path, temporary: Path, log: Path) -> int:
 
     tempfile.tempdir = str(temporary)
     os.chdir(work)
+    signal.alarm(STUCK)
     try:
         with captured(log):
             return int(run(list(case.command)))
     finally:
+        signal.alarm(0)
         os.chdir("/")
         tempfile.tempdir = None
 
