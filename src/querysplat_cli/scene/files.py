@@ -10,7 +10,7 @@ from pathlib import Path
 from querysplat_cli.runtime import signals
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.json_files import shown
-from querysplat_cli.scene.drafts import BEFORE, own_folder
+from querysplat_cli.scene.drafts import BEFORE, DRAFTS, own_folder
 
 NEARLY_FULL = 64 << 20
 """With fewer free bytes, a failed write that gives no reason is taken to be one of a full disk."""
@@ -166,7 +166,9 @@ def _draft(place: Path) -> Iterator[Path]:
         raise why from error
 
 
-def _in_words(error: Exception, path: Path) -> QuerySplatError | None:
+def _in_words(error: Exception, place: Path) -> QuerySplatError | None:
+    # A draft may hold drafts; messages name the output.
+    path = Path(*(part for part in place.parts if not part.startswith(DRAFTS)))
     reason = getattr(error, "errno", None)
     if reason in FORBIDDEN:
         return QuerySplatError(
