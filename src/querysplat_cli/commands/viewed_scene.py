@@ -15,7 +15,7 @@ from torch import Tensor
 from querysplat_cli.pipeline.gaussian_files import file_of_scene, folder_of_scene, read_gaussians
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.files import with_name
-from querysplat_cli.scene.formats.transforms import NamedCameras, read_cameras, working_frame
+from querysplat_cli.scene.formats.transforms import NamedCameras, read_working_cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.paths import opaque_centres, surround
 from querysplat_cli.scene.pictures import stored_name
@@ -61,8 +61,8 @@ def viewed_scene(path: Path) -> ViewedScene:
     path = with_name(path)
     file, folder = file_of_scene(path), folder_of_scene(path)
     gaussians, cameras = read_gaussians(file), folder / "cameras.json"
-    inputs, heldout = read_cameras(cameras) if cameras.is_file() else (None, None)
-    frame = working_frame(cameras) if cameras.is_file() else None
+    inputs, heldout, frame = read_working_cameras(cameras) if cameras.is_file() else (None, None, None)
+    inputs, heldout = (named and named.transformed(frame) for named in (inputs, heldout))
     pictures = folder / "images"
     views: list[dict[str, Any]] = []
     photos: dict[str, Path] = {}

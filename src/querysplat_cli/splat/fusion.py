@@ -14,6 +14,7 @@ from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
 from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.formats.mesh import TriangleMesh, mesh_part
 from querysplat_cli.scene.gaussians import Gaussians
@@ -27,7 +28,7 @@ NO_SURFACE = QuerySplatError("the views show no surface that could become a mesh
 
 @dataclass(frozen=True)
 class FusionPolicy:
-    """How fine a mesh is, and which depth takes part. Chosen on fortress and kermit.
+    """How fine a mesh is, and which depth takes part. Chosen on fortress.
 
     least_confidence: pixels whose depth is less sure take no part (`splat/surface_depth.py`).
     far: share of the surface points, the farthest from their cameras, that need not become part of the mesh.
@@ -72,13 +73,16 @@ class _Grid:
 
 
 @torch.no_grad()
-def fused(gaussians: Gaussians, cameras: Cameras, policy: FusionPolicy = FUSION_POLICY) -> TriangleMesh:
+def fused(
+    gaussians: Gaussians, cameras: Cameras, progress: Progress, policy: FusionPolicy = FUSION_POLICY
+) -> TriangleMesh:
     """The surface that the Gaussians show to the cameras, in their frame.
 
     Raises QuerySplatError where the views show none, and MissingPart without scikit-image.
     """
-    shown = _rendered(gaussians, cameras, policy)
+    shown = _rendered(gaussians, cameras, progress, policy)
     grid, voxels = _near_surfaces(shown, policy)
+    progress("joining depth", 0.7)
     distances = _distances(shown, grid, voxels, policy)
     places, triangles = _zero_crossing(grid, voxels, distances)
     places, triangles = _without_islands(places, triangles, policy)
@@ -86,9 +90,10 @@ def fused(gaussians: Gaussians, cameras: Cameras, policy: FusionPolicy = FUSION_
     return TriangleMesh(places, colours, triangles)
 
 
-def _rendered(gaussians: Gaussians, cameras: Cameras, policy: FusionPolicy) -> _Shown:
+def _rendered(gaussians: Gaussians, cameras: Cameras, progress: Progress, policy: FusionPolicy) -> _Shown:
     depths, sure, colours = [], [], []
     for view in range(len(cameras)):
+        progress(f"depth from camera {view + 1} of {len(cameras)}", 0.7 * view / len(cameras))
         picture = render(gaussians, cameras[[view]])
         surface = surface_depth(gaussians, cameras[[view]], picture)
         depths.append(surface.depth)
@@ -184,9 +189,7 @@ def _zero_crossing(grid: _Grid, voxels: Tensor, distances: Tensor) -> tuple[np.n
     return grid.places(torch.from_numpy(places.copy())).numpy(), triangles.astype(np.int64)
 
 
-def _without_islands(
-    places: np.ndarray, triangles: np.ndarray, policy: FusionPolicy
-) -> tuple[np.ndarray, np.ndarray]:
+def _without_islands(places: np.ndarray, triangles: np.ndarray, policy: FusionPolicy) -> tuple[np.ndarray, np.ndarray]:
     edges = np.concatenate([triangles[:, :2], triangles[:, 1:]])
     links = coo_array((np.ones(len(edges), bool), tuple(edges.T)), shape=(len(places),) * 2)
     island = connected_components(links, directed=False)[1][triangles[:, 0]]

@@ -41,7 +41,7 @@ def mesh_part(module: str) -> Any:
     try:
         return import_module(module)
     except ImportError:
-        part = next(part for part in OPTIONAL_PARTS if part.module == module)
+        part = next(part for part in OPTIONAL_PARTS if part.module == module.split(".")[0])
         raise MissingPart(f"meshes need {part.package}", part.command) from None
 
 
