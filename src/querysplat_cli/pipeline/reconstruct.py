@@ -143,8 +143,9 @@ def _reconstruct(settings: ReconstructSettings, device: torch.device, stages: St
         stored = _stored(inputs, passes, scene, settings)
         if metres:
             stored, report = in_metres(stored, report, metres)
-        write_scene(settings.ply, stored, scene.gaussians, report.as_dict())
-    return report
+        entries = report.as_dict()
+        write_scene(settings.ply, stored, scene.gaussians, entries)
+    return Report.from_dict(entries)
 
 
 def _read_inputs(settings: ReconstructSettings, device: torch.device, stages: Stages) -> _Inputs:

@@ -135,6 +135,7 @@ class _Report:
     scale: _Scale | None = None
     backdrop: Count = 0
     matching: _Matching | None = None
+    bytes: Annotated[int, Ge(0)] | None = None
     warnings: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
 
