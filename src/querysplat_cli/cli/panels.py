@@ -3,7 +3,8 @@
 PANELS = {
     "Scene": ("scene", "scenes", "source", "target", "first", "second"),
     "Photos": (
-        *("inputs", "film_frames", "holdout_every", "max_size", "max_views", "fit", "lens", "exposure"),
+        *("inputs", "film_frames", "holdout_every", "max_size", "max_views", "regions"),
+        *("fit", "lens", "exposure"),
         *("photos", "pictures"),
     ),
     "Quality": (

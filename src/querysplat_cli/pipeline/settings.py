@@ -126,6 +126,16 @@ class ReconstructSettings:
         Ge(1),
         Option("The most photos to use, evenly spaced. auto is as many as memory holds.", metavar="N|auto", auto=True),
     ] = None
+    regions: Annotated[
+        int | None,
+        Ge(1),
+        Option(
+            "Divide the photos into N overlapping groups, make a scene of each, and join the scenes. auto divides more "
+            "than 100 photos.",
+            metavar="N|auto",
+            auto=True,
+        ),
+    ] = None
     fit: Annotated[
         Fit,
         Option("With vggt and vggt_omega: cut photos to a centred square (crop), or show them whole (pad)."),
