@@ -50,7 +50,7 @@ PANELS = {
         ),
         *("with_photos", "view", "browser", "port", "force", "quiet", "json"),
     ),
-    "Machine": ("device", "seed", "workers"),
+    "Machine": ("device", "seed", "workers", "cluster"),
 }
 """The options of each panel, by the names of their fields. A name means the same in every verb that has it.
 

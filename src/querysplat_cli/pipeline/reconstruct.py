@@ -20,11 +20,10 @@ from querysplat_cli.pipeline.metric import in_metres, metres_of
 from querysplat_cli.pipeline.omitted import omissions_of
 from querysplat_cli.pipeline.parts import load_parts
 from querysplat_cli.pipeline.perceptual import optimisation_lpips
-from querysplat_cli.pipeline.policy import PIPELINE_POLICY
-from querysplat_cli.pipeline.regions.build import BuiltRegions, build_regions, region_count
+from querysplat_cli.pipeline.regions.build import build_regions, region_count
 from querysplat_cli.pipeline.scene_folder import StoredScene, refuse_foreign, write_scene
 from querysplat_cli.pipeline.settings import ReconstructSettings
-from querysplat_cli.pipeline.unfinished import Unfinished, unfinished
+from querysplat_cli.pipeline.unfinished import Unfinished, is_long, unfinished
 from querysplat_cli.prune.resolution import Blurred, blurred
 from querysplat_cli.reporting.report import (
     Report,
@@ -40,8 +39,8 @@ from querysplat_cli.reporting.report import (
 from querysplat_cli.reporting.unseen import Unseen, unseen
 from querysplat_cli.reporting.view_scores import Quality, score
 from querysplat_cli.runtime.choices import HoldoutProtocol
+from querysplat_cli.runtime.cluster import find_engine
 from querysplat_cli.runtime.device import find_device, free_bytes, peak_gib
-from querysplat_cli.runtime.engine import InProcess
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.precision import check_precision, matrix_products
 from querysplat_cli.runtime.progress import Stages
@@ -108,15 +107,10 @@ def reconstruct(settings: ReconstructSettings, stages: Stages | None = None) -> 
 
 def _reconstruct(settings: ReconstructSettings, device: torch.device, stages: Stages) -> Report:
     inputs = _read_inputs(settings, device, stages)
-    if not _is_long(inputs, settings):
+    if not is_long(settings, len(inputs.photos)):
         return _made(inputs, settings, stages, None)
     with unfinished(settings, inputs.photos, inputs.size) as work:
         return _made(inputs, settings, stages, work)
-
-
-def _is_long(inputs: _Inputs, settings: ReconstructSettings) -> bool:
-    """Whether what the run reaches is kept until it is done."""
-    return len(inputs.photos) >= PIPELINE_POLICY.long_run_photos or (settings.regions or 1) > 1
 
 
 def _made(inputs: _Inputs, settings: ReconstructSettings, stages: Stages, work: Unfinished | None) -> Report:
@@ -134,7 +128,7 @@ def _made(inputs: _Inputs, settings: ReconstructSettings, stages: Stages, work: 
     built = None
     if work and count > 1:
         passes = replace(passes, other=None)  # a second scene would take as long again
-        posed, engine = passes.chosen.inputs, InProcess()
+        posed, engine = passes.chosen.inputs, find_engine(settings.cluster)
         built = build_regions(posed, count, settings, inputs.sources, work, engine, stages)
         scene = built.scene
     else:
@@ -145,7 +139,8 @@ def _made(inputs: _Inputs, settings: ReconstructSettings, stages: Stages, work: 
     scores = _score(inputs, passes, scene, settings, stages)
     with stages("write"):
         report = _report(inputs, passes, scene, scores, settings, stages)
-        report = _with_regions(report, built, work)
+        report = replace(report, resumed=list(work.notes) if work else [])
+        report = built.added_to(report) if built else report
         stored = _stored(inputs, passes, scene, settings)
         if metres:
             stored, report = in_metres(stored, report, metres)
@@ -270,20 +265,6 @@ def _report(
         unseen=scores.unseen.entry() if scores.unseen else None,
         backdrop=len(scene.backdrop) if scene.backdrop else 0,
         matching=matching_entry(passes.chosen.inputs.matching),
-    )
-
-
-def _with_regions(report: Report, built: BuiltRegions | None, work: Unfinished | None) -> Report:
-    if work:
-        report = replace(report, resumed=list(work.notes))
-    if built is None:
-        return report
-    return replace(
-        report,
-        regions=built.regions,
-        seams=built.seams,
-        warnings=[*report.warnings, *built.warnings],
-        peak_memory_gib=round(max(built.peak_gib, peak_gib()), 2),
     )
 
 

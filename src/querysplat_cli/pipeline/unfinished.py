@@ -20,6 +20,7 @@ from typing import Any, TypeVar
 
 import querysplat_cli
 from querysplat_cli.pipeline.kept_parts import read_part, write_part
+from querysplat_cli.pipeline.policy import PIPELINE_POLICY
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.json_files import read_json
@@ -45,6 +46,11 @@ OF_CAMERAS = (
 """Settings that the cameras depend on."""
 OF_FILES = ("inputs", "ply", "force", "frame", "metres_by", "backdrop", "cluster")
 """Settings that change neither cameras nor regions; `inputs` stand for photos, which are compared themselves."""
+
+
+def is_long(settings: ReconstructSettings, photos: int) -> bool:
+    """Whether what a run with so many photos reaches is kept until it is done."""
+    return photos >= PIPELINE_POLICY.long_run_photos or (settings.regions or 1) > 1
 
 
 @dataclass(frozen=True)

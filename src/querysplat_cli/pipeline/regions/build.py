@@ -1,8 +1,10 @@
 """Photos with cameras become one scene, region by region."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -24,17 +26,17 @@ from querysplat_cli.pipeline.regions.merge import (
 from querysplat_cli.pipeline.regions.owners import CoreViews, owners, small_cameras
 from querysplat_cli.pipeline.regions.scene import RegionScene
 from querysplat_cli.pipeline.regions.seams import disagreement, find_seams, smoothed
-from querysplat_cli.pipeline.regions.task import SCENE, TASK, region_task, run_region
+from querysplat_cli.pipeline.regions.task import SCENE, TASK, region_maker, region_task
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.pipeline.unfinished import Unfinished
 from querysplat_cli.queries.backdrop import shows_background
 from querysplat_cli.queries.prepare import PreparedQueries
-from querysplat_cli.reporting.report import tto_entries
+from querysplat_cli.reporting.report import Report, tto_entries
 from querysplat_cli.reporting.view_scores import score
 from querysplat_cli.runtime import signals
 from querysplat_cli.runtime.engine import Engine
 from querysplat_cli.runtime.errors import QuerySplatError
-from querysplat_cli.runtime.progress import Stages
+from querysplat_cli.runtime.progress import StageProgress, Stages
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.photo_files import photo_files
 from querysplat_cli.scene.views import PhotoSource
@@ -54,6 +56,16 @@ class BuiltRegions:
     seams: list[dict[str, Any]]
     warnings: tuple[str, ...]
     peak_gib: float
+
+    def added_to(self, report: Report) -> Report:
+        """The report of the scene with these entries."""
+        return replace(
+            report,
+            regions=self.regions,
+            seams=self.seams,
+            warnings=[*report.warnings, *self.warnings],
+            peak_memory_gib=round(max(self.peak_gib, report.peak_memory_gib), 2),
+        )
 
 
 def region_count(settings: ReconstructSettings, photos: int, encoder: Encoder) -> int:
@@ -103,7 +115,7 @@ def build_regions(
             if not (folder / TASK).is_file():
                 write_part(folder / TASK, region_task(posed, group, settings, sources))
     try:
-        engine.run(run_region, folders, stages)
+        _carry_out(folders, engine, stages)
     except KeyboardInterrupt:
         done = sum((folder / SCENE).is_file() for folder in folders)
         raise QuerySplatError(
@@ -126,9 +138,9 @@ def build_regions(
         scene = _scene(posed, joint, scenes, groups)
         summary: dict[str, Any] = next((each.entries["full_size"] for each in scenes if each.entries["full_size"]), {})
         further = FullSize(gaussians, size, runs, summary, False, joint.exposures)
-        scene = BuiltScene(**{**vars(scene), "files": files, "duplicates": duplicates, "full_size": further})
+        scene = replace(scene, files=files, duplicates=duplicates, full_size=further)
         if settings.backdrop and scene.prepared.anchors is not None and shows_background(posed.views):
-            scene = BuiltScene(**{**vars(scene), "backdrop": photos.backdrop(gaussians)})
+            scene = replace(scene, backdrop=photos.backdrop(gaussians))
     peak = max(each.entries.pop("process_peak_gib") for each in scenes)
     regions = [
         {
@@ -140,6 +152,23 @@ def build_regions(
         for group, own, each in zip(groups, joint.own, scenes, strict=True)
     ]
     return BuiltRegions(scene, regions, seams, warnings, peak)
+
+
+def _carry_out(folders: Sequence[Path], engine: Engine, stages: Stages) -> None:
+    """Let `engine` make all regions; each is a stage of the name of its folder."""
+    with ExitStack() as stack:
+        shown: dict[Path, StageProgress] = {}
+
+        def heard(folder: Path, text: str, fraction: float) -> None:
+            if folder not in shown:
+                shown[folder] = stack.enter_context(stages(folder.name))
+            shown[folder](text, fraction)
+
+        def done(folder: Path, why: str | None) -> None:
+            if why:
+                raise QuerySplatError(f"{folder.name}: {why}", "The same command goes on with what is missing.")
+
+        engine.run(region_maker, None, folders, done, heard)
 
 
 @dataclass(frozen=True)

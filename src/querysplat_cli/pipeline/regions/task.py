@@ -21,6 +21,7 @@ from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.reporting.report import quality_entry, seconds_entry, tto_entries
 from querysplat_cli.reporting.view_scores import score
 from querysplat_cli.runtime.device import find_device, peak_gib, reset_peak_memory
+from querysplat_cli.runtime.engine import report_progress
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.precision import check_precision, matrix_products
 from querysplat_cli.runtime.progress import Progress, Stages
@@ -45,7 +46,12 @@ def region_task(
     return RegionTask(chosen, len(group.core), {name: sources[name] for name in chosen.views.names}, alone)
 
 
-def run_region(folder: Path, progress: Progress) -> None:
+def region_maker(setup: None) -> Callable[[Path], None]:
+    """What an engine calls in each process."""
+    return run_region
+
+
+def run_region(folder: Path) -> None:
     """Make the scene of the task in `folder`, unless it is there. The same task gives the same scene.
 
     The depth is kept until then, so that a later run of a killed one need not find it again. Raises QuerySplatError
@@ -53,6 +59,7 @@ def run_region(folder: Path, progress: Progress) -> None:
     """
     if read_part(folder / SCENE) is not None:
         return
+    report_progress("", 0.0)
     task: RegionTask | None = read_part(folder / TASK)
     if task is None:
         raise QuerySplatError(f"{folder} has no task of a region", "Run the whole command again.")
@@ -61,7 +68,7 @@ def run_region(folder: Path, progress: Progress) -> None:
         compile_ahead().join()
     before = peak_gib()
     restarted = reset_peak_memory()
-    stages = Stages(_summed(progress))
+    stages = Stages(_summed(report_progress))
     with matrix_products(check_precision(task.settings.precision)):
         model, encoder = _parts(task.settings)
         kept = KeptDepth(encoder, folder / DEPTH)
