@@ -44,7 +44,7 @@ _PLACES = {
     "Gaussians": "scene.gaussians",
     "QuerySplatError": "runtime.errors",
     "ReconstructSettings": "pipeline.settings",
-    "ResumeSettings": "pipeline.settings",
+    "ResumeSettings": "pipeline.resume_settings",
     "Scene": "commands.library",
     "open_scene": "commands.library",
     "optimise": "commands.library",

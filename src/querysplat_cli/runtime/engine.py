@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import partial
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from querysplat_cli.runtime.progress import Progress
 
@@ -25,6 +25,7 @@ def unheard(job: Any, text: str, fraction: float) -> None:
     """For those who do not listen."""
 
 
+@runtime_checkable
 class Engine(Protocol):
     """Runs jobs."""
 

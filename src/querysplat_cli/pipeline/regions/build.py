@@ -37,6 +37,7 @@ from querysplat_cli.runtime import signals
 from querysplat_cli.runtime.engine import Engine
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import StageProgress, Stages
+from querysplat_cli.scene.exposures import Exposures
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.photo_files import photo_files
 from querysplat_cli.scene.views import PhotoSource
@@ -178,7 +179,7 @@ class _Joint:
     whole: list[Gaussians]
     own: list[torch.Tensor]
     gaussians: Gaussians
-    exposures: Any
+    exposures: Exposures | None
 
     @classmethod
     def of(cls, posed: PosedViews, groups: Sequence[Group], scenes: Sequence[RegionScene]) -> "_Joint":
@@ -215,7 +216,8 @@ def _scene(posed: PosedViews, joint: _Joint, scenes: Sequence[RegionScene], grou
     adapted = Adapted(memories, joint.gaussians, posed.cameras, (), kept, exposures=joint.exposures)
     warnings = tuple(dict.fromkeys(line for each in scenes for line in each.entries["warnings"]))
     measured = [each.disagreement for each in scenes if each.disagreement is not None]
-    colours = PhotoColours(joint.exposures, max(measured)) if measured else None
+    same = joint.exposures or Exposures.identity(len(posed.views))
+    colours = PhotoColours(same, max(measured)) if measured else None
     return BuiltScene(posed, Geometry(None, None, (), 1, warnings), prepared, adapted, colours=colours)
 
 

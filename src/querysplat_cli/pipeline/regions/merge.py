@@ -28,7 +28,7 @@ def merged_gaussians(parts: Sequence[Gaussians]) -> Gaussians:
     return joined(*same)
 
 
-def merged_kept(scenes: Sequence[RegionScene], own: Sequence[Bool[Tensor, "n"]]) -> Bool[Tensor, "n"] | None:
+def merged_kept(scenes: Sequence[RegionScene], own: Sequence[Tensor]) -> Bool[Tensor, "n"] | None:
     """Which decoded Gaussians belong to the merged scene; `own` marks those of each region that stay.
 
     None where a region has no queries. Where the Gaussians of a region were optimised themselves, all that its own

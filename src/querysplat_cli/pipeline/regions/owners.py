@@ -30,7 +30,7 @@ class CoreViews:
     region: Int[Tensor, "views"]
 
     @classmethod
-    def of(cls, parts: Sequence[tuple[Cameras, Float[Tensor, "some height width"]]]) -> "CoreViews":
+    def of(cls, parts: Sequence[tuple[Cameras, Tensor]]) -> "CoreViews":
         """The core cameras and depth maps of every region, in their order."""
         w2c, K = (torch.cat([getattr(cameras, name) for cameras, _ in parts]) for name in ("w2c", "K"))
         depth = torch.cat([maps for _, maps in parts])

@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import torch
 
@@ -46,7 +47,7 @@ def region_task(
     return RegionTask(chosen, len(group.core), {name: sources[name] for name in chosen.views.names}, alone)
 
 
-def region_maker(setup: None) -> Callable[[Path], None]:
+def region_maker(setup: Any) -> Callable[[Path], None]:
     """What an engine calls in each process."""
     return run_region
 
