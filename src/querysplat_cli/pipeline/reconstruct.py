@@ -128,7 +128,7 @@ def _made(inputs: _Inputs, settings: ReconstructSettings, stages: Stages, work: 
     built = None
     if work and count > 1:
         passes = replace(passes, other=None)  # a second scene would take as long again
-        posed, engine = passes.chosen.inputs, find_engine(settings.cluster)
+        posed, engine = passes.chosen.inputs, find_engine(settings.cluster, say=stages.say)
         built = build_regions(posed, count, settings, inputs.sources, work, engine, stages)
         scene = built.scene
     else:

@@ -18,9 +18,9 @@ from querysplat_cli.runtime.choices import (
     Space,
     Target,
 )
-from querysplat_cli.runtime.cluster import read_cluster
 from querysplat_cli.runtime.lengths import read_scale
 from querysplat_cli.runtime.options import (
+    Cluster,
     Device,
     Force,
     NetworkPrecision,
@@ -135,16 +135,7 @@ class ReconstructSettings:
             auto=True,
         ),
     ] = None
-    cluster: Annotated[
-        str | None,
-        Option(
-            "Make the regions with Dask: on N processes of this machine, on the workers of a scheduler, or in N jobs "
-            "of Slurm. Needs the extra `cluster`.",
-            metavar="local:N|tcp://HOST:PORT|slurm:N",
-            default="one after another in this process",
-            parse=read_cluster,
-        ),
-    ] = None
+    cluster: Cluster = None
     fit: Annotated[
         Fit,
         Option("With vggt and vggt_omega: cut photos to a centred square (crop), or show them whole (pad)."),

@@ -32,16 +32,18 @@ def read_cluster(text: str) -> str:
     raise QuerySplatError(f"--cluster {text!r}: no such cluster", f"Use {KINDS}.")
 
 
-def find_engine(cluster: str | None, otherwise: Engine | None = None) -> Engine:
+def find_engine(
+    cluster: str | None, otherwise: Engine | None = None, say: Callable[[str], None] = lambda text: None
+) -> Engine:
     """The engine of a value of --cluster; without one, `otherwise`, or this process.
 
-    Raises MissingPart where a package is not installed.
+    `say` gets the number of workers and the link to Dask's page. Raises MissingPart where a package is not installed.
     """
     if cluster is None:
         return otherwise or InProcess()
     if not find_spec("distributed"):
         raise MissingPart(f"--cluster {cluster} needs Dask", "pip install 'querysplat[cluster]'")
-    return Dask(cluster)
+    return Dask(cluster, say)
 
 
 class Dask:
@@ -58,6 +60,7 @@ class Dask:
         run = uuid4().hex[:8]
         names = {f"querysplat-{run}-{number}": job for number, job in enumerate(jobs)}
         with _client(self._cluster) as client:
+            self._say(f"{len(client.scheduler_info()['workers'])} workers, {client.dashboard_link}")
             client.subscribe_topic(PROGRESS, lambda event: _pass_on(names, heard, event[1]))
             futures = [
                 client.submit(_do, handler, setup, job, run, name, key=name, retries=RETRIES, pure=False)

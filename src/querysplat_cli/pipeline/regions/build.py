@@ -158,14 +158,20 @@ def build_regions(
 def _carry_out(folders: Sequence[Path], engine: Engine, stages: Stages) -> None:
     """Let `engine` make all regions; each is a stage of the name of its folder."""
     with ExitStack() as stack:
-        shown: dict[Path, StageProgress] = {}
+        shown: dict[Path, tuple[ExitStack, StageProgress]] = {}
+        over: set[Path] = set()
 
         def heard(folder: Path, text: str, fraction: float) -> None:
             if folder not in shown:
-                shown[folder] = stack.enter_context(stages(folder.name))
-            shown[folder](text, fraction)
+                stage = stack.enter_context(ExitStack())
+                shown[folder] = stage, stage.enter_context(stages(folder.name))
+            if folder not in over:
+                shown[folder][1](text, fraction)
 
         def done(folder: Path, why: str | None) -> None:
+            over.add(folder)
+            if folder in shown:
+                shown[folder][0].close()
             if why:
                 raise QuerySplatError(f"{folder.name}: {why}", "The same command goes on with what is missing.")
 
