@@ -206,6 +206,15 @@ def test_tensors_that_do_not_fit_are_refused_by_name(
         read_scene(tmp_path / "s")
 
 
+def test_a_scene_with_colours_above_white_by_rounding_is_read(
+    stored: tuple[StoredScene, Gaussians], tmp_path: Path
+) -> None:
+    scene, gaussians = stored
+    white = replace(scene.anchors, colours=torch.full_like(scene.anchors.colours, 1.0000002))
+    write_scene(tmp_path / "s.ply", replace(scene, anchors=white), gaussians, a_report())
+    assert read_scene(tmp_path / "s")[0].anchors.colours.equal(white.colours)
+
+
 def test_a_map_that_names_rows_that_are_not_there_is_refused(
     stored: tuple[StoredScene, Gaussians], tmp_path: Path
 ) -> None:

@@ -39,6 +39,9 @@ def lines(report: Report) -> Iterator[str]:
         yield f"left out: {first['name']} ({first['why']}){more}"
     if report.matching:
         yield _matching(report.matching)
+    yield from report.resumed
+    if report.regions:
+        yield _regions(report.regions, report.seams)
     yield from (f"warning: {warning}" for warning in report.warnings)
     if report.scale:
         yield _scale(report.scale)
@@ -47,6 +50,13 @@ def lines(report: Report) -> Iterator[str]:
     preview = Path(report.scene) / "preview.png"
     yield f"{_file(report)}; {preview} shows photos beside renders, report.json has the rest"
     yield f"next: querysplat render {report.ply} -o film.mp4, or querysplat tto {report.scene} for a better scene"
+
+
+def _regions(regions: list[dict[str, Any]], seams: list[dict[str, Any]]) -> str:
+    photos = ", ".join(str(region["photos"]) for region in regions)
+    worst = min((seam["psnr"] for seam in seams), default=None)
+    alike = "" if worst is None else f"; where they meet they agree to {worst:.1f} dB or better"
+    return f"{len(regions)} regions of {photos} photos{alike}"
 
 
 def _scale(scale: dict[str, Any]) -> str:

@@ -65,6 +65,26 @@ class _Matching:
 
 
 @dataclass(frozen=True)
+class _Region:
+    """One of several regions."""
+
+    __pydantic_config__ = STRICT_TYPES
+
+    photos: Count
+    overlap: Count
+    gaussians: Count
+
+
+@dataclass(frozen=True)
+class _Seam:
+    __pydantic_config__ = STRICT_TYPES
+
+    regions: tuple[Count, Count]
+    photos: Count
+    psnr: float
+
+
+@dataclass(frozen=True)
 class _Run:
     """One run of test-time optimisation. The curve has [step, seconds, loss, PSNR, Gaussians] of each step."""
 
@@ -136,6 +156,9 @@ class _Report:
     backdrop: Count = 0
     matching: _Matching | None = None
     bytes: Annotated[int, Ge(0)] | None = None
+    regions: tuple[_Region, ...] = ()
+    seams: tuple[_Seam, ...] = ()
+    resumed: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
 

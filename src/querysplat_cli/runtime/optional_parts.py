@@ -28,6 +28,9 @@ OPTIONAL_PARTS = (
     OptionalPart("matching", "kornia", "kornia", "networks that match photos from far apart (with weights: `weights`)"),
     OptionalPart("metrics", "flip_evaluator", "flip-evaluator", "FLIP in evaluations (eval --metrics flip)"),
     OptionalPart("metrics", "ssimulacra2", "ssimulacra2", "SSIMULACRA2 in evaluations (eval --metrics ssimulacra2)"),
+    OptionalPart("cluster", "distributed", "distributed", "regions, cases and samples on several machines (--cluster)"),
+    OptionalPart("cluster", "dask_jobqueue", "dask-jobqueue", "the same in jobs of Slurm (--cluster slurm:N)"),
+    OptionalPart("cluster", "bokeh", "bokeh", "Dask's page, which shows the work of a cluster"),
     OptionalPart("tensorboard", "tensorboard", "tensorboard", "TensorBoard's files of a training (--tensorboard)"),
 )
 """One row for each package of the extras of pyproject.toml that are for users."""
