@@ -71,7 +71,7 @@ KINDS = (
     Kind("three photos only", "more photos: what one photo shows alone has no depth", lambda path: path[[0, 3, 6]]),
     Kind(
         "turned on the spot",
-        "steps to the side: turning gives no depth, so the scene is right from this one place alone",
+        "steps to the side: without them the scene is right from this one place alone",
         turning,
     ),
     Kind("shaken", "hold still, or more light: blur has no match and no detail", spoil=shaken),
