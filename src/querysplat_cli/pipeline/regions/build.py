@@ -131,9 +131,12 @@ def build_regions(
         seams, warnings = _seams(groups, joint, posed)
         size = max(scene.size for scene in scenes)
         gaussians, runs = joint.gaussians, [entry for scene in scenes for entry in scene.entries["tto"]]
+        worse = _worse(groups, scenes, joint, posed)
         for number, seam in enumerate(find_seams(groups)):
             part = partial(_part, progress, number / len(seams), 1 / len(seams))
-            gaussians, run, result = smoothed(seam, photos, size, gaussians, seed=settings.seed, progress=part)
+            one, other = seam.regions
+            seeing = replace(seam, photos=tuple(sorted({*seam.photos, *worse[one], *worse[other]})))
+            gaussians, run, result = smoothed(seeing, photos, size, gaussians, seed=settings.seed, progress=part)
             (entry,) = tto_entries([(run, result)])
             runs.append({**entry, "max_size": size})
         scene = _scene(posed, joint, scenes, groups)
@@ -213,6 +216,18 @@ def _seams(groups: Sequence[Group], joint: _Joint, posed: PosedViews) -> tuple[l
                 "look at the scene there, and use fewer --regions"
             )
     return entries, tuple(warnings)
+
+
+def _worse(groups: Sequence[Group], scenes: Sequence[RegionScene], joint: _Joint, posed: PosedViews) -> list[list[int]]:
+    """Of each region, its own photos that the joint scene shows worse than the region alone: these see seams."""
+    found = []
+    for group, scene in zip(groups, scenes, strict=True):
+        core = list(group.core)
+        now = score(joint.gaussians, posed.views[core], posed.cameras[core]).views
+        before = scene.entries["quality"]["views"]
+        lost = [before[name]["psnr_cc"] - now[name]["psnr_cc"] for name in posed.views[core].names]
+        found.append([row for row, each in zip(core, lost, strict=True) if each > PIPELINE_POLICY.seam_loss])
+    return found
 
 
 def _scene(posed: PosedViews, joint: _Joint, scenes: Sequence[RegionScene], groups: Sequence[Group]) -> BuiltScene:
