@@ -6,6 +6,7 @@ from typing import Any
 
 from querysplat_cli.cli.terminal import say
 from querysplat_cli.cli.verb import Printing
+from querysplat_cli.reporting.omissions import PRECISION
 from querysplat_cli.reporting.report import Report
 from querysplat_cli.runtime import signals
 from querysplat_cli.runtime.errors import QuerySplatError
@@ -46,7 +47,8 @@ def lines(report: Report) -> Iterator[str]:
         yield _scale(report.scale)
     yield "; ".join(_quality(report))
     yield _time(report)
-    yield f"{report.ply}; {Path(report.scene) / 'preview.png'} shows photos beside renders, report.json has the rest"
+    preview = Path(report.scene) / "preview.png"
+    yield f"{_file(report)}; {preview} shows photos beside renders, report.json has the rest"
     yield f"next: querysplat render {report.ply} -o film.mp4, or querysplat tto {report.scene} for a better scene"
 
 
@@ -86,6 +88,14 @@ def _quality(report: Report) -> Iterator[str]:
         if large and large.get(group):
             size = f"at {large['max_size']} px"
             yield f"PSNR {large[group]['psnr']:.2f} dB, SSIM {large[group]['ssim']:.3f} on {where} {size}"
+
+
+def _file(report: Report) -> str:
+    """The file, its size, and what its kind loses where that is measured."""
+    if report.bytes is None:
+        return report.ply
+    lost = [f", {entry['psnr_lost']:.2f} dB lost by it" for entry in report.left_out if entry["what"] == PRECISION]
+    return f"{report.ply} ({report.bytes / 2**20:.2f} MiB{''.join(lost)})"
 
 
 def _time(report: Report) -> str:

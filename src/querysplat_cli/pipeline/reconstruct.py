@@ -22,6 +22,7 @@ from querysplat_cli.pipeline.parts import load_parts
 from querysplat_cli.pipeline.perceptual import optimisation_lpips
 from querysplat_cli.pipeline.regions.build import build_regions, region_count
 from querysplat_cli.pipeline.scene_folder import StoredScene, refuse_foreign, write_scene
+from querysplat_cli.pipeline.scene_points import scene_points
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.pipeline.unfinished import Unfinished, is_long, unfinished
 from querysplat_cli.prune.resolution import Blurred, blurred
@@ -144,8 +145,9 @@ def _made(inputs: _Inputs, settings: ReconstructSettings, stages: Stages, work: 
         stored = _stored(inputs, passes, scene, settings)
         if metres:
             stored, report = in_metres(stored, report, metres)
-        write_scene(settings.ply, stored, scene.gaussians, report.as_dict())
-    return report
+        entries = report.as_dict()
+        write_scene(settings.ply, stored, scene.gaussians, entries)
+    return Report.from_dict(entries)
 
 
 def _read_inputs(settings: ReconstructSettings, device: torch.device, stages: Stages) -> _Inputs:
@@ -285,4 +287,5 @@ def _stored(inputs: _Inputs, passes: HoldoutCameras, scene: BuiltScene, settings
         or first_sight(scene.gaussians, scene.adapted.cameras, settings.frame),
         len(scene.backdrop) if scene.backdrop else 0,
         scene.exposures,
+        scene_points(scene.posed),
     )

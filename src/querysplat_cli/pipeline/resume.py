@@ -144,8 +144,9 @@ def _write_back(
             backdrop=scene.backdrop,
             **changes,
         )
-        write_scene(file_of_scene(path), scene, gaussians, report.as_dict())
-    return report
+        entries = report.as_dict()
+        write_scene(file_of_scene(path), scene, gaussians, entries)
+    return Report.from_dict(entries)
 
 
 def _read(settings: ResumeSettings) -> tuple[StoredScene, dict[str, Any]]:

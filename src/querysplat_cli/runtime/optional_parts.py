@@ -21,6 +21,8 @@ class OptionalPart:
 OPTIONAL_PARTS = (
     OptionalPart("heic", "pillow_heif", "pillow-heif", "HEIC photos, as phones write them"),
     OptionalPart("formats", "gsply", "gsply", "scenes as .spz"),
+    OptionalPart("mesh", "skimage", "scikit-image", "scenes as meshes (convert --mesh)"),
+    OptionalPart("mesh", "trimesh", "trimesh", "meshes as .ply, .glb and .obj (convert --mesh)"),
     OptionalPart("cuda", "gsplat", "gsplat", "rendering and optimisation on an NVIDIA GPU (--device cuda)"),
     OptionalPart("weights", "huggingface_hub", "huggingface_hub", "finding the official weights in the Hub's cache"),
     OptionalPart("matching", "kornia", "kornia", "networks that match photos from far apart (with weights: `weights`)"),
