@@ -23,6 +23,7 @@ WIDTH = 960
 """Pixels of the pictures on the page."""
 QUALITY = 85
 """Of their JPEG, in per cent."""
+REPOSITORY = Path(__file__).resolve().parents[1]
 
 
 @dataclass(frozen=True)
@@ -107,8 +108,9 @@ def page(found: dict[str, str]) -> str:
     """The whole page, of the verbs that were run so far."""
     head = (
         "# A tour of the verbs\n\nMade by\n\n    python benchmarks/tour.py --write docs/tour.md\n\n"
-        f"on {machine()}, other work beside. Each section is one verb with its real output, on the room of `querysplat "
-        "demo`.\n[The command line](cli.md) has every option.\n"
+        f"on {machine()}. Several other programs ran beside, so that times are several times those of a quiet machine "
+        "([which](speed.md)). Each section is one verb with its real output, on the room of `querysplat demo`; lines "
+        "of progress are left out.\n[The command line](cli.md) has every option.\n"
     )
     return "\n".join([head, *(f"## {stop.verb}\n\n{found[stop.verb]}" for stop in STOPS if stop.verb in found)])
 
@@ -137,7 +139,8 @@ def output(command: str, folder: Path) -> str:
     if done.returncode:
         sys.exit(f"querysplat {command}\n{done.stdout}{done.stderr}")
     lines = [line.rstrip() for line in (done.stderr + done.stdout).splitlines()]
-    return "".join(f"{line}\n" for line in lines if not is_progress(line)).replace(str(folder), "…")
+    said = "".join(f"{line}\n" for line in lines if not is_progress(line))
+    return said.replace(str(folder), "…").replace(str(REPOSITORY), "…")
 
 
 def is_progress(line: str) -> bool:
