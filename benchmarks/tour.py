@@ -23,6 +23,8 @@ WIDTH = 960
 """Pixels of the pictures on the page."""
 QUALITY = 85
 """Of their JPEG, in per cent."""
+MOST_LINES = 36
+"""Of what a command prints."""
 REPOSITORY = Path(__file__).resolve().parents[1]
 
 
@@ -44,7 +46,7 @@ STOPS = (
         "Twelve photos of a made-up room, and their scene. The pictures alone reach the reconstruction.",
         ("demo -o room",),
         "room/scene/preview.png",
-        "`room/scene/preview.png`: photos above, the scene from the same places below.",
+        "`room/scene/preview.png`: photos on the left, the scene from the same places on the right.",
     ),
     Stop(
         "reconstruct",
@@ -139,7 +141,8 @@ def output(command: str, folder: Path) -> str:
     if done.returncode:
         sys.exit(f"querysplat {command}\n{done.stdout}{done.stderr}")
     lines = [line.rstrip() for line in (done.stderr + done.stdout).splitlines()]
-    said = "".join(f"{line}\n" for line in lines if not is_progress(line))
+    lines = [line for line in lines if not is_progress(line)]
+    said = "".join(f"{line}\n" for line in (*lines[:MOST_LINES], *(["…"] if lines[MOST_LINES:] else [])))
     return said.replace(str(folder), "…").replace(str(REPOSITORY), "…")
 
 
