@@ -3,8 +3,10 @@
 import json
 import shutil
 from pathlib import Path
+from typing import Any
 
 import cv2
+import pycolmap
 import pytest
 from test_road import take_photos
 
@@ -17,6 +19,11 @@ from querysplat_cli.scene.views import Photo
 pytest.importorskip("gsply")
 
 
+def stored_report(folder: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((folder / "s" / "report.json").read_text())
+    return found
+
+
 def test_a_scene_in_an_spz(tmp_path: Path) -> None:
     photo = str(take_photos(tmp_path / "photos", 3, 1)[0])
     made = ["reconstruct", photo, "--max-size", "96", "--tto", "0", "-q"]
@@ -26,13 +33,20 @@ def test_a_scene_in_an_spz(tmp_path: Path) -> None:
     one, two = (read_gaussians(tmp_path / name) for name in ("s.spz", "t.ply"))
     assert len(one) == len(two)
     assert (one.means - two.means).abs().max() < 1e-3  # y points down in both
+    precision = [entry for entry in stored_report(tmp_path)["left_out"] if entry["what"] == "precision"]
+    assert len(precision) == 1
+    assert 0 < precision[0]["psnr_lost"] < 1
+    assert precision[0]["bytes"] == pytest.approx(
+        (tmp_path / "t.ply").stat().st_size - (tmp_path / "s.spz").stat().st_size, abs=2000
+    )
     for scene in ("s", "s.spz"):
         assert run(["render", str(tmp_path / scene), "-o", str(tmp_path / "frames"), "--force", "-q"]) == ExitCode.DONE
         assert {path.name for path in (tmp_path / "frames").iterdir()} == {"room3_0.png", "cameras.json"}
         assert run(["inspect", str(tmp_path / scene), "--force", "-q"]) == ExitCode.DONE
         assert (tmp_path / "s-inspected").is_dir()
     assert run(["tto", str(tmp_path / "s"), "--steps", "1", "--space", "gaussians", "-q"]) == ExitCode.DONE
-    report = json.loads((tmp_path / "s" / "report.json").read_text())
+    report = stored_report(tmp_path)
+    assert [entry["what"] for entry in report["left_out"]].count("precision") == 1  # that of the new file
     assert report["ply"] == str(tmp_path / "s.spz")
     assert not (tmp_path / "s.ply").exists()
 
@@ -61,6 +75,15 @@ def test_colmap_gets_the_photos_of_a_scene(
     photos = take_photos(tmp_path / "photos", 3, 2)
     made = ["reconstruct", *map(str, photos), "-o", str(tmp_path / "s.ply"), "--max-size", "96", "--tto", "0", "-q"]
     assert run(made) == ExitCode.DONE
+    for name, options in (("s", []), ("turned", ["--up=0.1,-1,0.3", "--scale", "2"])):
+        if options:  # the points go along
+            assert run(["convert", str(tmp_path / "s.ply"), str(tmp_path / f"{name}.ply"), *options, "-q"]) == 0
+        assert run(["convert", str(tmp_path / name), str(tmp_path / "model"), "--force", "-q"]) == ExitCode.DONE
+        model = pycolmap.Reconstruction(tmp_path / "model")
+        assert len(model.points3D) > 100
+        assert model.compute_num_observations() == 2 * len(model.points3D)
+        assert model.compute_mean_reprojection_error() < 1  # in pixels of the whole photos
+        assert len({tuple(point.color) for point in model.points3D.values()}) > 50
     seen = []
 
     def colmap(found: list[Photo], seed: int) -> dict[str, PhotoCamera]:

@@ -13,38 +13,60 @@ def convert(request: Conversion, printing: Printing) -> None:
 
     Gaussians can be turned, scaled, cleaned and cut on the way. What that costs in PSNR is printed.
     """
-    from querysplat_cli.cli.terminal import print_json, say
+    from querysplat_cli.cli.terminal import print_json, say, showing_stages
     from querysplat_cli.commands.convert import convert as run
 
-    result = run(request)
+    with showing_stages(printing) as stages:
+        result = run(request, stages)
     print_json(result, printing)
-    for line in _lines(result):
+    for line in lines(result):
         say(line, printing)
 
 
-def _lines(result: dict[str, Any]) -> list[str]:
+def lines(result: dict[str, Any]) -> list[str]:
     if "cameras" in result:
         left_out = [f"left out: {each['name']}, {each['why']}" for each in result.get("left_out", ())]
-        return [f"{result['cameras']} cameras: {result['target']}", *left_out]
+        return [f"{result['cameras']} cameras{_points(result)}: {result['target']}", *left_out]
     written, read = (result["bytes"][part] / 2**20 for part in ("target", "source"))
     steps = [_step(step) for step in result["steps"]]
     return [
-        f"{result['gaussians']:,} Gaussians, {written:.2f} MiB (source {read:.2f} MiB): {result['target']}",
+        f"{_content(result)}, {written:.2f} MiB (source {read:.2f} MiB): {result['target']}",
         *([f"with its folder: {result['scene']}"] if result["scene"] else []),
         *steps,
-        _cost(result["psnr"]),
+        *([_cost(result["psnr"])] if result["psnr"] else []),
     ]
+
+
+def _points(result: dict[str, Any]) -> str:
+    if not result.get("points"):
+        return ""
+    if not result["observations"]:
+        return f", and {result['points']:,} centres of Gaussians as points, which no photo observes"
+    return f", and {result['points']:,} triangulated points with {result['observations']:,} observations"
+
+
+def _content(result: dict[str, Any]) -> str:
+    if "points" in result:
+        return f"{result['points']:,} points, the centres of Gaussians that are at least half opaque"
+    if "triangles" in result:
+        return f"{result['triangles']:,} triangles with {result['corners']:,} corners"
+    return f"{result['gaussians']:,} Gaussians"
 
 
 def _step(step: dict[str, Any]) -> str:
     counts = ", ".join(f"{step[name]:,} {word}" for name, word in REASONS.items() if step.get(name))
     reasons = f" ({counts})" if counts else ""
-    return f"{step['what']}: {step['gaussians']:,} left out{reasons}, {step['lost']:.2f} dB lost"
+    return f"{step['what']}: {step['gaussians']:,} left out{reasons}, {_decibels(step['lost'])} lost"
+
+
+def _decibels(lost: float) -> str:
+    """Without a minus in front of nothing."""
+    return f"{round(lost, 2) + 0.0:.2f} dB"
 
 
 def _cost(psnr: dict[str, Any]) -> str:
     if psnr["against"] == "photos":
-        change = f"{psnr['before']:.2f} → {psnr['after']:.2f} dB, {psnr['lost']:.2f} dB lost"
+        change = f"{psnr['before']:.2f} → {psnr['after']:.2f} dB, {_decibels(psnr['lost'])} lost"
         return f"on {psnr['views']} of the photos: {change}"
     where = "from the input cameras" if psnr["against"] == "inputs" else "from all around"
     return f"against pictures of the source {where}: {psnr['after']:.2f} dB (100: no difference)"

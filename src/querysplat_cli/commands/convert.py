@@ -5,16 +5,17 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from querysplat_cli.commands.convert_gaussians import backdrop_of, convert_gaussians
+from querysplat_cli.commands.convert_gaussians import convert_gaussians
 from querysplat_cli.commands.convert_request import Conversion
-from querysplat_cli.pipeline.gaussian_files import READERS, file_of_scene, read_gaussians
+from querysplat_cli.commands.exported_points import observed_points, points_entry, points_without_photos
+from querysplat_cli.pipeline.gaussian_files import READERS
 from querysplat_cli.pipeline.scene_folder import write_images
 from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import PhotoCamera, rescaled
 from querysplat_cli.scene.files import atomic_folder, refuse_existing
 from querysplat_cli.scene.formats.colmap import copy_colmap, write_colmap
 from querysplat_cli.scene.formats.known import find_known_cameras, read_known_cameras
-from querysplat_cli.scene.formats.point_cloud import PointCloud, points_of
 from querysplat_cli.scene.formats.transforms import write_transforms
 from querysplat_cli.scene.formats.transforms_frame import is_rigid
 from querysplat_cli.scene.match_cameras import match_cameras
@@ -25,7 +26,7 @@ from querysplat_cli.scene.undistort import undistorted
 from querysplat_cli.scene.views import LeftOut
 
 
-def convert(request: Conversion) -> dict[str, Any]:
+def convert(request: Conversion, stages: Stages | None = None) -> dict[str, Any]:
     """Write `request.target`, and return what was written, as the dict that --json prints.
 
     `clean` comes first. `up` becomes −y, and `scale` multiplies lengths. Boxes and spheres are in the units and
@@ -39,11 +40,12 @@ def convert(request: Conversion) -> dict[str, Any]:
     if request.source.suffix.lower() in READERS:
         if request.photos or request.text:
             raise QuerySplatError("--photos and --text are for cameras", "Leave them out.")
-        return convert_gaussians(request)
+        return convert_gaussians(request, stages or Stages())
     if request.photos and request.text:
         raise QuerySplatError("--text is for COLMAP models, --photos for scene folders", "Leave one of them out.")
-    if request.changes:
-        raise QuerySplatError("options that turn, scale or cut are for Gaussians", "Give a .ply, .spz, .sog or .glb.")
+    if request.changes or request.geometry:
+        wanted = "Give a .ply, .spz, .sog or .glb."
+        raise QuerySplatError("options that turn, scale or cut, --points and --mesh are for Gaussians", wanted)
     return _convert_cameras(request)
 
 
@@ -54,6 +56,7 @@ def _convert_cameras(request: Conversion) -> dict[str, Any]:
     left_out = [vars(LeftOut(name, "its camera is no rigid motion")) for name in given if name not in cameras]
     if not cameras:
         raise QuerySplatError(f"{source}: no camera of it is a rigid motion", "Export it again.")
+    counts: dict[str, Any] = {}
     if request.target.suffix.lower() == ".json" and not request.photos:
         write_transforms(request.target, cameras)
     elif request.target.suffix:
@@ -68,9 +71,11 @@ def _convert_cameras(request: Conversion) -> dict[str, Any]:
             else:
                 points = None
                 if request.source.is_dir():
-                    cameras, points = _with_lenses(source.parent, cameras), _points(source.parent)
+                    cameras = _with_lenses(source.parent, cameras)
+                    points = observed_points(source, cameras) or points_without_photos(source.parent)
                 write_colmap(draft, cameras, points=points, text=request.text)
-    return {"target": str(request.target), "cameras": len(cameras), "left_out": left_out}
+                counts = points_entry(points)
+    return {"target": str(request.target), "cameras": len(cameras), **counts, "left_out": left_out}
 
 
 def _with_lenses(folder: Path, cameras: Mapping[str, PhotoCamera]) -> dict[str, PhotoCamera]:
@@ -81,15 +86,6 @@ def _with_lenses(folder: Path, cameras: Mapping[str, PhotoCamera]) -> dict[str, 
             lens = rescaled(file.lens, *file.full_size()) if file.path.is_file() else file.lens
             found[name] = replace(lens, w2c=cameras[name].w2c)
     return found
-
-
-def _points(folder: Path) -> PointCloud | None:
-    """The points of the Gaussians beside a scene folder, without the backdrop."""
-    file = file_of_scene(folder)
-    if not file.is_file():
-        return None
-    gaussians = read_gaussians(file)
-    return points_of(gaussians[: len(gaussians) - backdrop_of(file, len(gaussians))])
 
 
 def _make_scene_folder(target: Path, cameras: Mapping[str, PhotoCamera], place: Path) -> dict[str, Any]:

@@ -5,6 +5,7 @@ scene/
   cameras.json             nerfstudio form; held-out views under "heldout_frames"; in the frame of given cameras
   images/                  the undistorted photos that the cameras belong to
   photos.json              where the photos themselves lie, and their lenses, if the encoder knows these
+  points.safetensors       points of structure from motion, and which photos observe them, if the encoder has any
   exposures.json           the colour transforms of the input photos, if these differ in exposure
   memories.safetensors     memories, anchors, masks and depth, and the model that they belong to
   report.json
@@ -14,7 +15,8 @@ scene/
 
 import dataclasses
 import json
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -26,11 +28,13 @@ from torch import Tensor
 
 from querysplat_cli.model.anchors import Anchors
 from querysplat_cli.model.memories import Memories
-from querysplat_cli.pipeline.gaussian_files import folder_of_scene, write_gaussians
+from querysplat_cli.pipeline.gaussian_files import folder_of_scene, read_gaussians, write_gaussians
 from querysplat_cli.pipeline.stored_tensors import StoredTensors, flattened
 from querysplat_cli.queries.prepare import MemoryMap
 from querysplat_cli.reporting.convergence_plot import write_curve
+from querysplat_cli.reporting.omissions import PRECISION, Omission, of_kind
 from querysplat_cli.reporting.preview import write_preview
+from querysplat_cli.reporting.view_scores import score
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.exposures import Exposures, write_exposures
@@ -40,6 +44,7 @@ from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.photo_files import PhotoFile, write_photo_files
 from querysplat_cli.scene.pictures import LOSSLESS_SUFFIXES, eight_bit, stored_name, write_picture
 from querysplat_cli.scene.sim3 import Sim3
+from querysplat_cli.scene.sparse_points import SparsePoints, write_sparse_points
 from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.transform import transform_gaussians
 
@@ -56,7 +61,7 @@ class StoredScene:
     `model` is the preset or checkpoint that decodes the memories. `kept` marks the decoded Gaussians that belong to
     the scene (None: all). `photos` are the files of input and held-out photos by name; it may lack some. The last
     Gaussians, as many as `backdrop` says, are the backdrop. `exposures` are the colour transforms of the input views
-    (None: they show the scene's own colours).
+    (None: they show the scene's own colours). `points` are those of structure from motion (None: there are none).
 
     Everything here is in the frame in which the scene was made. `frame` maps it to that of the files, where the user
     gave cameras.
@@ -74,6 +79,7 @@ class StoredScene:
     frame: Sim3 | None = None
     backdrop: int = 0
     exposures: Exposures | None = None
+    points: SparsePoints | None = None
 
     @property
     def groups(self) -> dict[str, tuple[Views, Cameras]]:
@@ -91,14 +97,20 @@ def refuse_foreign(folder: Path) -> None:
 
 
 def write_scene(target: Path, scene: StoredScene, gaussians: Gaussians, report: dict[str, Any]) -> int:
-    """Write, or replace, `target` (a .ply or .spz) and the folder beside it; returns the number of Gaussians in it.
+    """Write, or replace, `target` (a kind of `WRITERS`) and the folder beside it; returns how many Gaussians it has.
 
+    `report` gets the size of the file, under `bytes`, and under `left_out` what its kind loses, where that is not .ply.
     Everything is written to temporary names first, so an interruption leaves what was there before.
     """
     with atomic_together(target, folder_of_scene(target)) as (target_draft, draft):
         draft.mkdir()
         placed = transform_gaussians(gaussians, scene.frame) if scene.frame else gaussians
         written = write_gaussians(target_draft, placed)
+        report["bytes"] = target_draft.stat().st_size
+        report["left_out"] = [
+            *(entry for entry in report["left_out"] if entry["what"] != PRECISION),
+            *(asdict(each) for each in _lost_by_kind(target_draft, scene, gaussians, report)),
+        ]
         for views, _ in scene.groups.values():
             write_images(draft / "images", views)
         write_cameras(draft / "cameras.json", scene.cameras, scene.views, heldout=scene.heldout, frame=scene.frame)
@@ -106,6 +118,8 @@ def write_scene(target: Path, scene: StoredScene, gaussians: Gaussians, report: 
             write_photo_files(draft / "photos.json", list(scene.photos.values()))
         if scene.exposures:
             write_exposures(draft / "exposures.json", scene.views.names, scene.exposures)
+        if scene.points:
+            write_sparse_points(draft, scene.points)
         masks = torch.cat([views.masks for views, _ in scene.groups.values()])
         tensors = flattened(StoredTensors(masks, scene.memories, scene.anchors, scene.kept, scene.map))
         # Not by `save_file`, which makes files that only their owner may read.
@@ -115,6 +129,16 @@ def write_scene(target: Path, scene: StoredScene, gaussians: Gaussians, report: 
         if any(run["curve"] for run in report["tto"]):
             write_curve(draft / "curve.png", report["tto"])
     return written
+
+
+def _lost_by_kind(file: Path, scene: StoredScene, gaussians: Gaussians, report: dict[str, Any]) -> Iterator[Omission]:
+    """What a written file of another kind than .ply loses on the input views."""
+    if file.suffix.lower() == ".ply":
+        return
+    found = read_gaussians(file)
+    here = transform_gaussians(found, scene.frame.inverse()) if scene.frame else found
+    after = score(here, scene.views, scene.cameras).summary()["psnr"]
+    yield of_kind(file, gaussians, round(report["quality"]["input"]["psnr"] - after, 3))
 
 
 def write_images(folder: Path, views: Views) -> None:

@@ -23,11 +23,12 @@ from querysplat_cli.scene.cameras import PhotoCamera
 
 @dataclass(frozen=True)
 class _Candidate:
-    """Adjusted cameras, the points that they share, the rows [p] of the matches of these, and what all this costs."""
+    """Adjusted cameras, the points that they share, the pixels [2, p, 2] of these, and what all this costs."""
 
     cost: float
     cameras: tuple[PhotoCamera, PhotoCamera]
     points: np.ndarray
+    pixels: np.ndarray
 
 
 def map_two_photos(matches: Matches) -> SparseModel | None:
@@ -49,7 +50,7 @@ def map_two_photos(matches: Matches) -> SparseModel | None:
     if best is None:
         return None
     rows = np.arange(len(best.points))
-    return SparseModel(dict(enumerate(best.cameras)), best.points, {0: rows, 1: rows})
+    return SparseModel(dict(enumerate(best.cameras)), best.points, {0: rows, 1: rows}, dict(enumerate(best.pixels)))
 
 
 def _starts(
@@ -109,7 +110,8 @@ def _adjusted(
     deviation = ((bundle.lenses - prior.mean) / prior.sigma) ** 2
     cost = weight * scale**2 * np.log1p((worst / scale) ** 2).sum() + prior.weight * deviation.sum()
     kept = residuals < policy.epipolar_tolerance
-    return _Candidate(float(cost), cameras, bundle.points[kept]) if kept.any() else None
+    pixels = seen.pixels.reshape(2, -1, 2)[:, kept]
+    return _Candidate(float(cost), cameras, bundle.points[kept], pixels) if kept.any() else None
 
 
 def _cameras(bundle: Bundle, sizes: Sequence[tuple[int, int]]) -> tuple[PhotoCamera, PhotoCamera]:

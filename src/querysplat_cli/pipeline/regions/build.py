@@ -1,0 +1,113 @@
+"""Photos with cameras become one scene, region by region."""
+
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from querysplat_cli.encoders.base import Encoder, PosedViews
+from querysplat_cli.pipeline.build import distinct_views
+from querysplat_cli.pipeline.kept_parts import read_part, write_part
+from querysplat_cli.pipeline.policy import PIPELINE_POLICY
+from querysplat_cli.pipeline.regions.groups import divide
+from querysplat_cli.pipeline.regions.join import BuiltRegions, join
+from querysplat_cli.pipeline.regions.scene import RegionScene
+from querysplat_cli.pipeline.regions.task import SCENE, TASK, region_maker, region_task
+from querysplat_cli.pipeline.settings import ReconstructSettings
+from querysplat_cli.pipeline.unfinished import Unfinished
+from querysplat_cli.runtime import signals
+from querysplat_cli.runtime.engine import Engine
+from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.progress import StageProgress, Stages
+from querysplat_cli.scene.views import PhotoSource
+
+
+def region_count(settings: ReconstructSettings, photos: int, encoder: Encoder) -> int:
+    """How many regions so many photos become.
+
+    Raises QuerySplatError where --regions cannot be had: too few photos, an encoder whose depth needs all photos at
+    once, or another option that is for one region alone.
+    """
+    wanted, asked = settings.regions, f"--regions {settings.regions}"
+    alone = encoder.own_frame or settings.budget is not None or bool(settings.refine_cameras)
+    if wanted is None:
+        return 1 if alone else -(-photos // PIPELINE_POLICY.region_photos)
+    if wanted == 1:
+        return 1
+    if encoder.own_frame:
+        raise QuerySplatError(
+            f"{asked}: the encoder {encoder.name} takes all photos at once", "Use --encoder classical."
+        )
+    if alone:
+        raise QuerySplatError(f"{asked}: --budget and --refine-cameras are for one region", "Leave one of them out.")
+    most = photos // PIPELINE_POLICY.fewest_region_photos
+    if wanted > most:
+        raise QuerySplatError(
+            f"{asked}: {photos} photos with cameras are too few", f"Use at most {max(1, most)}, or leave it out."
+        )
+    return wanted
+
+
+def build_regions(
+    posed: PosedViews,
+    count: int,
+    settings: ReconstructSettings,
+    sources: Mapping[str, PhotoSource],
+    work: Unfinished,
+    engine: Engine,
+    stages: Stages,
+) -> BuiltRegions:
+    """Divide the photos, let `engine` make the regions in the folders of `work`, and join them.
+
+    Raises QuerySplatError where Ctrl-C stopped it; the regions that are done stay in the folders.
+    """
+    with stages("regions"):
+        posed, duplicates = (posed, ()) if settings.keep_everything else distinct_views(posed)
+        groups = divide(posed, count)
+        folders = [work.region(number) for number in range(1, count + 1)]
+        for folder, group in zip(folders, groups, strict=True):
+            if not (folder / TASK).is_file():
+                write_part(folder / TASK, region_task(posed, group, settings, sources))
+    try:
+        _carry_out(folders, engine, stages)
+    except KeyboardInterrupt:
+        done = sum((folder / SCENE).is_file() for folder in folders)
+        raise QuerySplatError(
+            f"stopped: {done} of {count} regions are done", "The same command goes on with the others.",
+            signals.exit_code(),
+        ) from None  # fmt: skip
+    scenes = [_read(folder / SCENE) for folder in folders]
+    with stages("join") as progress:
+        joined = join(posed, groups, scenes, settings, sources, progress)
+    return replace(joined, scene=replace(joined.scene, duplicates=duplicates))
+
+
+def _carry_out(folders: Sequence[Path], engine: Engine, stages: Stages) -> None:
+    """Let `engine` make all regions; each is a stage of the name of its folder."""
+    with ExitStack() as stack:
+        shown: dict[Path, tuple[ExitStack, StageProgress]] = {}
+        over: set[Path] = set()
+
+        def heard(folder: Path, text: str, fraction: float) -> None:
+            if folder not in shown:
+                stage = stack.enter_context(ExitStack())
+                shown[folder] = stage, stage.enter_context(stages(folder.name))
+            if folder not in over:
+                shown[folder][1](text, fraction)
+
+        def done(folder: Path, why: str | None) -> None:
+            over.add(folder)
+            if folder in shown:
+                shown[folder][0].close()
+            if why:
+                raise QuerySplatError(f"{folder.name}: {why}", "The same command goes on with what is missing.")
+
+        engine.run(region_maker, None, folders, done, heard)
+
+
+def _read(path: Any) -> RegionScene:
+    scene: RegionScene | None = read_part(path)
+    if scene is None:
+        raise QuerySplatError(f"{path} is missing or damaged", "The same command makes it again.")
+    return scene
