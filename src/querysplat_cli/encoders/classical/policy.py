@@ -61,19 +61,6 @@ class CameraPolicy:
     thorough: MatchEffort = MatchEffort(800, True, 0.003, 0.9, False, 25)
     """A second, slow search, for photos that the first one did not place. It finds many features in few pixels; among
     many more candidates more agree by chance, so it needs more inliers."""
-    supported: MatchEffort = MatchEffort(800, True, None, 1.0, False, 15, -2)
-    """The second search in a few photos, enlarged four times. It finds two to four times as many right matches on fox,
-    kermit and dtu106 as the usual one, and in fox's squares of 270 pixels twenty where that finds none."""
-    supporting_matches: int = 2
-    """A match of this search needs so many neighbours that agree."""
-    support_reach: float = 0.15
-    """How far a neighbour may be, in longer sides."""
-    support_tolerance: float = 0.25
-    """How far a neighbour may be from where the match expects it, as a share of its distance from the match."""
-    map_tolerance: float = 0.8
-    """How much the maps of neighbours may differ, relative to their size."""
-    same_place: float = 1.5
-    """Features this close, in pixels, count as one; neighbours are always allowed so much."""
     large_photo: int = 1200
     """Photos with a longer side of at least so many pixels, in the median, are large: they have features in plenty."""
     ordinary_large: MatchEffort = MatchEffort(1600, False, None, 0.8, False, 15, 0, None, 3000)

@@ -1,0 +1,40 @@
+"""The second search of a few photos, whose matches need support: chosen on pairs of fox, kermit and dtu106."""
+
+from dataclasses import dataclass
+
+from querysplat_cli.encoders.classical.policy import MatchEffort
+
+SEARCH = MatchEffort(800, True, None, 1.0, False, 15, -2)
+"""Features of photos that are enlarged four times, to 3,200 pixels at most. In fox's squares of 270 pixels that finds
+twice as many right matches as twice the size."""
+
+
+@dataclass(frozen=True)
+class SupportPolicy:
+    """How features are found, and what a match needs so that its neighbours support it."""
+
+    effort: MatchEffort = SEARCH
+    """How affine features are searched for, and how many matches a pair needs. Round features are added to these."""
+    reach: float = 0.15
+    """How far a neighbour may be, in longer sides."""
+    tolerance: float = 0.25
+    """How far a neighbour may be from where a match expects it, as a share of its distance from that match."""
+    same_place: float = 1.5
+    """Features this close, in pixels, count as one. A neighbour may always be so far from where it is expected."""
+    alike: float = 0.8
+    """How much the maps of two neighbours may differ, relative to their size."""
+    neighbours: int = 2
+    """So many neighbours must support a match."""
+    neighbours_grown: int = 4
+    """So many after matches were added around those that have support."""
+    anchors: int = 3
+    """A feature is added by the maps of so many of the nearest supported matches."""
+    grown_alike: float = 0.5
+    """How much the shapes of an added feature may differ from what the map makes of it, relative to their size."""
+    grown_angle: float = 0.65
+    """Largest angle in radians between the descriptors of an added match."""
+    grown_ratio: float = 0.95
+    """Largest ratio of this angle to that of the second best feature in the place that the maps allow."""
+
+
+SUPPORT_POLICY = SupportPolicy()
