@@ -25,6 +25,8 @@ class SupportPolicy:
     """How much the maps of two neighbours may differ, relative to their size."""
     neighbours: int = 2
     """So many neighbours must support a match."""
+    supported_share: float = 0.03
+    """Share of the nearest features that must have support. In pictures of different noise 2 % have it by chance."""
     neighbours_grown: int = 4
     """So many after matches were added around those that have support."""
     anchors: int = 3
