@@ -1,6 +1,7 @@
 """Write docs/licences.md: every package that an installation brings, its version, licence and home.
 
-    pip install -c constraints.txt '.[heic,formats,cuda,weights,matching,tensorboard]' && python benchmarks/licences.py
+    extras=heic,formats,mesh,cuda,weights,matching,tensorboard
+    pip install -c constraints.txt ".[$extras]" && python benchmarks/licences.py
 
 The facts are those of the installed packages. A package that is not installed keeps the row of the page before.
 """

@@ -9,7 +9,7 @@ WORKDIR /opt/querysplat
 COPY . .
 # The index of CPU builds keeps CUDA's packages, several gigabytes, out of the image.
 RUN pip install --no-cache-dir -c constraints.txt --extra-index-url https://download.pytorch.org/whl/cpu \
-        'torch==2.13.0+cpu' '.[formats,heic]' \
+        'torch==2.13.0+cpu' '.[formats,heic,mesh]' \
     # Kernels are compiled into the image, so that no run has to do it.
     && NUMBA_CACHE_DIR=/opt/numba querysplat demo -o /tmp/demo --quiet \
     && rm -r /tmp/demo \

@@ -16,7 +16,7 @@ ENV PATH=/opt/venv/bin:$PATH
 
 WORKDIR /opt/querysplat
 COPY . .
-RUN pip install --no-cache-dir -c constraints.txt '.[formats,heic,cuda,weights]'
+RUN pip install --no-cache-dir -c constraints.txt '.[formats,heic,mesh,cuda,weights]'
 ENV NUMBA_CACHE_DIR=/tmp/numba MPLCONFIGDIR=/tmp/matplotlib TORCH_EXTENSIONS_DIR=/tmp/torch_extensions
 
 WORKDIR /data

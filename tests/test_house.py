@@ -114,7 +114,7 @@ def test_lower_bounds_are_the_lowest_tested_versions() -> None:
     """A bound is what its pin in constraints-lowest.txt begins with: `numpy>=2.0` for `numpy==2.0.0`."""
     project = tomllib.loads((REPOSITORY / "pyproject.toml").read_text())["project"]
     extras = project["optional-dependencies"]
-    wanted = [*project["dependencies"], *extras["test"], *extras["formats"], *extras["metrics"]]
+    wanted = [*project["dependencies"], *extras["test"], *extras["formats"], *extras["mesh"], *extras["metrics"]]
     wanted = [line for line in wanted if not line.startswith("querysplat")]
     found = [re.fullmatch(r"([\w-]+)(?:\[.*\])?>=([\d.]+)", line) for line in wanted]
     bounds = {match[1]: match[2] for match in found if match}

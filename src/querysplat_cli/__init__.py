@@ -13,7 +13,8 @@ from querysplat_cli.runtime.threads import wait_passively
 if TYPE_CHECKING:
     from querysplat_cli.commands.library import Scene, open_scene, optimise, reconstruct, render
     from querysplat_cli.encoders.registry import register_encoder
-    from querysplat_cli.pipeline.settings import ReconstructSettings, ResumeSettings
+    from querysplat_cli.pipeline.resume_settings import ResumeSettings
+    from querysplat_cli.pipeline.settings import ReconstructSettings
     from querysplat_cli.runtime.errors import QuerySplatError
     from querysplat_cli.scene.cameras import Cameras
     from querysplat_cli.scene.formats.ply import read_ply, write_ply
@@ -43,7 +44,7 @@ _PLACES = {
     "Gaussians": "scene.gaussians",
     "QuerySplatError": "runtime.errors",
     "ReconstructSettings": "pipeline.settings",
-    "ResumeSettings": "pipeline.settings",
+    "ResumeSettings": "pipeline.resume_settings",
     "Scene": "commands.library",
     "open_scene": "commands.library",
     "optimise": "commands.library",

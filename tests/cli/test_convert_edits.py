@@ -1,6 +1,7 @@
 """`querysplat convert` cleans, turns and cuts Gaussians, says what that costs, and takes the scene's folder along."""
 
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -163,7 +164,8 @@ def test_a_file_without_a_finite_gaussian_is_refused(tmp_path: Path, capsys: pyt
 def test_points_are_the_opaque_gaussians(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     said = converted(capsys, scene, tmp_path / "p.ply", "--points", "--scale", "2", "--clean")
     vertices = PlyData.read(str(tmp_path / "p.ply"))["vertex"].data
-    assert said["gaussians"] == len(vertices) == BODY
+    assert said["points"] == len(vertices) == BODY
+    assert said["psnr"] is None
     assert vertices.dtype.names == ("x", "y", "z", "red", "green", "blue")
     assert vertices["z"].min() >= 8
     assert len(np.unique(vertices["red"])) > 20
@@ -201,3 +203,41 @@ def test_float_depth_is_that_of_the_surface(scene: Path, tmp_path: Path) -> None
     assert depth.shape == confidence.shape == (144, 192)
     assert 0 <= confidence.min() <= confidence.max() <= 1
     assert 3.5 < depth[72, 96] < 6.5
+
+
+@pytest.mark.parametrize("kind", ["ply", "glb", "obj"])
+def test_a_mesh_is_the_surface_in_the_frame_of_the_result(
+    scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str
+) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    target = tmp_path / f"m.{kind}"
+    said = converted(capsys, scene, target, "--mesh", "--scale", "2", "--clean")
+    assert said["psnr"] is said["scene"] is None
+    assert said["bytes"]["target"] == target.stat().st_size
+    found = trimesh.load(target, process=False, force="mesh")
+    assert (len(found.vertices), len(found.faces)) == (said["corners"], said["triangles"])
+    assert len(np.unique(found.visual.vertex_colors[:, 0])) > 20
+    y_up = -1 if kind == "glb" else 1
+    assert 7.5 < np.median(y_up * found.vertices[:, 2]) < 9  # the wall's depth, twice
+    assert (y_up * found.face_normals[:, 2] < 0).mean() > 0.8  # towards the cameras
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "words"),
+    [("m.spz", ["--mesh"], "meshes"), ("m.obj", [], "--mesh"), ("m.ply", ["--mesh", "--points"], "two files")],
+)
+def test_other_kinds_of_meshes_are_refused(
+    scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, options: list[str], words: str
+) -> None:
+    assert run(["convert", str(scene), str(tmp_path / name), *options]) == ExitCode.BAD_INPUT
+    assert words in capsys.readouterr().err
+    assert not (tmp_path / name).exists()
+
+
+def test_without_its_packages_a_mesh_names_the_command_that_brings_them(
+    scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "trimesh", None)
+    assert run(["convert", str(scene), str(tmp_path / "m.glb"), "--mesh"]) == ExitCode.MISSING_PART
+    assert capsys.readouterr().err.splitlines() == ["error: meshes need trimesh", "  pip install 'querysplat[mesh]'"]
+    assert not (tmp_path / "m.glb").exists()

@@ -8,6 +8,8 @@ import torch
 
 from querysplat_cli.cli import run
 from querysplat_cli.commands.info import describe
+from querysplat_cli.reporting.report import Report
+from querysplat_cli.reporting.stored_report import backdrop_of
 from querysplat_cli.runtime.errors import ExitCode
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.formats.ply import write_ply
@@ -48,14 +50,22 @@ def test_the_odd_ones_are_counted() -> None:
 
 
 def test_the_backdrop_is_no_oddity(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The report beside the file says how many of the last Gaussians are the backdrop, if it is of this file."""
+    """A whole report of this file says how many of the last Gaussians are the backdrop; `convert` reads it alike."""
     write_ply(tmp_path / "grid.ply", grid())
     (tmp_path / "grid").mkdir()
-    for count, behind, giants in ((216, 6, 0), (215, 0, 3)):
-        (tmp_path / "grid" / "report.json").write_text(json.dumps({"gaussians": count, "backdrop": 6}))
+    report = Report(
+        ply="grid.ply", scene="grid", views={"used": [], "left_out": []}, gaussians=216, seconds={}, quality={},
+        left_out=[], warnings=[], tto=[], settings={"queries": None, "weights": None, "precision": "fp32"},
+        peak_memory_gib=0.5, machine="", backdrop=6,
+    )  # fmt: skip
+    whole = report.as_dict()
+    others = {**whole, "gaussians": 215}, {**whole, "backdrop": 217}, {"gaussians": 216, "backdrop": 6}
+    for entries, behind, giants in ((whole, 6, 0), *((other, 0, 3) for other in others)):
+        (tmp_path / "grid" / "report.json").write_text(json.dumps(entries))
         assert run(["info", str(tmp_path / "grid.ply"), "--json", "-q"]) == 0
         found = json.loads(capsys.readouterr().out)
         assert (found["gaussians"], found["backdrop"], found["odd"]["giants"]["count"]) == (216, behind, giants)
+        assert backdrop_of(tmp_path / "grid", 216) == behind
 
 
 def test_one_gaussian_is_a_scene() -> None:

@@ -27,6 +27,12 @@ def test_what_how_good_how_long_where_and_what_next() -> None:
     assert "querysplat tto s" in said[4]
 
 
+def test_the_file_has_a_size_and_a_cost() -> None:
+    lost = {"what": "precision", "psnr_lost": 0.031}
+    said = list(lines(replace(REPORT, ply="s.spz", bytes=3 * 2**19, left_out=[lost])))
+    assert said[3].startswith("s.spz (1.50 MiB, 0.03 dB lost by it); s/preview.png")
+
+
 def test_left_out_photos_take_one_line_and_each_warning_one() -> None:
     left_out = [{"name": f"{i}.png", "why": "it is blurred"} for i in range(9)]
     report = replace(REPORT, views={"used": ["a.png"], "left_out": left_out}, warnings=["it is dark"])

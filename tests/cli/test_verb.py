@@ -16,7 +16,8 @@ from querysplat_cli.commands.convert_request import Conversion
 from querysplat_cli.commands.requests import PosesRequest, RenderRequest
 from querysplat_cli.evaluation.generate import INTERVALS, SCALES
 from querysplat_cli.evaluation.request import EvalRequest
-from querysplat_cli.pipeline.settings import ReconstructSettings, ResumeSettings
+from querysplat_cli.pipeline.resume_settings import ResumeSettings
+from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.runtime.choices import InputCount, Scale
 
 COMMANDS = get_command(app).commands  # type: ignore[attr-defined]  # it is a group

@@ -18,7 +18,7 @@ from querysplat_cli.commands.view_server import serving
 from querysplat_cli.commands.viewed_scene import viewed_scene
 from querysplat_cli.commands.viewer_files import LICENCES, RELEASED, VIEWER, checksums
 from querysplat_cli.runtime.errors import ExitCode, QuerySplatError
-from querysplat_cli.scene.formats.ply import write_ply
+from querysplat_cli.scene.formats.ply import read_ply, write_ply
 from querysplat_cli.scene.gaussians import Gaussians
 
 
@@ -70,6 +70,14 @@ def test_a_scene_without_cameras_is_seen_from_outside_with_y_down(ply: Path) -> 
     assert outside[2, 3] < 4
     assert outside[:3, 1] @ torch.tensor(manifest["up"]) < -0.9
     assert manifest["near"] < manifest["depth"][0] < manifest["depth"][1] < manifest["far"]
+
+
+def test_a_kind_that_the_page_cannot_read_becomes_one_that_it_can(ply: Path, tmp_path: Path) -> None:
+    assert run(["convert", str(ply), str(tmp_path / "other.glb"), "-q"]) == 0
+    scene = viewed_scene(tmp_path / "other.glb")
+    assert (scene.manifest["kind"], scene.manifest["gaussians"]) == ("ply", "scene.ply")
+    (tmp_path / "again.ply").write_bytes(scene.file("scene.ply") or b"")
+    torch.testing.assert_close(read_ply(tmp_path / "again.ply").means, read_ply(ply).means)
 
 
 def test_a_port_that_is_taken_is_refused(ply: Path, capsys: pytest.CaptureFixture[str]) -> None:

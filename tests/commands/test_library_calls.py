@@ -9,7 +9,8 @@ import torch
 
 import querysplat_cli as qs
 from querysplat_cli.commands import library
-from querysplat_cli.pipeline.settings import ReconstructSettings, ResumeSettings
+from querysplat_cli.pipeline.resume_settings import ResumeSettings
+from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.reporting.report import Report
 from querysplat_cli.runtime.progress import Stages
 

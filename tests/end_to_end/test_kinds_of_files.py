@@ -3,6 +3,7 @@
 import json
 import shutil
 from pathlib import Path
+from typing import Any
 
 import cv2
 import pytest
@@ -17,6 +18,11 @@ from querysplat_cli.scene.views import Photo
 pytest.importorskip("gsply")
 
 
+def stored_report(folder: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((folder / "s" / "report.json").read_text())
+    return found
+
+
 def test_a_scene_in_an_spz(tmp_path: Path) -> None:
     photo = str(take_photos(tmp_path / "photos", 3, 1)[0])
     made = ["reconstruct", photo, "--max-size", "96", "--tto", "0", "-q"]
@@ -26,13 +32,20 @@ def test_a_scene_in_an_spz(tmp_path: Path) -> None:
     one, two = (read_gaussians(tmp_path / name) for name in ("s.spz", "t.ply"))
     assert len(one) == len(two)
     assert (one.means - two.means).abs().max() < 1e-3  # y points down in both
+    precision = [entry for entry in stored_report(tmp_path)["left_out"] if entry["what"] == "precision"]
+    assert len(precision) == 1
+    assert 0 < precision[0]["psnr_lost"] < 1
+    assert precision[0]["bytes"] == pytest.approx(
+        (tmp_path / "t.ply").stat().st_size - (tmp_path / "s.spz").stat().st_size, abs=2000
+    )
     for scene in ("s", "s.spz"):
         assert run(["render", str(tmp_path / scene), "-o", str(tmp_path / "frames"), "--force", "-q"]) == ExitCode.DONE
         assert {path.name for path in (tmp_path / "frames").iterdir()} == {"room3_0.png", "cameras.json"}
         assert run(["inspect", str(tmp_path / scene), "--force", "-q"]) == ExitCode.DONE
         assert (tmp_path / "s-inspected").is_dir()
     assert run(["tto", str(tmp_path / "s"), "--steps", "1", "--space", "gaussians", "-q"]) == ExitCode.DONE
-    report = json.loads((tmp_path / "s" / "report.json").read_text())
+    report = stored_report(tmp_path)
+    assert [entry["what"] for entry in report["left_out"]].count("precision") == 1  # that of the new file
     assert report["ply"] == str(tmp_path / "s.spz")
     assert not (tmp_path / "s.ply").exists()
 

@@ -104,6 +104,14 @@ def test_what_the_mask_hides_has_no_query() -> None:
     assert float(anchors.means[: report.kept, :, 0].max()) < 0.01
 
 
+def test_masks_that_leave_nothing_are_refused() -> None:
+    views, cameras, depth, confidence = plane([0.0])
+    views.masks[:] = False
+    views.masks[:, :2, :2] = True
+    with pytest.raises(QuerySplatError, match="hide nearly all"):
+        build(views, cameras, depth, confidence)
+
+
 @pytest.mark.parametrize("limit", [BLOCKS, 40, 10, 1])
 def test_a_limit_on_queries(limit: int) -> None:
     anchors, report = build(*plane([0.0]), queries=limit)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from querysplat_cli.runtime.workers import THREAD_LIMITS, Workers
+from querysplat_cli.runtime.workers import THREAD_LIMITS, Workers, _Pool
 
 
 def handler(folder: Path) -> Callable[[str], None]:
@@ -29,7 +29,7 @@ def test_crashes_are_reported_and_the_rest_is_done(tmp_path: Path, monkeypatch: 
     monkeypatch.delenv(THREAD_LIMITS[0], raising=False)
     jobs = ["a", "crash", "b", "kill", "c", "d"]
     ends: dict[str, str | None] = {}
-    Workers(2, handler, tmp_path).run(jobs, lambda job, why: ends.update({job: why}))
+    Workers(2).run(handler, tmp_path, jobs, lambda job, why: ends.update({job: why}))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "b", "c", "d"]
     assert ends.keys() == set(jobs)
     assert "code 3" in str(ends["crash"])
@@ -43,7 +43,7 @@ def test_crashes_are_reported_and_the_rest_is_done(tmp_path: Path, monkeypatch: 
 
 
 def test_an_interruption_stops_every_worker(tmp_path: Path) -> None:
-    workers = Workers(2, handler, tmp_path)
+    workers = _Pool(2, handler, tmp_path)
 
     def interrupted(job: str, why: str | None) -> None:
         raise KeyboardInterrupt
@@ -59,11 +59,11 @@ def test_an_interruption_stops_every_worker(tmp_path: Path) -> None:
 def test_workers_that_cannot_start_are_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Otherwise the main process would wait for ever."""
 
-    def fail(workers: Workers[str]) -> None:
+    def fail(workers: _Pool[str]) -> None:
         raise OSError("Cannot allocate memory")
 
-    monkeypatch.setattr(Workers, "_start", fail)
+    monkeypatch.setattr(_Pool, "_start", fail)
     ends: dict[str, str | None] = {}
-    Workers(2, handler, tmp_path).run(["a", "b", "c"], lambda job, why: ends.update({job: why}))
+    Workers(2).run(handler, tmp_path, ["a", "b", "c"], lambda job, why: ends.update({job: why}))
     assert ends.keys() == {"a", "b", "c"}
     assert all("Cannot allocate memory" in str(why) for why in ends.values())

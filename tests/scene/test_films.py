@@ -119,6 +119,14 @@ def test_what_is_no_film(tmp_path: Path, content: bytes, why: str) -> None:
         list(film_frames(path))
 
 
+def test_a_title_that_is_not_utf_8(tmp_path: Path) -> None:
+    path = write_film(tmp_path / "film.mp4", plain((9, 9, 9)))
+    content = path.read_bytes()
+    assert b"Lavf" in content
+    path.write_bytes(content.replace(b"Lavf", b"\xe6avf"))
+    assert len(list(film_frames(path))) > 0
+
+
 def test_a_cut_off_film_gives_what_it_has(tmp_path: Path) -> None:
     """As after a dead battery, of a format that has no table at its end."""
     path = write_film(tmp_path / "film.webm", pan(range(0, 400, 10)), codec="libvpx-vp9")

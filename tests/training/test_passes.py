@@ -11,6 +11,7 @@ import torch
 from querysplat_cli.encoders.base import CameraRequest, Geometry, PosedViews
 from querysplat_cli.runtime.errors import ImpossibleScene, QuerySplatError
 from querysplat_cli.runtime.progress import Progress
+from querysplat_cli.runtime.workers import Workers
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.sim3 import Sim3
 from querysplat_cli.scene.views import Photo, Views
@@ -168,7 +169,8 @@ def test_several_workers_make_the_samples_that_one_makes(tmp_path: Path) -> None
     several = replace(data, cache=str(tmp_path / "several"))
     seen: list[float] = []
     prepare_samples(data, make_recorder, progress=lambda text, fraction: None)
-    found = prepare_samples(several, make_recorder, workers=2, progress=lambda text, fraction: seen.append(fraction))
+    two = Workers(2)
+    found = prepare_samples(several, make_recorder, engine=two, progress=lambda text, fraction: seen.append(fraction))
     assert (found.ready, found.failed) == (4, ())
     assert seen == [0.25, 0.5, 0.75, 1.0]
     for path in cache_folder(data, SMALL_ROOMS).iterdir():

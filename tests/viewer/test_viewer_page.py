@@ -147,6 +147,20 @@ def test_a_drag_leaves_the_photo_and_keeps_the_ball_in_sight(scene: Path, browse
     assert browser.errors == []
 
 
+def test_a_long_drag_ends_above_the_ground(scene: Path, browser: Browser) -> None:
+    """The cameras look down at the ball. A drag that would turn the camera below it ends where further ones change
+    nothing; sideways the camera still turns."""
+    with serving(viewed_scene(scene).file, browser=False) as address:
+        browser.open(f"{address}#1")
+        without_panel(browser)
+        pictures = []
+        for start, end in (((80, 110), (80, 10)), ((80, 110), (80, 60)), ((80, 60), (110, 60))):
+            browser.drag(start, end)
+            browser.settled()
+            pictures.append(browser.screenshot().astype(int))
+    assert np.abs(pictures[1] - pictures[0]).mean() < 0.5 < 5 < np.abs(pictures[2] - pictures[1]).mean()
+
+
 def test_the_page_follows_a_run_to_its_end(browser: Browser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two states of a scene, the second with every Gaussian in grey."""
     monkeypatch.setenv("BROWSER", "true")

@@ -18,6 +18,7 @@ def main() -> None:
     tolerate_closed_streams()
     signals.catch()
     code = run(sys.argv[1:])
+    signals.ignore()
     _forget_handled_interrupt()
     sys.exit(code)
 

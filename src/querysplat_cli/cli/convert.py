@@ -13,10 +13,11 @@ def convert(request: Conversion, printing: Printing) -> None:
 
     Gaussians can be turned, scaled, cleaned and cut on the way. What that costs in PSNR is printed.
     """
-    from querysplat_cli.cli.terminal import print_json, say
+    from querysplat_cli.cli.terminal import print_json, say, showing_stages
     from querysplat_cli.commands.convert import convert as run
 
-    result = run(request)
+    with showing_stages(printing) as stages:
+        result = run(request, stages)
     print_json(result, printing)
     for line in _lines(result):
         say(line, printing)
@@ -29,11 +30,19 @@ def _lines(result: dict[str, Any]) -> list[str]:
     written, read = (result["bytes"][part] / 2**20 for part in ("target", "source"))
     steps = [_step(step) for step in result["steps"]]
     return [
-        f"{result['gaussians']:,} Gaussians, {written:.2f} MiB (source {read:.2f} MiB): {result['target']}",
+        f"{_content(result)}, {written:.2f} MiB (source {read:.2f} MiB): {result['target']}",
         *([f"with its folder: {result['scene']}"] if result["scene"] else []),
         *steps,
-        _cost(result["psnr"]),
+        *([_cost(result["psnr"])] if result["psnr"] else []),
     ]
+
+
+def _content(result: dict[str, Any]) -> str:
+    if "points" in result:
+        return f"{result['points']:,} points, the centres of Gaussians that are at least half opaque"
+    if "triangles" in result:
+        return f"{result['triangles']:,} triangles with {result['corners']:,} corners"
+    return f"{result['gaussians']:,} Gaussians"
 
 
 def _step(step: dict[str, Any]) -> str:

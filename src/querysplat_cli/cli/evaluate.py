@@ -2,6 +2,7 @@
 
 from querysplat_cli.cli.verb import Printing
 from querysplat_cli.evaluation.request import EvalRequest
+from querysplat_cli.runtime.colmap import load_pycolmap
 
 
 def evaluate(request: EvalRequest, printing: Printing) -> None:
@@ -9,6 +10,7 @@ def evaluate(request: EvalRequest, printing: Printing) -> None:
 
     Input, interpolation and extrapolation views are scored apart.
     """
+    load_pycolmap()
     from querysplat_cli.cli.print_evaluation import print_evaluation
     from querysplat_cli.cli.terminal import say, showing_stages
     from querysplat_cli.evaluation.results import merge

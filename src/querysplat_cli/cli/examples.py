@@ -40,6 +40,7 @@ EXAMPLES = {
         ("convert scene.ply upright.ply --up z", "turn the axis that points up to -y"),
         ("convert scene.ply clean.ply --clean", "without floaters, and what that costs"),
         ("convert scene.ply points.ply --points", "a coloured point cloud"),
+        ("convert scene.ply mesh.glb --mesh", "a coloured triangle mesh (needs querysplat[mesh])"),
         ("convert scene model/ --text", "a COLMAP model: the photos' lenses, and points"),
     ),
     "info": (

@@ -3,7 +3,8 @@
 PANELS = {
     "Scene": ("scene", "scenes", "source", "target", "first", "second"),
     "Photos": (
-        *("inputs", "film_frames", "holdout_every", "max_size", "max_views", "fit", "lens", "exposure"),
+        *("inputs", "film_frames", "holdout_every", "max_size", "max_views", "regions"),
+        *("fit", "lens", "exposure"),
         *("photos", "pictures"),
     ),
     "Quality": (
@@ -28,7 +29,7 @@ PANELS = {
     "Pictures": ("frames", "seconds", "fps", "size", "background", "query"),
     "Changes": (
         *("up", "scale", "clean", "prune_to", "crop", "remove", "keep_sphere"),
-        *("points", "text", "spz_version"),
+        *("points", "mesh", "text", "spz_version"),
     ),
     "Output": (
         *(
@@ -49,7 +50,7 @@ PANELS = {
         ),
         *("with_photos", "view", "browser", "port", "force", "quiet", "json"),
     ),
-    "Machine": ("device", "seed", "workers"),
+    "Machine": ("device", "seed", "workers", "cluster"),
 }
 """The options of each panel, by the names of their fields. A name means the same in every verb that has it.
 

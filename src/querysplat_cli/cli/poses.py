@@ -4,6 +4,7 @@ from typing import Any
 
 from querysplat_cli.cli.verb import Printing
 from querysplat_cli.commands.requests import PosesRequest
+from querysplat_cli.runtime.colmap import load_pycolmap
 
 
 def poses(request: PosesRequest, printing: Printing) -> None:
@@ -12,6 +13,7 @@ def poses(request: PosesRequest, printing: Printing) -> None:
     A similarity first joins them. The errors are those of rotation, centre and focal length, with RRA, RTA, AUC and
     ATE.
     """
+    load_pycolmap()
     from querysplat_cli.cli.terminal import print_json, say
     from querysplat_cli.commands.poses import compare
 

@@ -6,6 +6,7 @@ from typing import Any
 
 from querysplat_cli.cli.terminal import say
 from querysplat_cli.cli.verb import Printing
+from querysplat_cli.reporting.omissions import PRECISION
 from querysplat_cli.reporting.report import Report
 from querysplat_cli.runtime import signals
 from querysplat_cli.runtime.errors import QuerySplatError
@@ -38,13 +39,24 @@ def lines(report: Report) -> Iterator[str]:
         yield f"left out: {first['name']} ({first['why']}){more}"
     if report.matching:
         yield _matching(report.matching)
+    yield from report.resumed
+    if report.regions:
+        yield _regions(report.regions, report.seams)
     yield from (f"warning: {warning}" for warning in report.warnings)
     if report.scale:
         yield _scale(report.scale)
     yield "; ".join(_quality(report))
     yield _time(report)
-    yield f"{report.ply}; {Path(report.scene) / 'preview.png'} shows photos beside renders, report.json has the rest"
+    preview = Path(report.scene) / "preview.png"
+    yield f"{_file(report)}; {preview} shows photos beside renders, report.json has the rest"
     yield f"next: querysplat render {report.ply} -o film.mp4, or querysplat tto {report.scene} for a better scene"
+
+
+def _regions(regions: list[dict[str, Any]], seams: list[dict[str, Any]]) -> str:
+    photos = ", ".join(str(region["photos"]) for region in regions)
+    worst = min((seam["psnr"] for seam in seams), default=None)
+    alike = "" if worst is None else f"; where they meet they agree to {worst:.1f} dB or better"
+    return f"{len(regions)} regions of {photos} photos{alike}"
 
 
 def _scale(scale: dict[str, Any]) -> str:
@@ -76,6 +88,14 @@ def _quality(report: Report) -> Iterator[str]:
         if large and large.get(group):
             size = f"at {large['max_size']} px"
             yield f"PSNR {large[group]['psnr']:.2f} dB, SSIM {large[group]['ssim']:.3f} on {where} {size}"
+
+
+def _file(report: Report) -> str:
+    """The file, its size, and what its kind loses where that is measured."""
+    if report.bytes is None:
+        return report.ply
+    lost = [f", {entry['psnr_lost']:.2f} dB lost by it" for entry in report.left_out if entry["what"] == PRECISION]
+    return f"{report.ply} ({report.bytes / 2**20:.2f} MiB{''.join(lost)})"
 
 
 def _time(report: Report) -> str:

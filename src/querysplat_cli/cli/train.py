@@ -9,7 +9,7 @@ from annotated_types import Ge
 
 from querysplat_cli.cli.verb import Printing
 from querysplat_cli.runtime.errors import MissingPart
-from querysplat_cli.runtime.options import Device, Force, LpipsWeights, Option
+from querysplat_cli.runtime.options import Cluster, Device, Force, LpipsWeights, Option
 
 
 @dataclass(frozen=True)
@@ -36,6 +36,7 @@ class TrainOptions:
         Ge(1),
         Option("Processes that make the samples of the cache.", metavar="N", default="one for each core"),
     ] = None
+    cluster: Cluster = None
     lpips: LpipsWeights = None
     tensorboard: Annotated[bool, Option("Write TensorBoard's files, too.")] = False
     device: Device = "auto"
@@ -69,6 +70,7 @@ def train(options: TrainOptions, printing: Printing) -> None:
         perceptual,
         options.workers,
         options.samples_only,
+        options.cluster,
     )
     # torchrun starts several processes; the first one reports for all.
     is_first = os.environ.get("RANK", "0") == "0"

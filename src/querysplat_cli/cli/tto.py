@@ -2,7 +2,7 @@
 
 from querysplat_cli.cli.verb import Printing
 from querysplat_cli.commands.view_requests import Watching
-from querysplat_cli.pipeline.settings import ResumeSettings
+from querysplat_cli.pipeline.resume_settings import ResumeSettings
 from querysplat_cli.scene.files import with_name
 
 

@@ -5,11 +5,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from querysplat_cli.commands.convert_gaussians import backdrop_of, convert_gaussians
+from querysplat_cli.commands.convert_gaussians import convert_gaussians
 from querysplat_cli.commands.convert_request import Conversion
 from querysplat_cli.pipeline.gaussian_files import READERS, file_of_scene, read_gaussians
 from querysplat_cli.pipeline.scene_folder import write_images
+from querysplat_cli.reporting.stored_report import backdrop_of
 from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import PhotoCamera, rescaled
 from querysplat_cli.scene.files import atomic_folder, refuse_existing
 from querysplat_cli.scene.formats.colmap import copy_colmap, write_colmap
@@ -25,7 +27,7 @@ from querysplat_cli.scene.undistort import undistorted
 from querysplat_cli.scene.views import LeftOut
 
 
-def convert(request: Conversion) -> dict[str, Any]:
+def convert(request: Conversion, stages: Stages | None = None) -> dict[str, Any]:
     """Write `request.target`, and return what was written, as the dict that --json prints.
 
     `clean` comes first. `up` becomes −y, and `scale` multiplies lengths. Boxes and spheres are in the units and
@@ -39,11 +41,12 @@ def convert(request: Conversion) -> dict[str, Any]:
     if request.source.suffix.lower() in READERS:
         if request.photos or request.text:
             raise QuerySplatError("--photos and --text are for cameras", "Leave them out.")
-        return convert_gaussians(request)
+        return convert_gaussians(request, stages or Stages())
     if request.photos and request.text:
         raise QuerySplatError("--text is for COLMAP models, --photos for scene folders", "Leave one of them out.")
-    if request.changes:
-        raise QuerySplatError("options that turn, scale or cut are for Gaussians", "Give a .ply, .spz, .sog or .glb.")
+    if request.changes or request.geometry:
+        wanted = "Give a .ply, .spz, .sog or .glb."
+        raise QuerySplatError("options that turn, scale or cut, --points and --mesh are for Gaussians", wanted)
     return _convert_cameras(request)
 
 
@@ -89,7 +92,7 @@ def _points(folder: Path) -> PointCloud | None:
     if not file.is_file():
         return None
     gaussians = read_gaussians(file)
-    return points_of(gaussians[: len(gaussians) - backdrop_of(file, len(gaussians))])
+    return points_of(gaussians[: len(gaussians) - backdrop_of(folder, len(gaussians))])
 
 
 def _make_scene_folder(target: Path, cameras: Mapping[str, PhotoCamera], place: Path) -> dict[str, Any]:

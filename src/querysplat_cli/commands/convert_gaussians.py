@@ -14,53 +14,54 @@ from querysplat_cli.commands.moved_folder import write_moved_folder
 from querysplat_cli.pipeline.first_sight import upright_frame
 from querysplat_cli.pipeline.gaussian_files import (
     FLIPPED,
+    WRITERS,
     check_target,
     folder_of_scene,
     read_gaussians,
     write_gaussians,
 )
-from querysplat_cli.reporting.stored_report import read_report
+from querysplat_cli.reporting.stored_report import backdrop_of
 from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.files import atomic_together, refuse_existing
+from querysplat_cli.scene.formats.mesh import MESH_KINDS, check_mesh_parts, write_mesh
 from querysplat_cli.scene.formats.point_cloud import points_of, write_points
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.rotations import skew
 from querysplat_cli.scene.sim3 import Sim3
+from querysplat_cli.splat.fusion import fused
 from querysplat_cli.splat.transform import transform_gaussians
 
 DOWN = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)
 """In files of Gaussians."""
 
 
-def convert_gaussians(request: Conversion) -> dict[str, Any]:
+def convert_gaussians(request: Conversion, stages: Stages) -> dict[str, Any]:
     """Write the Gaussians, and the scene folder beside them where they are turned, scaled or cut.
 
     Returns the dict that --json prints. Raises QuerySplatError, and writes nothing, on bad input.
     """
-    check_target(request.target)
-    if request.points and request.target.suffix.lower() != ".ply":
-        raise QuerySplatError(f"{request.target}: points are written as .ply", "Choose a target that ends in .ply.")
+    _check_kind(request)
     gaussians = read_gaussians(request.source)
     folder = _folder(request)
     place = Sim3(request.scale, _turn(request, gaussians), torch.zeros(3).double())
     views = compared_views(request.source, gaussians)
     here = views.here(gaussians)
     before = views.psnr(here)
-    backdrop = backdrop_of(request.source, len(gaussians))
+    backdrop = backdrop_of(folder_of_scene(request.source), len(gaussians))
     kept, steps = edited(request, here, place.apply(gaussians.means), backdrop, views)
     levels = [before, *(step.psnr for step in steps)]
     placed = transform_gaussians(gaussians, place) if place.scale != 1.0 or request.up else gaussians
+    body = kept & (torch.arange(len(kept)) < len(kept) - backdrop)
     with ExitStack() as stack:
         drafts = stack.enter_context(atomic_together(request.target, *([folder] if folder else [])))
+        after = levels[-1]
         if request.points:
-            body = kept & (torch.arange(len(kept)) < len(kept) - backdrop)
-            cloud = points_of(placed[body])
-            if not len(cloud):
-                raise QuerySplatError("no Gaussian is half opaque, so there is no point", "Convert without --points.")
-            write_points(drafts[0], cloud)
-            written, after = len(cloud), levels[-1]
+            written = _write_cloud(drafts[0], placed[body])
+        elif request.mesh:
+            written = _write_surface(drafts[0], request.source, here[body], place.after(views.frame), views, stages)
         else:
-            written = write_gaussians(drafts[0], placed[kept], request.spz_version)
+            written = {"gaussians": write_gaussians(drafts[0], placed[kept], request.spz_version)}
             after = _psnr_of_file(drafts[0], place, views)
         size = drafts[0].stat().st_size
         if folder:
@@ -68,24 +69,65 @@ def convert_gaussians(request: Conversion) -> dict[str, Any]:
     return {
         "target": str(request.target),
         "scene": str(folder) if folder else None,
-        "gaussians": written,
-        "left_out": len(gaussians) - written,
+        **written,
+        "left_out": len(gaussians) - written["gaussians"],
         "bytes": {"source": request.source.stat().st_size, "target": size},
         "steps": [step.entry(level) for step, level in zip(steps, levels, strict=False)],
-        "psnr": {
-            "views": len(views),
-            "against": views.kind,
-            "before": round(before, 3),
-            "after": round(after, 3),
-            "lost": round(before - after, 3),
-        },
+        "psnr": None if request.geometry else _psnr_entry(views, before, after),
+    }
+
+
+def _check_kind(request: Conversion) -> None:
+    """Raise QuerySplatError unless the target can be written as what is asked for."""
+    kind = request.target.suffix.lower()
+    if request.points and request.mesh:
+        raise QuerySplatError("--points and --mesh are two files", "Write one after the other.")
+    if request.points and kind != ".ply":
+        raise QuerySplatError(f"{request.target}: points are written as .ply", "Choose a target that ends in .ply.")
+    if request.mesh:
+        if kind not in MESH_KINDS:
+            raise QuerySplatError(f"{request.target}: not a kind of file for meshes", f"Use {', '.join(MESH_KINDS)}.")
+        check_mesh_parts()
+    elif kind in MESH_KINDS and kind not in WRITERS:
+        raise QuerySplatError(f"{request.target}: an {kind} holds a mesh", "Add --mesh to make one of the scene.")
+    else:
+        check_target(request.target)
+
+
+def _write_cloud(path: Path, gaussians: Gaussians) -> dict[str, int]:
+    cloud = points_of(gaussians)
+    if not len(cloud):
+        raise QuerySplatError("no Gaussian is half opaque, so there is no point", "Convert without --points.")
+    write_points(path, cloud)
+    return {"gaussians": len(cloud), "points": len(cloud)}
+
+
+def _write_surface(
+    path: Path, source: Path, here: Gaussians, frame: Sim3, views: ComparedViews, stages: Stages
+) -> dict[str, int]:
+    """Fuse the Gaussians `here`, in the frame of the cameras; `frame` maps that to the frame of the mesh."""
+    beside = cameras_beside(source)
+    with stages("mesh") as progress:
+        found = fused(here, beside[0].cameras if beside else views.cameras, progress)
+    mesh = replace(found, places=frame.apply(torch.from_numpy(found.places)).numpy())
+    write_mesh(path, mesh)
+    return {"gaussians": len(here), "corners": len(mesh.places), "triangles": len(mesh.triangles)}
+
+
+def _psnr_entry(views: ComparedViews, before: float, after: float) -> dict[str, Any]:
+    return {
+        "views": len(views),
+        "against": views.kind,
+        "before": round(before, 3),
+        "after": round(after, 3),
+        "lost": round(before - after, 3),
     }
 
 
 def _folder(request: Conversion) -> Path | None:
     """Where the scene's folder is written as well. Raises QuerySplatError where something else is."""
     source, target = folder_of_scene(request.source), folder_of_scene(request.target)
-    if not (source / "cameras.json").is_file() or not request.changes or request.points:
+    if not (source / "cameras.json").is_file() or not request.changes or request.geometry:
         return None
     if target.resolve() == source.resolve():
         raise QuerySplatError(
@@ -94,18 +136,6 @@ def _folder(request: Conversion) -> Path | None:
         )
     refuse_existing([target], force=request.force)
     return target
-
-
-def backdrop_of(source: Path, count: int) -> int:
-    """How many of the Gaussians, the last ones, are a backdrop."""
-    file = folder_of_scene(source) / "report.json"
-    if not file.is_file():
-        return 0
-    try:
-        report = read_report(file)
-    except QuerySplatError:
-        return 0
-    return int(report.get("backdrop", 0)) if report["gaussians"] == count else 0
 
 
 def _psnr_of_file(path: Path, place: Sim3, views: ComparedViews) -> float:

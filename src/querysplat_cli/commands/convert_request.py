@@ -118,7 +118,16 @@ class Conversion:
         Option("Keep the N Gaussians whose absence would change the views most.", ("--prune",), metavar="N"),
     ] = None
     points: Annotated[bool, Option("Write a point cloud: centres and colours of the opaque Gaussians.")] = False
+    mesh: Annotated[
+        bool,
+        Option("Write a coloured triangle mesh of the surface that the input cameras see: a .ply, .glb or .obj."),
+    ] = False
     force: Force = False
+
+    @property
+    def geometry(self) -> bool:
+        """Whether points or a mesh are written in place of Gaussians."""
+        return self.points or self.mesh
 
     @property
     def changes(self) -> bool:

@@ -1,7 +1,6 @@
 """What `info` does: a scene in numbers, and what is odd about it."""
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,8 +11,8 @@ from torch import Tensor
 from querysplat_cli.commands.info_plot import draw_info
 from querysplat_cli.commands.view_requests import InfoRequest
 from querysplat_cli.pipeline.gaussian_files import file_of_scene, folder_of_scene, read_gaussians
+from querysplat_cli.reporting.stored_report import backdrop_of
 from querysplat_cli.runtime.figures import check_drawing
-from querysplat_cli.runtime.json_files import read_json
 from querysplat_cli.scene.files import refuse_existing, with_name
 from querysplat_cli.scene.formats.transforms import NamedCameras, read_cameras
 from querysplat_cli.scene.gaussians import Gaussians
@@ -57,7 +56,7 @@ def scene_info(request: InfoRequest) -> dict[str, Any]:
     file, cameras = file_of_scene(path), folder_of_scene(path) / "cameras.json"
     gaussians = read_gaussians(file)
     inputs = read_cameras(cameras)[0] if cameras.is_file() else None
-    behind = _backdrop(folder_of_scene(path) / "report.json", len(gaussians))
+    behind = backdrop_of(folder_of_scene(path), len(gaussians))
     found = {"file": str(file), "bytes": file.stat().st_size, **describe(gaussians, inputs, behind)}
     if request.plot:
         draw_info(request.plot, gaussians, found)
@@ -95,15 +94,6 @@ def describe(
             for name, rows in odd.items()
         },
     }
-
-
-def _backdrop(report: Path, count: int) -> int:
-    """How many of a scene's `count` Gaussians are its backdrop, by its report; 0 where the report is of another."""
-    entries = read_json(report) if report.is_file() else {}
-    if not isinstance(entries, dict) or entries.get("gaussians") != count:
-        return 0
-    behind = entries.get("backdrop")
-    return behind if isinstance(behind, int) and 0 <= behind < count else 0
 
 
 def _box(points: Tensor, left_out: float) -> tuple[Tensor, Tensor]:

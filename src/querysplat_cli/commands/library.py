@@ -9,7 +9,8 @@ from typing import Any
 from querysplat_cli.pipeline.gaussian_files import file_of_scene, folder_of_scene, read_gaussians
 from querysplat_cli.pipeline.reconstruct import reconstruct as make_scene
 from querysplat_cli.pipeline.resume import optimise_scene
-from querysplat_cli.pipeline.settings import ReconstructSettings, ResumeSettings
+from querysplat_cli.pipeline.resume_settings import ResumeSettings
+from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.reporting.report import Report
 from querysplat_cli.reporting.stored_report import read_report
 from querysplat_cli.runtime.errors import QuerySplatError

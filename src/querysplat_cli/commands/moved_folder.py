@@ -9,8 +9,8 @@ from jaxtyping import Bool
 from safetensors.torch import save
 from torch import Tensor
 
+from querysplat_cli.reporting.stored_report import report_of
 from querysplat_cli.runtime.checkpoint_files import read_tensors
-from querysplat_cli.runtime.json_files import read_json
 from querysplat_cli.scene.formats.moved_cameras import move_cameras
 from querysplat_cli.scene.sim3 import Sim3
 
@@ -30,14 +30,12 @@ def write_moved_folder(source: Path, draft: Path, place: Sim3, kept: Bool[Tensor
     for name in FILES:
         if (source / name).is_file():
             shutil.copy(source / name, draft / name)
-    if not (source / "memories.safetensors").is_file() or not (source / "report.json").is_file():
-        return
-    report = read_json(source / "report.json")
-    if not isinstance(report, dict) or report.get("gaussians") != len(kept):
+    report = report_of(source, len(kept))
+    if report is None or not (source / "memories.safetensors").is_file():
         return
     body = len(kept) - report.get("backdrop", 0)
     tensors, metadata = read_tensors(source / "memories.safetensors")
-    if not any(run.get("space") == "gaussians" and run.get("steps") for run in report.get("tto", ())):
+    if not any(run["space"] == "gaussians" and run["steps"] for run in report["tto"]):
         # The memories decode to the Gaussians, so they have to know which of these are there.
         decoded = tensors.get("kept", torch.ones(body, dtype=torch.bool)).clone()
         if int(decoded.sum()) != body:

@@ -8,7 +8,6 @@ from typing import Any
 import av
 import numpy as np
 import torch
-from torch import Tensor
 
 from querysplat_cli.commands.requests import RenderRequest
 from querysplat_cli.pipeline.gaussian_files import file_of_scene, folder_of_scene, read_gaussians
@@ -21,8 +20,8 @@ from querysplat_cli.scene.formats.transforms import NamedCameras, read_cameras, 
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.paths import interpolate, opaque_centres, orbit, surround
 from querysplat_cli.scene.pictures import eight_bit, write_picture
-from querysplat_cli.splat.depth_confidence import depth_confidence
 from querysplat_cli.splat.render import Rendering, render
+from querysplat_cli.splat.surface_depth import SurfaceDepth, surface_depth
 from querysplat_cli.splat.transform import transform_gaussians
 
 FOREIGN_SIZE = (720, 960)
@@ -73,10 +72,10 @@ def render_file(request: RenderRequest, stages: Stages) -> Rendered:
                 _write_film(draft, pictures, request.fps)
         else:
             with atomic_folder(request.target) as draft:
-                for name, (picture, confidence) in zip(names, pictures, strict=True):
+                for name, (picture, surface) in zip(names, pictures, strict=True):
                     _write_frame(draft / name, picture, request, unit)
-                    if confidence is not None:
-                        _write_floats(draft / name, picture, confidence, unit)
+                    if surface is not None:
+                        _write_floats(draft / name, surface, unit)
                 write_transforms(draft / "cameras.json", listed)
     return Rendered(str(request.target), len(cameras), len(gaussians), stages.seconds)
 
@@ -153,8 +152,8 @@ def _listed(
 
 def _render_each(
     gaussians: Gaussians, cameras: Cameras, sizes: list[tuple[int, int]], request: RenderRequest, progress: Any
-) -> Iterator[tuple[Rendering, Tensor | None]]:
-    """Each picture, and the confidence [height, width] of its depth where that is asked for."""
+) -> Iterator[tuple[Rendering, SurfaceDepth | None]]:
+    """Each picture, and the depth of its surface where that is asked for."""
     background = torch.tensor(request.background)
     for i, (height, width) in enumerate(sizes):
         view = Cameras(cameras.w2c[[i]], cameras.K[[i]], height, width)
@@ -162,7 +161,7 @@ def _render_each(
             view = view.resized(*request.size)
         with torch.no_grad():
             picture = render(gaussians, view, background=background)
-            yield picture, depth_confidence(gaussians, view, picture) if request.float_depth else None
+            yield picture, surface_depth(gaussians, view, picture) if request.float_depth else None
         progress("", (i + 1) / len(sizes))
 
 
@@ -178,13 +177,13 @@ def _write_frame(path: Path, picture: Rendering, request: RenderRequest, unit: f
         )
 
 
-def _write_floats(path: Path, picture: Rendering, confidence: Tensor, unit: float) -> None:
+def _write_floats(path: Path, surface: SurfaceDepth, unit: float) -> None:
     """Depth in units of the scene's files, and its confidence, as arrays [height, width] of float32."""
-    np.save(path.with_name(f"{path.name}_depth.npy"), (picture.depth[0] * unit).numpy())
-    np.save(path.with_name(f"{path.name}_confidence.npy"), confidence.numpy())
+    np.save(path.with_name(f"{path.name}_depth.npy"), (surface.depth * unit).numpy())
+    np.save(path.with_name(f"{path.name}_confidence.npy"), surface.confidence.numpy())
 
 
-def _write_film(path: Path, pictures: Iterator[tuple[Rendering, Tensor | None]], fps: int) -> None:
+def _write_film(path: Path, pictures: Iterator[tuple[Rendering, SurfaceDepth | None]], fps: int) -> None:
     """Write an H.264 film, which every browser and player shows."""
     with av.open(str(path), "w") as film:
         stream = None

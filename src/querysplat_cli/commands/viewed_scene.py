@@ -14,14 +14,18 @@ from torch import Tensor
 
 from querysplat_cli.pipeline.gaussian_files import file_of_scene, folder_of_scene, read_gaussians
 from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.drafts import scratch_folder
 from querysplat_cli.scene.files import with_name
-from querysplat_cli.scene.formats.transforms import NamedCameras, read_cameras, working_frame
+from querysplat_cli.scene.formats.ply import write_ply
+from querysplat_cli.scene.formats.transforms import NamedCameras, read_working_cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.paths import opaque_centres, surround
 from querysplat_cli.scene.pictures import stored_name
 from querysplat_cli.scene.upright import up_direction
 from querysplat_cli.splat.conventions import RenderSettings
 
+PAGE_KINDS = (".ply", ".spz", ".sog")
+"""Kinds of files that the page reads as they are (`viewer/splats.js`)."""
 OUTSIDE_SIZE = (720, 960)
 """Height and width of the first picture of a scene without cameras."""
 DEPTH_SHARES = (0.05, 0.95)
@@ -36,12 +40,12 @@ class ViewedScene:
     """A scene as the page shows it.
 
     manifest: what `viewer/page.js` reads; a later version of the same scene has another `version`.
-    gaussians: their file, under the name that the manifest gives.
+    gaussians: their file, under the name that the manifest gives, or what would be in it.
     photos: picture files, by the names that the manifest gives.
     """
 
     manifest: dict[str, Any]
-    gaussians: Path
+    gaussians: Path | bytes
     photos: Mapping[str, Path] = field(default_factory=dict)
 
     def file(self, name: str, largest: int | None = None) -> bytes | None:
@@ -49,7 +53,7 @@ class ViewedScene:
         if name == "scene.json":
             return json.dumps(self.manifest).encode()
         if name == self.manifest["gaussians"]:
-            return self.gaussians.read_bytes()
+            return self.gaussians if isinstance(self.gaussians, bytes) else self.gaussians.read_bytes()
         return _jpeg_file(self.photos[name], largest) if name in self.photos else None
 
 
@@ -61,8 +65,8 @@ def viewed_scene(path: Path) -> ViewedScene:
     path = with_name(path)
     file, folder = file_of_scene(path), folder_of_scene(path)
     gaussians, cameras = read_gaussians(file), folder / "cameras.json"
-    inputs, heldout = read_cameras(cameras) if cameras.is_file() else (None, None)
-    frame = working_frame(cameras) if cameras.is_file() else None
+    inputs, heldout, frame = read_working_cameras(cameras) if cameras.is_file() else (None, None, None)
+    inputs, heldout = (named and named.transformed(frame) for named in (inputs, heldout))
     pictures = folder / "images"
     views: list[dict[str, Any]] = []
     photos: dict[str, Path] = {}
@@ -72,7 +76,8 @@ def viewed_scene(path: Path) -> ViewedScene:
             entry["photo"] = f"photos/{len(views)}.jpg"
             photos[entry["photo"]] = picture
         views.append(entry)
-    kind = file.suffix.lower()[1:]
+    shown: Path | bytes = file if file.suffix.lower() in PAGE_KINDS else _as_ply(gaussians)
+    kind = file.suffix.lower()[1:] if shown == file else "ply"
     manifest = {
         **framing(gaussians, inputs, frame.scale if frame else None),
         "name": file.stem,
@@ -83,7 +88,14 @@ def viewed_scene(path: Path) -> ViewedScene:
         "live": False,
         "state": "",
     }
-    return ViewedScene(manifest, file, photos)
+    return ViewedScene(manifest, shown, photos)
+
+
+def _as_ply(gaussians: Gaussians) -> bytes:
+    """For kinds of files that the page cannot read."""
+    with scratch_folder() as folder:
+        write_ply(folder / "scene.ply", gaussians)
+        return (folder / "scene.ply").read_bytes()
 
 
 def framing(gaussians: Gaussians, inputs: NamedCameras | None, unit: float | None = None) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from querysplat_cli.evaluation.judge import Judge, RowResult, shape_of
 from querysplat_cli.evaluation.memoised import MemoisedEncoder
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.pipeline.build import encode_and_build
-from querysplat_cli.pipeline.reconstruct import load_parts
+from querysplat_cli.pipeline.parts import load_parts
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.runtime.choices import CameraSource
 from querysplat_cli.runtime.device import find_device

@@ -11,7 +11,7 @@ from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.runtime.choices import CameraSource, FurtherMetric, InputCount, ProtocolName, Scale
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.json_files import shown
-from querysplat_cli.runtime.options import Force, LpipsWeights, Only, Option
+from querysplat_cli.runtime.options import Cluster, Force, LpipsWeights, Only, Option
 
 WITHOUT_PHOTOS = {"inputs": (), "ply": Path("scene.ply"), "fit": "pad"}
 """The case gives the photos, the protocol cuts them, and no scene is written."""
@@ -128,6 +128,7 @@ class EvalRequest:
     workers: Annotated[
         int, Ge(1), Option("Cases that run at the same time, each in a process of its own.", metavar="N")
     ] = 1
+    cluster: Cluster = None
     force: Force = False
 
     @property

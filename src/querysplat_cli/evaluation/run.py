@@ -21,6 +21,7 @@ from querysplat_cli.evaluation.splits import Split, spacing, write_index, write_
 from querysplat_cli.evaluation.summary import summarise
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.runtime.choices import FurtherMetric
+from querysplat_cli.runtime.cluster import find_engine
 from querysplat_cli.runtime.device import find_device
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Stages
@@ -102,7 +103,7 @@ def evaluate(request: EvalRequest, stages: Stages, say: Callable[[str], None]) -
             progress(f"{finished} of {len(jobs)}: {job.split}, {job.case.name}", finished / len(jobs))
 
         if jobs:
-            Workers(request.workers, handler, setup).run(jobs, done)
+            find_engine(request.cluster, Workers(request.workers), say).run(handler, setup, jobs, done)
     with stages("summary"):
         return summarise(request.out)
 

@@ -112,7 +112,7 @@ def encode_and_build(
     allowance: Allowance = Allowance(),
 ) -> BuiltScene:
     """`build_scene` without near-duplicate views, with the geometry that the encoder estimates."""
-    posed, duplicates = (posed, ()) if settings.keep_everything else _distinct(posed)
+    posed, duplicates = (posed, ()) if settings.keep_everything else distinct_views(posed)
     with stages("depth") as progress:
         geometry = encoder.estimate_geometry(posed, seed=settings.seed, progress=progress)
     if allowance.last:
@@ -288,7 +288,7 @@ def _refines(wanted: bool | None, posed: PosedViews) -> bool:
     return error is not None and error > PIPELINE_POLICY.refine_above_px and refinable(posed.cameras)
 
 
-def _distinct(posed: PosedViews) -> tuple[PosedViews, tuple[LeftOut, ...]]:
+def distinct_views(posed: PosedViews) -> tuple[PosedViews, tuple[LeftOut, ...]]:
     """The views without near-duplicates, and the near-duplicates."""
     names = posed.views.names
     same = near_duplicates(posed.cameras, posed.points, posed.visibility)

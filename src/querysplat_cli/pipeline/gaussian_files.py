@@ -1,6 +1,7 @@
 """Files of Gaussians of every kind that is read or written, in the axes of a .ply."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import torch
@@ -15,13 +16,14 @@ from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.sim3 import Sim3
 from querysplat_cli.splat.transform import transform_gaussians
 
+Writer = Callable[[Path, Gaussians], int]
 READERS: dict[str, Callable[[Path], Gaussians]] = {
     ".ply": read_ply,
     ".spz": read_spz,
     ".sog": read_sog,
     ".glb": read_glb,
 }
-WRITERS: dict[str, Callable[[Path, Gaussians], int]] = {
+WRITERS: dict[str, Writer] = {
     ".ply": write_ply,
     ".spz": write_spz,
     ".sog": write_sog,
@@ -51,11 +53,9 @@ def read_gaussians(path: Path) -> Gaussians:
 
 def write_gaussians(path: Path, gaussians: Gaussians, spz_version: SpzVersion = "3") -> int:
     """Write a .ply, .spz, .sog or .glb, whole or not at all; returns how many Gaussians are in it (the finite ones)."""
-    if path.suffix.lower() in Y_UP:
-        gaussians = transform_gaussians(gaussians, FLIPPED)
-    if path.suffix.lower() == ".spz":
-        return write_spz(path, gaussians, int(spz_version))
-    return WRITERS[path.suffix.lower()](path, gaussians)
+    writers: dict[str, Writer] = {**WRITERS, ".spz": partial(write_spz, version=int(spz_version))}
+    kind = path.suffix.lower()
+    return writers[kind](path, transform_gaussians(gaussians, FLIPPED) if kind in Y_UP else gaussians)
 
 
 def check_target(path: Path) -> None:

@@ -43,6 +43,28 @@ class PipelinePolicy:
     start about so far from it."""
     least_full_size_seconds: float = 4.0
     """With less time, the scene is not taken to large photos."""
+    long_run_photos: int = 60
+    """From so many photos on, what a run has reached is kept until it is done."""
+    region_photos: int = 100
+    """Photos of a region at most, where --regions is auto. A film gives at most so many frames by default."""
+    fewest_region_photos: int = 4
+    """Photos of the core of a region at least."""
+    region_overlap: float = 0.25
+    """Photos of neighbours that a region gets, as a share of its own."""
+    region_nearness: float = 1e-3
+    """How close two photos of neighbouring places are that have no sparse point in common; 1 is the same photo."""
+    owner_size: int = 128
+    """Longer side, in pixels, of the depth maps that decide which region a place belongs to."""
+    owner_depth: float = 1.1
+    """A camera sees what is at most so many times as far as its depth map."""
+    seam_views: int = 4
+    """Pictures that are rendered of each overlap of two regions, from places between photos."""
+    bad_seam_psnr: float = 15.0
+    """Where the pictures of two regions differ by more (a lower PSNR, in dB), a warning says so."""
+    seam_passes: int = 4
+    """How often the last optimisation over a seam takes each photo that sees it."""
+    seam_rate: float = 0.25
+    """Its learning rate as a share of the usual one."""
 
 
 PIPELINE_POLICY = PipelinePolicy()

@@ -1,15 +1,13 @@
 """`reconstruct`: photos in, a scene out."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import torch
 
-from querysplat_cli.encoders.base import CameraRequest, Encoder, EncoderOptions, PosedViews
+from querysplat_cli.encoders.base import CameraRequest, Encoder, PosedViews
 from querysplat_cli.encoders.holdout import HoldoutCameras, PosedSplit, estimate_holdout_cameras
-from querysplat_cli.encoders.registry import find_encoder
-from querysplat_cli.model.checkpoints import load
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.pipeline.budget import Budget, working_size
 from querysplat_cli.pipeline.build import Allowance, BuiltScene, encode_and_build
@@ -20,9 +18,12 @@ from querysplat_cli.pipeline.given_frame import given_frame
 from querysplat_cli.pipeline.memory import MemoryNeeds, within_memory
 from querysplat_cli.pipeline.metric import in_metres, metres_of
 from querysplat_cli.pipeline.omitted import omissions_of
+from querysplat_cli.pipeline.parts import load_parts
 from querysplat_cli.pipeline.perceptual import optimisation_lpips
+from querysplat_cli.pipeline.regions.build import build_regions, region_count
 from querysplat_cli.pipeline.scene_folder import StoredScene, refuse_foreign, write_scene
 from querysplat_cli.pipeline.settings import ReconstructSettings
+from querysplat_cli.pipeline.unfinished import Unfinished, is_long, unfinished
 from querysplat_cli.prune.resolution import Blurred, blurred
 from querysplat_cli.reporting.report import (
     Report,
@@ -38,6 +39,7 @@ from querysplat_cli.reporting.report import (
 from querysplat_cli.reporting.unseen import Unseen, unseen
 from querysplat_cli.reporting.view_scores import Quality, score
 from querysplat_cli.runtime.choices import HoldoutProtocol
+from querysplat_cli.runtime.cluster import find_engine
 from querysplat_cli.runtime.device import find_device, free_bytes, peak_gib
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.precision import check_precision, matrix_products
@@ -103,48 +105,48 @@ def reconstruct(settings: ReconstructSettings, stages: Stages | None = None) -> 
         return _reconstruct(settings, device, stages or Stages())
 
 
-def load_parts(settings: ReconstructSettings, device: torch.device) -> tuple[QuerySplat, Encoder]:
-    """The model and its encoder: by default the encoder that the model was trained with."""
-    precision = check_precision(settings.precision)
-    model = load(settings.preset, settings.weights, precision=precision, device=device)
-    learned = model.config.queries == "learned"
-    if learned and settings.queries:
-        model.keep_queries(settings.queries)
-    depth, frame = settings.depth or not learned, model.config.frame
-    options = EncoderOptions(
-        settings.weights,
-        device,
-        precision,
-        settings.fit,
-        model.layer_weights,
-        depth=depth,
-        matcher=settings.matcher,
-        frame=frame,
-    )
-    return model, find_encoder(settings.encoder or ("vggt_omega" if learned else "classical"), options)
-
-
 def _reconstruct(settings: ReconstructSettings, device: torch.device, stages: Stages) -> Report:
     inputs = _read_inputs(settings, device, stages)
-    passes = _find_cameras(inputs, settings, stages)
+    if not is_long(settings, len(inputs.photos)):
+        return _made(inputs, settings, stages, None)
+    with unfinished(settings, inputs.photos, inputs.size) as work:
+        return _made(inputs, settings, stages, work)
+
+
+def _made(inputs: _Inputs, settings: ReconstructSettings, stages: Stages, work: Unfinished | None) -> Report:
+    def find() -> HoldoutCameras:
+        return _find_cameras(inputs, settings, stages)
+
+    passes = work.cameras(find) if work else find()
     if settings.one_scene and passes.chosen.inputs.photo_cameras is None:
         raise QuerySplatError(
             f"--quality {settings.quality}: this encoder cuts the photos, and large ones would not fit its cameras",
             "Use --encoder classical, or --quality standard.",
         )
     metres = metres_of(settings.metres_by, passes.chosen.inputs, inputs.photos, poses_known=inputs.known is not None)
-    scenes = 2 if passes.other and passes.other.heldout and not settings.one_scene else 1
-    share = inputs.budget.share(scenes) if inputs.budget else None
-    allowance = Allowance(share, inputs.sources, last=passes.other is None or settings.one_scene)
-    scene = encode_and_build(passes.chosen.inputs, inputs.encoder, inputs.model, settings, stages, allowance)
+    count = region_count(settings, len(passes.chosen.inputs.views), inputs.encoder)
+    built = None
+    if work and count > 1:
+        passes = replace(passes, other=None)  # a second scene would take as long again
+        posed, engine = passes.chosen.inputs, find_engine(settings.cluster, say=stages.say)
+        built = build_regions(posed, count, settings, inputs.sources, work, engine, stages)
+        scene = built.scene
+    else:
+        scenes = 2 if passes.other and passes.other.heldout and not settings.one_scene else 1
+        share = inputs.budget.share(scenes) if inputs.budget else None
+        allowance = Allowance(share, inputs.sources, last=passes.other is None or settings.one_scene)
+        scene = encode_and_build(passes.chosen.inputs, inputs.encoder, inputs.model, settings, stages, allowance)
     scores = _score(inputs, passes, scene, settings, stages)
     with stages("write"):
         report = _report(inputs, passes, scene, scores, settings, stages)
+        report = replace(report, resumed=list(work.notes) if work else [])
+        report = built.added_to(report) if built else report
         stored = _stored(inputs, passes, scene, settings)
         if metres:
             stored, report = in_metres(stored, report, metres)
-        write_scene(settings.ply, stored, scene.gaussians, report.as_dict())
-    return report
+        entries = report.as_dict()
+        write_scene(settings.ply, stored, scene.gaussians, entries)
+    return Report.from_dict(entries)
 
 
 def _read_inputs(settings: ReconstructSettings, device: torch.device, stages: Stages) -> _Inputs:
@@ -259,7 +261,7 @@ def _report(
         peak_memory_gib=round(peak_gib(), 2),
         machine=machine(),
         memory_estimate_gib=expected and round(expected / 2**30, 2),
-        full_size=further.summary if further else None,
+        full_size=(further.summary or None) if further else None,
         exposure=exposure_entry(scene.colours),
         unseen=scores.unseen.entry() if scores.unseen else None,
         backdrop=len(scene.backdrop) if scene.backdrop else 0,

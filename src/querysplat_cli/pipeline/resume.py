@@ -13,8 +13,8 @@ from querysplat_cli.pipeline.gaussian_files import file_of_scene, folder_of_scen
 from querysplat_cli.pipeline.optimise import optimise_start
 from querysplat_cli.pipeline.perceptual import optimisation_lpips
 from querysplat_cli.pipeline.read_scene import check_model, read_scene, read_scene_gaussians
+from querysplat_cli.pipeline.resume_settings import ResumeSettings
 from querysplat_cli.pipeline.scene_folder import StoredScene, write_scene
-from querysplat_cli.pipeline.settings import ResumeSettings
 from querysplat_cli.prune.gaussians import target_count
 from querysplat_cli.reporting import omissions
 from querysplat_cli.reporting.report import Report, machine, quality_entry, seconds_entry, tto_entries
@@ -144,8 +144,9 @@ def _write_back(
             backdrop=scene.backdrop,
             **changes,
         )
-        write_scene(file_of_scene(path), scene, gaussians, report.as_dict())
-    return report
+        entries = report.as_dict()
+        write_scene(file_of_scene(path), scene, gaussians, entries)
+    return Report.from_dict(entries)
 
 
 def _read(settings: ResumeSettings) -> tuple[StoredScene, dict[str, Any]]:

@@ -14,7 +14,8 @@ scene/
 
 import dataclasses
 import json
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -26,11 +27,13 @@ from torch import Tensor
 
 from querysplat_cli.model.anchors import Anchors
 from querysplat_cli.model.memories import Memories
-from querysplat_cli.pipeline.gaussian_files import folder_of_scene, write_gaussians
+from querysplat_cli.pipeline.gaussian_files import folder_of_scene, read_gaussians, write_gaussians
 from querysplat_cli.pipeline.stored_tensors import StoredTensors, flattened
 from querysplat_cli.queries.prepare import MemoryMap
 from querysplat_cli.reporting.convergence_plot import write_curve
+from querysplat_cli.reporting.omissions import PRECISION, Omission, of_kind
 from querysplat_cli.reporting.preview import write_preview
+from querysplat_cli.reporting.view_scores import score
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.exposures import Exposures, write_exposures
@@ -91,14 +94,20 @@ def refuse_foreign(folder: Path) -> None:
 
 
 def write_scene(target: Path, scene: StoredScene, gaussians: Gaussians, report: dict[str, Any]) -> int:
-    """Write, or replace, `target` (a .ply or .spz) and the folder beside it; returns the number of Gaussians in it.
+    """Write, or replace, `target` (a kind of `WRITERS`) and the folder beside it; returns how many Gaussians it has.
 
+    `report` gets the size of the file, under `bytes`, and under `left_out` what its kind loses, where that is not .ply.
     Everything is written to temporary names first, so an interruption leaves what was there before.
     """
     with atomic_together(target, folder_of_scene(target)) as (target_draft, draft):
         draft.mkdir()
         placed = transform_gaussians(gaussians, scene.frame) if scene.frame else gaussians
         written = write_gaussians(target_draft, placed)
+        report["bytes"] = target_draft.stat().st_size
+        report["left_out"] = [
+            *(entry for entry in report["left_out"] if entry["what"] != PRECISION),
+            *(asdict(each) for each in _lost_by_kind(target_draft, scene, gaussians, report)),
+        ]
         for views, _ in scene.groups.values():
             write_images(draft / "images", views)
         write_cameras(draft / "cameras.json", scene.cameras, scene.views, heldout=scene.heldout, frame=scene.frame)
@@ -115,6 +124,16 @@ def write_scene(target: Path, scene: StoredScene, gaussians: Gaussians, report: 
         if any(run["curve"] for run in report["tto"]):
             write_curve(draft / "curve.png", report["tto"])
     return written
+
+
+def _lost_by_kind(file: Path, scene: StoredScene, gaussians: Gaussians, report: dict[str, Any]) -> Iterator[Omission]:
+    """What a written file of another kind than .ply loses on the input views."""
+    if file.suffix.lower() == ".ply":
+        return
+    found = read_gaussians(file)
+    here = transform_gaussians(found, scene.frame.inverse()) if scene.frame else found
+    after = score(here, scene.views, scene.cameras).summary()["psnr"]
+    yield of_kind(file, gaussians, round(report["quality"]["input"]["psnr"] - after, 3))
 
 
 def write_images(folder: Path, views: Views) -> None:

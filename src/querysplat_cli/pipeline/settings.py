@@ -1,4 +1,4 @@
-"""What `querysplat reconstruct` and `querysplat tto` can be asked for. Every option is declared here, and only here."""
+"""What `querysplat reconstruct` can be asked for. Every option is declared here, and only here."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -20,14 +20,13 @@ from querysplat_cli.runtime.choices import (
 )
 from querysplat_cli.runtime.lengths import read_scale
 from querysplat_cli.runtime.options import (
+    Cluster,
     Device,
     Force,
-    MovedWeights,
     NetworkPrecision,
     Option,
     Prune,
     Seed,
-    StoredScenePath,
     Weights,
 )
 
@@ -126,6 +125,17 @@ class ReconstructSettings:
         Ge(1),
         Option("The most photos to use, evenly spaced. auto is as many as memory holds.", metavar="N|auto", auto=True),
     ] = None
+    regions: Annotated[
+        int | None,
+        Ge(1),
+        Option(
+            "Divide the photos into N overlapping groups, make a scene of each, and join the scenes. auto divides more "
+            "than 100 photos.",
+            metavar="N|auto",
+            auto=True,
+        ),
+    ] = None
+    cluster: Cluster = None
     fit: Annotated[
         Fit,
         Option("With vggt and vggt_omega: cut photos to a centred square (crop), or show them whole (pad)."),
@@ -234,54 +244,3 @@ class ReconstructSettings:
     def one_scene(self) -> bool:
         """Whether the quality takes so long that no second scene is made only to be scored."""
         return self.quality in ("high", "max")
-
-
-@dataclass(frozen=True)
-class ResumeSettings:
-    """How a stored scene is optimised further. None means that the program chooses."""
-
-    scene: StoredScenePath
-    quality: Annotated[
-        FullSizeLevel | None,
-        Option(
-            "Optimise the Gaussians on the photos at up to 900 pixels (standard), 1600 pixels (high) or their own size "
-            "(max). The photos must still be where they were.",
-            default="the small pictures only",
-        ),
-    ] = None
-    steps: Annotated[int | None, Ge(0), Option("Optimisation steps.", metavar="STEPS|auto", auto=True)] = None
-    lr: Annotated[
-        float | None,
-        Ge(1e-8),
-        Le(1e3),
-        Option(
-            "The learning rate.",
-            metavar="RATE",
-            default="0.02, or 0.005 for a space that was optimised in an earlier run",
-        ),
-    ] = None
-    space: Annotated[
-        Space | None,
-        Option(SPACE_HELP, default="that of the last run"),
-    ] = None
-    prune: Prune = "off"
-    densify: Annotated[
-        int | None,
-        Ge(1),
-        Option(
-            "In Gaussian space: split Gaussians where photos and renders differ most, until there are N.",
-            metavar="N",
-            default="no splitting",
-        ),
-    ] = None
-    refine_cameras: Annotated[bool, REFINE_CAMERAS] = False
-    weights: MovedWeights = None
-    lpips: TtoLpips = None
-    device: Device = "auto"
-    seed: Seed = 42
-    exposure: Annotated[
-        ExposureCorrection,
-        Option(
-            "Go on with the colour transforms of the photos, if the scene has any. off: leave them out from now on.",
-        ),
-    ] = "auto"

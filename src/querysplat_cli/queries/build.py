@@ -42,13 +42,15 @@ def build_anchors(
     `queries` is a limit for all queries: pictures are cut more coarsely until the blocks in the photos fit, and blocks
     beyond the borders, which come last, fill what is left. `soft_query_limit` is a limit for the queries in the photos
     only, and applies without `queries`; it is exceeded when one block a photo is still too many. Raises
-    QuerySplatError when photos that show different things are more than `queries`.
+    QuerySplatError when photos that show different things are more than `queries`, and when masks leave no block.
     """
     assert geometry.depth is not None
     assert geometry.confidence is not None
     limit = _Limit(soft_query_limit if queries is None else queries, strict=queries is not None)
     chosen = _cut(views, cameras, geometry.depth, geometry.confidence, limit, keep_all)
     keep, side = chosen.keep, chosen.report.side
+    if not keep.any():
+        raise QuerySplatError("the masks hide nearly all of every photo", "White in a mask is what takes part.")
     border = border_blocks(views, cameras, geometry.depth, QUERY_POLICY.border_coarser * (side // CELLS))
     if queries is not None:
         border = border.map(lambda part: part[: queries - chosen.report.kept])

@@ -2,12 +2,14 @@
 
 from dataclasses import asdict, dataclass
 from itertools import pairwise
+from pathlib import Path
 from statistics import median
 from typing import Any
 
 from querysplat_cli.prune.resolution import Blurred
 from querysplat_cli.queries.cells import CELLS
 from querysplat_cli.queries.coverage import AnchorReport
+from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.tto.adapt import Adapted
 from querysplat_cli.tto.optimise import TtoResult
 
@@ -31,7 +33,7 @@ class Omission:
 
 
 PRUNED_GAUSSIANS, IDLE_BANDS = "Gaussians", "SH bands"
-LPIPS = "LPIPS loss"
+LPIPS, PRECISION = "LPIPS loss", "precision"
 SECOND_SCORE = Omission("the other cameras' score", "--budget leaves no time for a second scene", "a second scene")
 UNUSED_DEPTH = Omission("depth", "learned queries do not need it", "the depth head")
 
@@ -107,6 +109,13 @@ def of_adapted(adapted: Adapted) -> list[Omission]:
             )
         )
     return found
+
+
+def of_kind(file: Path, gaussians: Gaussians, psnr_lost: float) -> Omission:
+    """Digits that the kind of a written file does not keep."""
+    plain, size = len(gaussians) * ply_bytes(gaussians.sh.shape[1]), file.stat().st_size
+    why = f"a {file.suffix} keeps fewer digits than a .ply"
+    return Omission(PRECISION, why, f"{1 - size / plain:.0%} of the bytes", plain - size, psnr_lost=psnr_lost)
 
 
 def taken_further(before: list[dict[str, Any]], adapted: Adapted, *, with_lpips: bool) -> list[dict[str, Any]]:

@@ -5,7 +5,7 @@ import os
 import platform
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +33,9 @@ class Report:
     one. `exposure` says how far the photos agree in colour, where that was measured. `backdrop` counts the Gaussians of
     the backdrop, the last ones of the file. `scale` says where metres come from (None: lengths are in no unit).
     `unseen` is how much of a film around the scene no photo saw (None where there is no film). `matching` says what a
-    network did, or would have done, for photos that SIFT matches badly.
+    network did, or would have done, for photos that SIFT matches badly. `bytes` is the size of the file `ply` (None: in
+    reports of earlier versions). `regions` has one entry for each region, and `seams` for every two that overlap (both
+    empty where there is one region). `resumed` says what came from an unfinished run.
     """
 
     ply: str
@@ -55,6 +57,10 @@ class Report:
     scale: dict[str, Any] | None = None
     backdrop: int = 0
     matching: dict[str, Any] | None = None
+    bytes: int | None = None
+    regions: list[dict[str, Any]] = field(default_factory=list)
+    seams: list[dict[str, Any]] = field(default_factory=list)
+    resumed: list[str] = field(default_factory=list)
 
     @property
     def interrupted(self) -> bool:

@@ -65,6 +65,26 @@ class _Matching:
 
 
 @dataclass(frozen=True)
+class _Region:
+    """One of several regions."""
+
+    __pydantic_config__ = STRICT_TYPES
+
+    photos: Count
+    overlap: Count
+    gaussians: Count
+
+
+@dataclass(frozen=True)
+class _Seam:
+    __pydantic_config__ = STRICT_TYPES
+
+    regions: tuple[Count, Count]
+    photos: Count
+    psnr: float
+
+
+@dataclass(frozen=True)
 class _Run:
     """One run of test-time optimisation. The curve has [step, seconds, loss, PSNR, Gaussians] of each step."""
 
@@ -135,6 +155,10 @@ class _Report:
     scale: _Scale | None = None
     backdrop: Count = 0
     matching: _Matching | None = None
+    bytes: Annotated[int, Ge(0)] | None = None
+    regions: tuple[_Region, ...] = ()
+    seams: tuple[_Seam, ...] = ()
+    resumed: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
 
@@ -142,6 +166,21 @@ class _Report:
 KNOWN = frozenset(field.name for field in fields(_Report))
 SETTINGS = {"queries": (int, type(None)), "weights": (str, type(None)), "precision": (str,)}
 """The settings of a report that a later run needs, with their types."""
+
+
+def report_of(folder: Path, gaussians: int) -> dict[str, Any] | None:
+    """The report in a scene folder that is whole and that of a scene of so many Gaussians; None where there is none."""
+    try:
+        report = read_report(folder / "report.json")
+    except QuerySplatError:
+        return None
+    return report if report["gaussians"] == gaussians else None
+
+
+def backdrop_of(folder: Path, gaussians: int) -> int:
+    """How many of a scene's Gaussians, the last ones, are its backdrop by the report; 0 where `report_of` has none."""
+    report = report_of(folder, gaussians)
+    return int(report.get("backdrop", 0)) if report else 0
 
 
 def read_report(path: Path) -> dict[str, Any]:

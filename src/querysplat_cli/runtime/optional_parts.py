@@ -21,11 +21,16 @@ class OptionalPart:
 OPTIONAL_PARTS = (
     OptionalPart("heic", "pillow_heif", "pillow-heif", "HEIC photos, as phones write them"),
     OptionalPart("formats", "gsply", "gsply", "scenes as .spz"),
+    OptionalPart("mesh", "skimage", "scikit-image", "scenes as meshes (convert --mesh)"),
+    OptionalPart("mesh", "trimesh", "trimesh", "meshes as .ply, .glb and .obj (convert --mesh)"),
     OptionalPart("cuda", "gsplat", "gsplat", "rendering and optimisation on an NVIDIA GPU (--device cuda)"),
     OptionalPart("weights", "huggingface_hub", "huggingface_hub", "finding the official weights in the Hub's cache"),
     OptionalPart("matching", "kornia", "kornia", "networks that match photos from far apart (with weights: `weights`)"),
     OptionalPart("metrics", "flip_evaluator", "flip-evaluator", "FLIP in evaluations (eval --metrics flip)"),
     OptionalPart("metrics", "ssimulacra2", "ssimulacra2", "SSIMULACRA2 in evaluations (eval --metrics ssimulacra2)"),
+    OptionalPart("cluster", "distributed", "distributed", "regions, cases and samples on several machines (--cluster)"),
+    OptionalPart("cluster", "dask_jobqueue", "dask-jobqueue", "the same in jobs of Slurm (--cluster slurm:N)"),
+    OptionalPart("cluster", "bokeh", "bokeh", "Dask's page, which shows the work of a cluster"),
     OptionalPart("tensorboard", "tensorboard", "tensorboard", "TensorBoard's files of a training (--tensorboard)"),
 )
 """One row for each package of the extras of pyproject.toml that are for users."""

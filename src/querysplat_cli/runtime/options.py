@@ -12,6 +12,7 @@ from typing import Annotated, Any
 from annotated_types import Ge
 
 from querysplat_cli.runtime.choices import Amount, Precision
+from querysplat_cli.runtime.cluster import read_cluster
 
 
 @dataclass(frozen=True)
@@ -78,5 +79,15 @@ Prune = Annotated[
         "Gaussians to keep. auto leaves out the half whose absence changes the pictures least; "
         "off keeps all; N keeps at most N.",
         metavar="auto|off|N",
+    ),
+]
+Cluster = Annotated[
+    str | None,
+    Option(
+        "Let Dask make the regions, cases or samples: in N processes of this machine, on the workers of a scheduler, "
+        "or in N jobs of Slurm. Needs the extra `cluster`.",
+        metavar="local:N|tcp://HOST:PORT|slurm:N",
+        default="this machine, without Dask",
+        parse=read_cluster,
     ),
 ]

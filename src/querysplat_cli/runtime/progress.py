@@ -57,6 +57,11 @@ class Stages:
         """Seconds since the command began."""
         return time.perf_counter() - self._started
 
+    def say(self, text: str) -> None:
+        """Show a text that belongs to no stage."""
+        self._listen(text, "", 0.0)
+        self._listen(text, "", 1.0)
+
     def watch(self, watcher: Watcher) -> None:
         """Let `watcher` see everything that follows."""
         self._watcher = watcher

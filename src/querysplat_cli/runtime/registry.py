@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from importlib import import_module
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import entry_points
 from typing import Any
 
 from querysplat_cli.runtime.errors import MissingPart, QuerySplatError
@@ -66,7 +66,8 @@ class Registry:
                 f"Update or remove {package}.",
             ) from error
 
-    def _entries(self) -> tuple[EntryPoint, ...]:
+    def _entries(self) -> tuple[Any, ...]:
+        # Not `EntryPoint`: where the package importlib_metadata is imported, its own class takes the place.
         return tuple(entry_points(group=self.group))
 
 

@@ -44,6 +44,24 @@ def held() -> Iterator[None]:
         raise KeyboardInterrupt
 
 
+@contextmanager
+def blocked(number: int) -> Iterator[None]:
+    """Inside, the system keeps the signal back from this thread, and from threads that start here, for good."""
+    mask = getattr(signal, "pthread_sigmask", None)
+    before = mask(signal.SIG_BLOCK, {number}) if mask else set()
+    try:
+        yield
+    finally:
+        if mask:
+            mask(signal.SIG_SETMASK, before)
+
+
+def ignore() -> None:
+    """Let no ending signal change the exit code of a command that is done. Python takes a moment to end."""
+    for number in ENDING:
+        signal.signal(number, signal.SIG_IGN)
+
+
 def caught() -> bool:
     """Whether an ending signal has arrived."""
     return _State.received is not None

@@ -11,6 +11,7 @@ from multiprocessing.connection import Connection
 from typing import Any, Generic, TypeVar
 
 from querysplat_cli.runtime import signals
+from querysplat_cli.runtime.engine import Done, Handler, Heard, unheard
 
 Job = TypeVar("Job")
 THREAD_LIMITS = ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "MKL_NUM_THREADS")
@@ -18,12 +19,27 @@ STOP_SECONDS = 5.0
 """How long a stopped worker may take to remove its unfinished files."""
 
 
-class Workers(Generic[Job]):
-    """`count` processes that call `handler(setup)(job)`; `setup` and jobs are pickled.
+class Workers:
+    """An engine (`runtime/engine.py`) of `count` processes of this machine, without anything to install.
 
     Each process runs many jobs, and is restarted after a crash. The machine's cores are shared out
     among them, unless the user has set a limit of threads.
     """
+
+    def __init__(self, count: int) -> None:
+        self._count = count
+
+    def run(self, handler: Handler, setup: Any, jobs: Sequence[Any], done: Done, heard: Heard = unheard) -> None:
+        """See `Engine`. `done` is never called twice at a time, and jobs are not heard.
+
+        On an exception, all processes are stopped; Ctrl-C and a scheduler's SIGTERM are one. Call it from the main
+        thread.
+        """
+        _Pool(self._count, handler, setup).run(jobs, done)
+
+
+class _Pool(Generic[Job]):
+    """Processes that call `handler(setup)(job)`."""
 
     def __init__(self, count: int, handler: Callable[[Any], Callable[[Job], None]], setup: Any) -> None:
         self._count, self._handler, self._setup = count, handler, setup
@@ -32,11 +48,6 @@ class Workers(Generic[Job]):
         self._starting = threading.Lock()
 
     def run(self, jobs: Sequence[Job], done: Callable[[Job, str | None], None]) -> None:
-        """Work through `jobs`; `done(job, why)` is called for each, `why` is the reason when its process ended.
-
-        `done` is never called twice at a time. On an exception, all processes are stopped; Ctrl-C and a scheduler's
-        SIGTERM are one. Call it from the main thread.
-        """
         before = signal.signal(signal.SIGTERM, signals.interrupt)
         waiting: queue.SimpleQueue[Job] = queue.SimpleQueue()
         for job in jobs:

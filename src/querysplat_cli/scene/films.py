@@ -126,7 +126,7 @@ def evenly_spaced_frames(path: Path, most: int, longest_side: int) -> tuple[Phot
 @contextmanager
 def _opened(path: Path) -> Iterator[tuple[InputContainer, VideoStream]]:
     try:
-        with av.open(str(path)) as container:
+        with av.open(str(path), metadata_errors="replace") as container:
             if not container.streams.video:
                 raise QuerySplatError(f"{path}: a film without pictures, only sound", GIVE_A_FILM)
             stream = container.streams.video[0]

@@ -12,15 +12,18 @@ from typing import Generic, Protocol, TypeVar, runtime_checkable
 import numpy as np
 
 from querysplat_cli.encoders.base import Encoder
+from querysplat_cli.runtime.engine import Engine, InProcess
 from querysplat_cli.runtime.errors import ImpossibleScene, QuerySplatError
 from querysplat_cli.runtime.progress import Progress
-from querysplat_cli.runtime.workers import Workers
 from querysplat_cli.scene.files import atomic_path
 from querysplat_cli.training.config import DataSettings, SourceSettings, StageSettings
 from querysplat_cli.training.passes import Sample, make_sample, read_sample, write_sample
 from querysplat_cli.training.sources import open_source
 
 Result = TypeVar("Result")
+
+
+IN_PROCESS = InProcess()
 
 
 @dataclass(frozen=True)
@@ -46,12 +49,12 @@ def prepare_samples(
     *,
     rank: int = 0,
     world: int = 1,
-    workers: int = 1,
+    engine: Engine = IN_PROCESS,
     progress: Progress,
 ) -> PreparedSamples:
     """Make every sample that is not in the cache yet; process `rank` of `world` makes its share.
 
-    It does so itself, or with several `workers` of its own. A sample that cannot be made leaves a .failed file with the
+    `engine` does the work. A sample that cannot be made leaves a .failed file with the
     reason, and is not tried again. `encoder` is called only when a sample has to be made, once in each worker; it can
     be pickled where there are several.
     """
@@ -72,13 +75,8 @@ def prepare_samples(
             _failed(data, job, why)
         progress(f"{done} of {len(share)} samples", done / len(share))
 
-    if workers > 1 and len(missing) > 1:
-        Workers(workers, sample_maker, (data, encoder)).run(missing, made)
-    elif missing:
-        make = sample_maker((data, encoder))
-        for job in missing:
-            make(job)
-            made(job, None)
+    if missing:
+        engine.run(sample_maker, (data, encoder), missing, made)
     failed = tuple(
         f"{_reason(data, each).stem}: {_reason(data, each).read_text()}"
         for each in every

@@ -36,7 +36,7 @@ def walk(scene: Scene, views: int, seed: int) -> Cameras:
     focus = np.array(scene.focus)
     eye = np.stack([focus[0] + radius * np.sin(angle), focus[1] - radius * np.cos(angle), height], 1)
     target = focus + chance.uniform(-1, 1, (views, 3)) * (0.12, 0.05, 0.08)
-    return _aimed(eye, target, FOCAL, HEIGHT, WIDTH)
+    return aimed(eye, target, FOCAL, HEIGHT, WIDTH)
 
 
 def wander(scene: Scene, views: int, seed: int, height: int, width: int) -> Cameras:
@@ -53,7 +53,7 @@ def wander(scene: Scene, views: int, seed: int, height: int, width: int) -> Came
             break
     else:
         raise ValueError(f"no free path in scene {seed}")
-    return _aimed(eye, target, focal, height, width, roll=chance.normal(0, 0.04, views))
+    return aimed(eye, target, focal, height, width, roll=chance.normal(0, 0.04, views))
 
 
 def cast(
@@ -93,7 +93,7 @@ def _draw_path(chance: np.random.Generator, scene: Scene, views: int) -> tuple[n
     return eye, focus + chance.normal(0, 0.07, (views, 3)) * radius[:, None]
 
 
-def _aimed(
+def aimed(
     eye: np.ndarray, target: np.ndarray, focal: float, height: int, width: int, roll: np.ndarray | None = None
 ) -> Cameras:
     """Cameras at `eye` towards `target` [views, 3], world z up in the image, turned by `roll` [views] radians."""

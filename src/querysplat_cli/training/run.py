@@ -9,9 +9,10 @@ import torch
 
 from querysplat_cli.encoders.base import Encoder, EncoderOptions
 from querysplat_cli.encoders.registry import find_encoder
+from querysplat_cli.runtime.cluster import find_engine
 from querysplat_cli.runtime.device import find_device
 from querysplat_cli.runtime.progress import Progress, Stages
-from querysplat_cli.runtime.workers import cores
+from querysplat_cli.runtime.workers import Workers, cores
 from querysplat_cli.scene.files import check_writable, refuse_existing, sole_writer
 from querysplat_cli.splat.lpips import Perceptual
 from querysplat_cli.training.config import DataSettings, TrainConfig
@@ -27,7 +28,8 @@ class TrainRequest:
     """The options of `querysplat train`. `perceptual` is LPIPS, or None without its weights.
 
     `workers` processes make the samples of the cache; None takes one for each core with the classical encoder, and one
-    with a learned encoder, which fills a GPU. With `samples_only`, nothing is trained.
+    with a learned encoder, which fills a GPU. `cluster` lets Dask make them (`runtime/cluster.py`). Nothing is trained
+    with `samples_only`.
     """
 
     config: TrainConfig
@@ -39,6 +41,7 @@ class TrainRequest:
     perceptual: Perceptual | None = None
     workers: int | None = None
     samples_only: bool = False
+    cluster: str | None = None
 
 
 def train(request: TrainRequest, stages: Stages) -> TrainReport | None:
@@ -83,9 +86,8 @@ def _samples(request: TrainRequest, processes: Processes, device: torch.device, 
         return OnlineSamples(config.data, config.seed, make)
     data = replace(config.data, sources=tuple(sources_of_stages(config.data, config.stages)))
     workers = request.workers or (max(1, cores() // processes.world) if data.encoder == "classical" else 1)
-    prepared = prepare_samples(
-        data, make, rank=processes.rank, world=processes.world, workers=workers, progress=progress
-    )
+    engine = find_engine(request.cluster, Workers(workers) if workers > 1 else None)
+    prepared = prepare_samples(data, make, rank=processes.rank, world=processes.world, engine=engine, progress=progress)
     processes.wait()
     samples = CachedSamples(config.data, config.seed)
     for stage in config.stages:

@@ -3,6 +3,8 @@ import { Matrix4, Vector3 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 
 const OPENGL_AXES = new Matrix4().makeScale(1, -1, -1);
+const LOWEST_VIEW = (85 * Math.PI) / 180; // angle from straight up: just above the ground
+const BELOW_PHOTOS = (10 * Math.PI) / 180;
 
 // Shows what `view` shows: a pinhole camera with OpenCV's axes and an image of its own size. The image is as large as
 // fits into the canvas (CSS pixels), in its middle. Returns the rectangle that it covers.
@@ -30,6 +32,7 @@ export function showView(camera, view, canvas) {
 export function freeControls(camera, canvas, manifest, onTaken, onMoved) {
   camera.up.fromArray(manifest.up);
   const controls = new OrbitControls(camera, canvas);
+  controls.maxPolarAngle = lowestView(manifest);
   const middle = new Vector3().fromArray(manifest.middle);
   controls.free = false;
   controls.addEventListener("start", () => {
@@ -44,6 +47,14 @@ export function freeControls(camera, canvas, manifest, onTaken, onMoved) {
   });
   controls.addEventListener("change", () => controls.free && onMoved());
   return controls;
+}
+
+// How far down the camera may be turned, as an angle from straight up: a little below the lowest of the photos, so that a
+// long drag does not end under the table. Without photos nothing says what is below.
+function lowestView({ up, views }) {
+  const direction = new Vector3().fromArray(up).normalize();
+  const angles = views.map(({ c2w }) => new Vector3(-c2w[0][2], -c2w[1][2], -c2w[2][2]).angleTo(direction));
+  return angles.length ? Math.min(Math.PI, Math.max(LOWEST_VIEW, Math.max(...angles) + BELOW_PHOTOS)) : Math.PI;
 }
 
 export function freeProjection(camera, canvas) {

@@ -125,7 +125,10 @@ def _chunks(content: bytes) -> tuple[dict[str, Any], bytes]:
 
 def _gaussians(document: dict[str, Any], binary: bytes) -> Gaussians:
     primitives = [each for mesh in document["meshes"] for each in mesh["primitives"]]
-    attributes = next(each["attributes"] for each in primitives if EXTENSION in each.get("extensions", {}))
+    found = [each["attributes"] for each in primitives if EXTENSION in each.get("extensions", {})]
+    if not found:
+        raise ValueError(f"nothing in it has {EXTENSION}; a mesh is no scene of Gaussians")
+    attributes = found[0]
 
     def column(name: str) -> torch.Tensor:
         accessor = document["accessors"][attributes[name]]

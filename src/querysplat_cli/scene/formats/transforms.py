@@ -6,7 +6,7 @@ world-to-camera. Principal points count from the picture's corner: pixel centres
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -31,6 +31,10 @@ class NamedCameras:
     names: tuple[str, ...]
     cameras: Cameras
     sizes: tuple[tuple[int, int], ...]
+
+    def transformed(self, frame: Sim3 | None) -> "NamedCameras":
+        """In the frame that `frame` maps to (None: where they are)."""
+        return replace(self, cameras=self.cameras.transformed(frame)) if frame else self
 
 
 def read_transforms(path: Path, *, fisheye: bool = False) -> dict[str, PhotoCamera]:

@@ -1,0 +1,96 @@
+"""Where two regions meet: how well they agree, and a last optimisation over the photos that see both."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import torch
+
+from querysplat_cli.pipeline.full_size import LargePhotos
+from querysplat_cli.pipeline.policy import PIPELINE_POLICY
+from querysplat_cli.pipeline.regions.groups import Group
+from querysplat_cli.prune.views import evenly_spaced
+from querysplat_cli.runtime.progress import Progress
+from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.paths import interpolate
+from querysplat_cli.splat.blending_weights import blending_weights
+from querysplat_cli.splat.conventions import MID_GREY
+from querysplat_cli.splat.render import render
+from querysplat_cli.tto.full_size_policy import FULL_SIZE_POLICY
+from querysplat_cli.tto.gaussians import optimise_gaussians
+from querysplat_cli.tto.optimise import TtoResult
+from querysplat_cli.tto.options import Callbacks, TtoSettings
+from querysplat_cli.tto.plan import TtoRun
+from querysplat_cli.tto.rendering_loss import RenderingLoss
+
+
+@dataclass(frozen=True)
+class Seam:
+    """Two regions (by number, from 0) and the photos that both were made of, by row number."""
+
+    regions: tuple[int, int]
+    photos: tuple[int, ...]
+
+
+def find_seams(groups: Sequence[Group]) -> list[Seam]:
+    """Every two groups that have photos in common."""
+    found = []
+    for one, other in combinations(range(len(groups)), 2):
+        photos = sorted(set(groups[one].rows) & set(groups[other].rows))
+        if photos:
+            found.append(Seam((one, other), tuple(photos)))
+    return found
+
+
+@torch.no_grad()
+def disagreement(seam: Seam, cameras: Cameras, regions: Sequence[Gaussians]) -> float:
+    """The PSNR in dB between pictures of the two regions' whole scenes, from places halfway between their photos.
+
+    No photo was taken there, so both scenes have to be right to agree. Pixels that either leaves empty do not count.
+    """
+    shared = cameras[list(seam.photos)]
+    between = interpolate(shared, 2 * len(shared) - 1)[1::2] if len(shared) > 1 else shared
+    some = evenly_spaced(range(len(between)), PIPELINE_POLICY.seam_views)
+    errors, count = 0.0, 0
+    for view in some:
+        drawn = [render(regions[number], between[[view]]) for number in seam.regions]
+        covered = (drawn[0].alpha[0] > MID_GREY) & (drawn[1].alpha[0] > MID_GREY)
+        one, other = (each.over(torch.full((3,), MID_GREY))[0].clamp(0, 1) for each in drawn)
+        errors += float((one - other).square().mean(0)[covered].sum())
+        count += int(covered.sum())
+    return -10 * math.log10(max(errors / count, 1e-10)) if count else 0.0
+
+
+def smoothed(
+    seam: Seam, photos: LargePhotos, size: int, gaussians: Gaussians, *, seed: int, progress: Progress
+) -> tuple[Gaussians, TtoRun, TtoResult]:
+    """The scene after some steps on the photos of the seam, at a longer side of `size` pixels.
+
+    Only the Gaussians that these photos show change.
+    """
+    rows = list(seam.photos)
+    exposures = photos.exposures.map(lambda part: part[rows]) if photos.exposures else None
+    some = replace(
+        photos, views=photos.views[rows], cameras=photos.cameras[rows],
+        files=[photos.files[row] for row in rows] if photos.files else (), exposures=exposures,
+    )  # fmt: skip
+    shown = blending_weights(gaussians, some.cameras) > 0
+    views, cameras = some.at(size)
+    if exposures:
+        views = exposures.removed_from(views)
+    settings = TtoSettings(
+        PIPELINE_POLICY.seam_passes * len(rows),
+        PIPELINE_POLICY.seam_rate * FULL_SIZE_POLICY.learning_rate,
+        views_per_step=1,
+    )
+    generator = torch.Generator().manual_seed(seed)
+    target = RenderingLoss.for_solid_scenes(views, cameras, generator)
+    taken = iter(range(1, settings.steps + 1))
+    callbacks = Callbacks(lambda step: progress(f"{step.psnr:.2f} dB", next(taken, settings.steps) / settings.steps))
+    result = optimise_gaussians(gaussians[shown], target, settings, generator=generator, callbacks=callbacks)
+    changed = gaussians.map(torch.Tensor.clone)
+    for field, new in vars(result.gaussians).items():
+        getattr(changed, field)[shown] = new.detach()
+    return changed, TtoRun("gaussians", settings), result

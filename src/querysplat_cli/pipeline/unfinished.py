@@ -1,0 +1,142 @@
+"""What a long run has reached, in a hidden folder beside its output until it is done.
+
+.scene.ply.unfinished/
+  made_of.json             what each stage was made of: photos and settings
+  cameras.pt
+  region-1/ …              `regions/task.py`
+
+The name is no draft's (`scene/drafts.py`), so no other run sweeps it. The same command goes on with it. A stage that
+was made of something else is removed, with all later ones.
+"""
+
+import json
+import os
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import querysplat_cli
+from querysplat_cli.pipeline.kept_parts import read_part, write_part
+from querysplat_cli.pipeline.policy import PIPELINE_POLICY
+from querysplat_cli.pipeline.settings import ReconstructSettings
+from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.json_files import read_json
+from querysplat_cli.scene.files import atomic_path, sole_writer, without_steps
+from querysplat_cli.scene.views import Photo
+
+Part = TypeVar("Part")
+MADE_OF, CAMERAS, REGION = "made_of.json", "cameras.pt", "region-"
+OF_CAMERAS = (
+    *(
+        "holdout_every",
+        "holdout_cameras",
+        "film_frames",
+        "max_size",
+        "max_views",
+        "fit",
+        "preset",
+        "encoder",
+        "matcher",
+    ),
+    *("weights", "precision", "poses", "lens", "seed", "keep_everything", "device"),
+)
+"""Settings that the cameras depend on."""
+OF_FILES = ("inputs", "ply", "force", "frame", "metres_by", "backdrop", "cluster")
+"""Settings that change neither cameras nor regions; `inputs` stand for photos, which are compared themselves."""
+
+
+def is_long(settings: ReconstructSettings, photos: int) -> bool:
+    """Whether what a run with so many photos reaches is kept until it is done."""
+    return photos >= PIPELINE_POLICY.long_run_photos or (settings.regions or 1) > 1
+
+
+@dataclass(frozen=True)
+class Unfinished:
+    """The working folder of this run. `notes` say, for the user, what it goes on with or makes again."""
+
+    folder: Path
+    notes: tuple[str, ...]
+
+    def cameras(self, find: Callable[[], Part]) -> Part:
+        """The cameras of the folder; without any, what `find` returns, which is kept."""
+        found: Part | None = read_part(self.folder / CAMERAS)
+        if found is None:
+            found = find()
+            write_part(self.folder / CAMERAS, found)
+        return found
+
+    def region(self, number: int) -> Path:
+        """The folder of one region."""
+        folder = self.folder / f"{REGION}{number}"
+        folder.mkdir(exist_ok=True)
+        return folder
+
+
+@contextmanager
+def unfinished(settings: ReconstructSettings, photos: Sequence[Photo], size: int) -> Iterator[Unfinished]:
+    """The working folder of `settings.ply`, held for this process.
+
+    At the end it is removed; on an exception it stays, if a stage is complete. `size` is that of the working pictures.
+    Raises QuerySplatError where another process makes the same scene.
+    """
+    place = without_steps(settings.ply)
+    folder = place.parent / f".{place.name}.unfinished"
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        with sole_writer(folder):
+            yield Unfinished(folder, _notes(folder, _made_of(settings, photos, size)))
+            shutil.rmtree(folder)
+    finally:
+        if folder.is_dir() and not (folder / CAMERAS).is_file():
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def _made_of(settings: ReconstructSettings, photos: Sequence[Photo], size: int) -> dict[str, dict[str, Any]]:
+    given = {name: str(value) for name, value in asdict(settings).items() if name not in OF_FILES}
+    poses = settings.poses and settings.poses.is_file() and settings.poses.stat().st_mtime_ns
+    cameras = {name: given.pop(name) for name in OF_CAMERAS}
+    seen = {"photos": [_state(photo) for photo in photos], "working size": size, "the file of --poses": poses}
+    return {"cameras": {"version": querysplat_cli.__version__, **seen, **cameras}, "regions": given}
+
+
+def _state(photo: Photo) -> list[Any]:
+    with suppress(OSError):
+        state = os.stat(photo.path)
+        return [photo.name, photo.pts, state.st_size, state.st_mtime_ns]
+    return [photo.name, photo.pts]
+
+
+def _notes(folder: Path, made_of: dict[str, dict[str, Any]]) -> tuple[str, ...]:
+    """Remove the stages that were made of something else, and say so."""
+    before: dict[str, Any] = {}
+    with suppress(QuerySplatError):
+        before = read_json(folder / MADE_OF, "") if (folder / MADE_OF).is_file() else {}
+    changed = {stage: _changes(before.get(stage, {}), parts) for stage, parts in made_of.items()}
+    with atomic_path(folder / MADE_OF) as draft:
+        draft.write_text(json.dumps(made_of, indent=1) + "\n")
+    if not before:
+        return ()
+    regions = sorted(folder.glob(f"{REGION}*"))
+    done = sum((region / "scene.pt").is_file() for region in regions)
+    if changed["cameras"]:
+        (folder / CAMERAS).unlink(missing_ok=True)
+    if changed["cameras"] or changed["regions"]:
+        for region in regions:
+            shutil.rmtree(region)
+        what = "cameras and regions" if changed["cameras"] else "regions"
+        why = ", ".join([*changed["cameras"], *changed["regions"]])
+        return (f"an unfinished run had other values of {why}: its {what} are made again",)
+    if not (folder / CAMERAS).is_file():
+        return ()
+    return (f"went on with the cameras and {done} regions of an unfinished run",)
+
+
+def _changes(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
+    """Names of the parts that differ, as the user writes them."""
+    names = [name for name in now if before.get(name) != now[name]]
+    return [
+        f"--{name.replace('_', '-')}" if name in ReconstructSettings.__dataclass_fields__ else name for name in names
+    ]

@@ -1,0 +1,110 @@
+"""Photos in regions, through the command line: one scene, which a stopped run goes on with."""
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from querysplat_cli.cli import run
+from querysplat_cli.model.checkpoints import load
+from querysplat_cli.pipeline.kept_parts import read_part
+from querysplat_cli.pipeline.regions import build
+from querysplat_cli.pipeline.regions.merge import merged_anchors, merged_memories
+from querysplat_cli.pipeline.regions.scene import RegionScene
+from querysplat_cli.runtime.errors import ExitCode
+from querysplat_cli.scene.formats.ply import read_ply
+from querysplat_cli.tto.features import Start, gaussians_of
+from street_photos import take_street
+
+COUNT = 10
+SMALL = ["--max-size", "112", "--tto", "8", "--quality", "draft", "--holdout-every", "5", "-q"]
+Made = tuple[Path, dict[str, Any]]
+
+
+@pytest.fixture(scope="module")
+def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("street") / "photos"
+    take_street(folder, COUNT)
+    return folder
+
+
+def command(street: Path, ply: Path, *more: str) -> list[str]:
+    poses = str(street.parent / "transforms.json")
+    return ["reconstruct", str(street), "-o", str(ply), "--poses", poses, *SMALL, *more]
+
+
+def reconstruct(street: Path, name: str, *more: str) -> Made:
+    ply = street.parent / f"{name}.ply"
+    assert run(command(street, ply, *more)) == ExitCode.DONE
+    return ply, json.loads((ply.with_suffix("") / "report.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def divided(street: Path) -> Made:
+    return reconstruct(street, "divided", "--regions", "2")
+
+
+def test_regions_make_one_scene(street: Path, divided: Made) -> None:
+    ply, report = divided
+    whole = reconstruct(street, "whole")[1]
+    assert [region["photos"] for region in report["regions"]] == [4, 4]
+    assert all(region["overlap"] == 2 for region in report["regions"])
+    assert sum(region["gaussians"] for region in report["regions"]) + report["backdrop"] == report["gaussians"]
+    assert len(read_ply(ply)) == report["gaussians"]
+    assert report["seams"][0]["regions"] == [1, 2]
+    assert report["seams"][0]["psnr"] > 20
+    assert report["quality"]["heldout"]["psnr"] > whole["quality"]["heldout"]["psnr"] - 0.5
+    assert whole["regions"] == whole["seams"] == []
+    assert not list(ply.parent.glob(".*"))
+
+
+def test_the_scene_can_be_taken_further(divided: Made, tmp_path: Path) -> None:
+    copy = tmp_path / "copy.ply"
+    shutil.copy(divided[0], copy)
+    shutil.copytree(divided[0].with_suffix(""), copy.with_suffix(""))
+    assert run(["tto", str(copy), "--space", "gaussians", "--steps", "2", "-q"]) == ExitCode.DONE
+
+
+@pytest.fixture
+def stopped(street: Path, divided: Made, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder whose run was stopped in the second region."""
+    make = build.region_maker
+
+    def stopping(setup: None) -> Any:
+        work = make(setup)
+
+        def once(folder: Path) -> None:
+            if folder.name == "region-2":
+                raise KeyboardInterrupt
+            work(folder)
+
+        return once
+
+    with monkeypatch.context() as patch:
+        patch.setattr(build, "region_maker", stopping)
+        ply = street.parent / "stopped.ply"
+        assert run(command(street, ply, "--regions", "2")) == ExitCode.INTERRUPTED
+    return ply.parent / ".stopped.ply.unfinished"
+
+
+def test_a_stopped_run_goes_on(street: Path, divided: Made, stopped: Path) -> None:
+    assert not (stopped.parent / "stopped.ply").exists()
+    _check_merged_queries(read_part(stopped / "region-1" / "scene.pt"))
+    ply, report = reconstruct(street, "stopped", "--regions", "2")
+    assert report["resumed"] == ["went on with the cameras and 1 regions of an unfinished run"]
+    assert ply.read_bytes() == divided[0].read_bytes()
+    assert not stopped.exists()
+
+
+def _check_merged_queries(scene: RegionScene) -> None:
+    """Queries and memories of two regions decode to the Gaussians of both."""
+    model = load("compact")
+    assert scene.anchors is not None
+    with torch.no_grad():
+        alone = gaussians_of(model, Start(scene.memories, scene.anchors))
+        both = gaussians_of(model, Start(merged_memories([scene, scene]), merged_anchors([scene, scene])))
+    for name, value in vars(alone).items():
+        assert torch.allclose(vars(both)[name], torch.cat([value, value]), atol=1e-4), name

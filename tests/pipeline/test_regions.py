@@ -1,0 +1,169 @@
+"""Photos are divided into groups, every place has one region, and regions get common colours."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from querysplat_cli.encoders.base import Encoder, PosedViews
+from querysplat_cli.encoders.registry import find_encoder
+from querysplat_cli.model.memories import Memories
+from querysplat_cli.pipeline.kept_parts import read_part, write_part
+from querysplat_cli.pipeline.regions.build import region_count
+from querysplat_cli.pipeline.regions.colours import common_exposures, recoloured
+from querysplat_cli.pipeline.regions.groups import Group, divide
+from querysplat_cli.pipeline.regions.owners import CoreViews, owners
+from querysplat_cli.pipeline.regions.scene import RegionScene
+from querysplat_cli.pipeline.regions.seams import find_seams
+from querysplat_cli.pipeline.settings import ReconstructSettings
+from querysplat_cli.queries.prepare import MemoryMap
+from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.exposures import Exposures
+from querysplat_cli.scene.gaussians import SH_0, Gaussians
+from querysplat_cli.scene.views import Views
+from querysplat_cli.training.streets import stroll
+
+VIEWS = 20
+
+
+@pytest.fixture
+def street() -> PosedViews:
+    """A walk in shuffled order. Each photo sees the points within two metres ahead; a point stands at each 10 cm."""
+    order = torch.randperm(VIEWS, generator=torch.Generator().manual_seed(1))
+    cameras = stroll(10.0, VIEWS, 3, 30, 40)[order]
+    along = torch.arange(0, 12, 0.1)
+    points = torch.stack([along, torch.full_like(along, 3.5), torch.full_like(along, 1.6)], 1)
+    seen = tuple(((along >= x) & (along <= x + 2)).nonzero()[:, 0] for x in cameras.centres[:, 0].tolist())
+    masks = torch.ones(VIEWS, 30, 40, dtype=torch.bool)
+    views = Views(torch.zeros(VIEWS, 3, 30, 40), masks, tuple(map(str, range(VIEWS))), ((30, 40),) * VIEWS)
+    return PosedViews(views, cameras, points, seen)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4])
+def test_groups_are_stretches_of_the_walk(street: PosedViews, count: int) -> None:
+    groups = divide(street, count)
+    assert groups == divide(street, count)
+    assert sorted(row for group in groups for row in group.core) == list(range(VIEWS))
+    assert {len(group.core) for group in groups} <= {VIEWS // count, math.ceil(VIEWS / count)}
+    place = street.cameras.centres[:, 0].argsort().argsort()
+    for group in groups:
+        own, overlap = place[list(group.core)], place[list(group.overlap)]
+        assert int(own.max() - own.min()) == len(own) - 1, "a group has a gap"
+        if count > 1:
+            assert 2 <= len(overlap) <= max(2, math.ceil(len(own) / 4))
+            assert all(min(abs(int(each) - int(mine)) for mine in own) <= 3 for each in overlap)
+
+
+def test_groups_without_points_go_by_the_cameras(street: PosedViews) -> None:
+    bare = replace(street, points=street.points[:0], visibility=tuple(part[:0] for part in street.visibility))
+    place = street.cameras.centres[:, 0].argsort().argsort()
+    for group in divide(bare, 2):
+        own = place[list(group.core)]
+        assert int(own.max() - own.min()) == len(own) - 1
+
+
+def test_every_two_groups_with_a_photo_in_common_have_a_seam() -> None:
+    groups = (Group((0, 1), (2,)), Group((2, 3), (1, 4)), Group((4, 5), ()))
+    assert [(seam.regions, seam.photos) for seam in find_seams(groups)] == [((0, 1), (1, 2)), ((1, 2), (4,))]
+
+
+def facing(*places: float, depth: float) -> tuple[Cameras, torch.Tensor]:
+    """Cameras at these x that look along +z, and what they see everywhere at `depth`."""
+    w2c = torch.eye(4).repeat(len(places), 1, 1)
+    w2c[:, 0, 3] = -torch.tensor(places)
+    K = torch.tensor([[20.0, 0, 10], [0, 20, 10], [0, 0, 1]]).repeat(len(places), 1, 1)
+    return Cameras(w2c, K, 20, 20), torch.full((len(places), 20, 20), depth)
+
+
+def test_a_place_belongs_to_the_photo_that_shows_it_largest() -> None:
+    views = CoreViews.of([facing(0.0, 1.0, depth=5.0), facing(4.0, depth=2.0)])
+    places = torch.tensor([
+        [0.5, 0.0, 4.0],  # only the first region shows it
+        [3.9, 0.0, 1.9],  # only the second
+        [3.0, 0.0, 4.5],  # in pictures of both; behind what the second has there
+        [3.5, 0.0, -3.0],  # in no picture: the nearest camera's
+        [0.2, 0.0, 9.0],  # behind everything: the nearest camera's
+    ])  # fmt: skip
+    assert owners(places, views).tolist() == [0, 1, 0, 1, 0]
+
+
+def region(matrices: torch.Tensor | None) -> RegionScene:
+    """One with no Gaussians that matter, whose photos have these transforms."""
+    nothing = torch.zeros(0, 1, 1)
+    memories = Memories(nothing, nothing, nothing, nothing)
+    exposures = None if matrices is None else Exposures(matrices)
+    where = MemoryMap(torch.zeros(0).int(), torch.zeros(0).int(), torch.ones(3).int(), torch.zeros(0, 0, 0))
+    return RegionScene(grey(), torch.zeros(1, 1, 1), memories, None, where, None, exposures, None, 1, {})
+
+
+def grey() -> Gaussians:
+    """One Gaussian of the colour (0.5, 0.5, 0.5) whose SH of degree 1 are 0.1."""
+    sh = torch.full((1, 4, 3), 0.1)
+    sh[:, 0] = 0
+    return Gaussians(torch.zeros(1, 3), torch.tensor([[1.0, 0, 0, 0]]), torch.ones(1, 3), torch.ones(1) / 2, sh)
+
+
+def test_regions_get_common_colours() -> None:
+    """A true scene in photos of known exposure: the regions' own colours differ, and agree afterwards."""
+    gain = torch.tensor([0.7, 0.9, 1.1, 1.3]).double()
+    photos = torch.zeros(4, 3, 4).double()
+    photos[:, :, :3] = gain[:, None, None] * torch.eye(3).double()
+    photos[:, :, 3] = 0.02
+    groups = (Group((0, 1), (2,)), Group((2, 3), (1,)))
+    scenes = [region(Exposures(photos[list(group.rows)]).with_identity_mean().matrices) for group in groups]
+    exposures, transforms = common_exposures(groups, scenes, 4)
+    assert exposures is not None
+    torch.testing.assert_close(exposures.matrices, Exposures(photos).with_identity_mean().matrices)
+    for number, group in enumerate(groups):
+        mine = recoloured(grey(), transforms[number])
+        for row, own in zip(group.rows, scenes[number].exposures.matrices, strict=True):  # type: ignore[union-attr]
+            before = own[:, :3] @ torch.full((3,), 0.5).double() + own[:, 3]
+            colour = 0.5 + SH_0 * mine.sh[0, 0].double()
+            after = exposures.matrices[row, :, :3] @ colour + exposures.matrices[row, :, 3]
+            torch.testing.assert_close(before, after, atol=1e-5, rtol=0)
+    assert common_exposures(groups, [region(None), region(None)], 4)[0] is None
+
+
+def some_encoder(*, own_frame: bool) -> Encoder:
+    encoder = find_encoder("classical")
+    encoder.own_frame = own_frame
+    return encoder
+
+
+@pytest.mark.parametrize(("photos", "count"), [(1, 1), (100, 1), (101, 2), (1000, 10)])
+def test_auto_divides_many_photos(photos: int, count: int) -> None:
+    settings = ReconstructSettings((), Path())
+    assert region_count(settings, photos, some_encoder(own_frame=False)) == count
+    assert region_count(settings, photos, some_encoder(own_frame=True)) == 1
+    assert region_count(replace(settings, budget=9.0), photos, some_encoder(own_frame=False)) == 1  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ("changes", "own_frame", "words"),
+    [
+        ({}, True, "takes all photos at once"),
+        ({"budget": 60.0}, False, "--budget"),
+        ({"refine_cameras": True}, False, "--refine-cameras"),
+        ({"regions": 6}, False, "too few"),
+    ],
+)
+def test_regions_that_cannot_be_had(changes: dict[str, object], own_frame: bool, words: str) -> None:
+    settings = replace(ReconstructSettings((), Path(), regions=2), **changes)  # type: ignore[arg-type]
+    with pytest.raises(QuerySplatError, match=words):
+        region_count(settings, 20, some_encoder(own_frame=own_frame))  # type: ignore[arg-type]
+
+
+def test_parts_are_kept_and_damaged_ones_are_made_again(street: PosedViews, tmp_path: Path) -> None:
+    file = tmp_path / "part.pt"
+    assert read_part(file) is None
+    write_part(file, street)
+    again = read_part(file)
+    assert torch.equal(again.cameras.w2c, street.cameras.w2c)
+    assert again.views.names == street.views.names
+    file.write_bytes(file.read_bytes()[:1000])
+    assert read_part(file) is None
+    torch.save({"code": print}, file)
+    assert read_part(file) is None
