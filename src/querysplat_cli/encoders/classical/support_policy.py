@@ -25,8 +25,11 @@ class SupportPolicy:
     """How much the maps of two neighbours may differ, relative to their size."""
     neighbours: int = 2
     """So many neighbours must support a match."""
-    supported_share: float = 0.03
-    """Share of the nearest features that must have support. In pictures of different noise 2 % have it by chance."""
+    distinct_ratio: float = 0.9
+    """Matches with support stand out below this ratio of the distances to the nearest and the second nearest."""
+    distinct_matches: int = 5
+    """So many matches with support must stand out. In photos of different things it is one at most, where 13 have
+    support by chance."""
     neighbours_grown: int = 4
     """So many after matches were added around those that have support."""
     anchors: int = 3

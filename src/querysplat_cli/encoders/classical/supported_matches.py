@@ -91,14 +91,14 @@ def supported_rows(first: ShapedFeatures, second: ShapedFeatures) -> np.ndarray:
     """Rows [m, 2] of the features of two photos that match, each supported by neighbours.
 
     Around the matches that are found so, more are looked for where the maps of these expect them. No rows are returned
-    where so few nearest features support each other that it may be by chance: growth would add to those, too.
+    where hardly any match with support stands out by its ratio, too: such support may be chance, and would grow.
     """
     if min(len(first.pixels), len(second.pixels)) < 2:
         return np.zeros((0, 2), np.int64)
     policy, reach = SUPPORT_POLICY, SUPPORT_POLICY.reach * max(first.size)
     nearest = _distinct(nearest_matches(first, second))
     found = nearest[_support(nearest, reach) >= policy.neighbours]
-    if len(found.rows) < max(policy.effort.fewest_inliers, policy.supported_share * len(nearest.rows)):
+    if np.count_nonzero(found.ratios < policy.distinct_ratio) < policy.distinct_matches:
         return np.zeros((0, 2), np.int64)
     more = _distinct(_joined(found, _grown(first, second, found, reach)))
     return more[_support(more, reach) >= policy.neighbours_grown].rows
