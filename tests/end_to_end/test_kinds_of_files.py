@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import pycolmap
 import pytest
 from test_road import take_photos
 
@@ -74,6 +75,15 @@ def test_colmap_gets_the_photos_of_a_scene(
     photos = take_photos(tmp_path / "photos", 3, 2)
     made = ["reconstruct", *map(str, photos), "-o", str(tmp_path / "s.ply"), "--max-size", "96", "--tto", "0", "-q"]
     assert run(made) == ExitCode.DONE
+    for name, options in (("s", []), ("turned", ["--up=0.1,-1,0.3", "--scale", "2"])):
+        if options:  # the points go along
+            assert run(["convert", str(tmp_path / "s.ply"), str(tmp_path / f"{name}.ply"), *options, "-q"]) == 0
+        assert run(["convert", str(tmp_path / name), str(tmp_path / "model"), "--force", "-q"]) == ExitCode.DONE
+        model = pycolmap.Reconstruction(tmp_path / "model")
+        assert len(model.points3D) > 100
+        assert model.compute_num_observations() == 2 * len(model.points3D)
+        assert model.compute_mean_reprojection_error() < 1  # in pixels of the whole photos
+        assert len({tuple(point.color) for point in model.points3D.values()}) > 50
     seen = []
 
     def colmap(found: list[Photo], seed: int) -> dict[str, PhotoCamera]:

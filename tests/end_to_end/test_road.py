@@ -72,6 +72,7 @@ def test_what_is_written(scene: tuple[Path, dict[str, Any]]) -> None:
         "images",
         "memories.safetensors",
         "photos.json",
+        "points.safetensors",
         "preview.png",
         "report.json",
     }

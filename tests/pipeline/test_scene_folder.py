@@ -28,6 +28,7 @@ from querysplat_cli.scene.formats.ply import read_ply
 from querysplat_cli.scene.formats.transforms import read_transforms
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.photo_files import PhotoFile
+from querysplat_cli.scene.sparse_points import SparsePoints
 from querysplat_cli.scene.views import PhotoSource, Views
 
 HEIGHT, WIDTH = 24, 36
@@ -70,7 +71,10 @@ def stored() -> tuple[StoredScene, Gaussians]:
     photos = {name: PhotoFile.of(name, PhotoSource(Path("/photos") / name), lens) for name in ("a.png", "d.png")}
     exposures = Exposures(Exposures.identity(3).matrices * torch.tensor([0.9, 1.0, 1.1])[:, None, None])
     scene = StoredScene(inputs, cameras, heldout, memories, anchors, "compact", photos=photos, exposures=exposures)
-    return scene, gaussians
+    points = SparsePoints(
+        torch.rand(2, 3), torch.zeros(2, 3).byte(), torch.zeros(2).int(), torch.arange(2).int(), torch.rand(2, 2)
+    )
+    return replace(scene, points=points), gaussians
 
 
 def a_report(**changes: Any) -> dict[str, Any]:
@@ -116,6 +120,7 @@ def test_round_trip(stored: tuple[StoredScene, Gaussians], tmp_path: Path) -> No
         equal(scene.anchors, found.anchors)
         assert found.model == "compact"
         assert found.photos == scene.photos
+        equal(scene.points, found.points)
     assert len(read_ply(tmp_path / "s.ply")) == 7
     files = [tmp_path / "s.ply", *(path for path in (tmp_path / "s").rglob("*") if path.is_file())]
     assert len({file.stat().st_mode for file in files}) == 1  # the same permissions as any other file
@@ -134,7 +139,9 @@ def test_cameras_name_the_files_that_are_there(stored: tuple[StoredScene, Gaussi
     assert len(scene.frames) == 4
 
 
-@pytest.mark.parametrize("part", ["cameras.json", "photos.json", "report.json", "memories.safetensors", "images/a.png"])
+@pytest.mark.parametrize(
+    "part", ["cameras.json", "photos.json", "points.safetensors", "report.json", "memories.safetensors", "images/a.png"]
+)
 def test_a_damaged_folder_is_refused(part: str, stored: tuple[StoredScene, Gaussians], tmp_path: Path) -> None:
     write_scene(tmp_path / "s.ply", *stored, a_report())
     file = tmp_path / "s" / part

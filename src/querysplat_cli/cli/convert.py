@@ -26,7 +26,7 @@ def convert(request: Conversion, printing: Printing) -> None:
 def _lines(result: dict[str, Any]) -> list[str]:
     if "cameras" in result:
         left_out = [f"left out: {each['name']}, {each['why']}" for each in result.get("left_out", ())]
-        return [f"{result['cameras']} cameras: {result['target']}", *left_out]
+        return [f"{result['cameras']} cameras{_points(result)}: {result['target']}", *left_out]
     written, read = (result["bytes"][part] / 2**20 for part in ("target", "source"))
     steps = [_step(step) for step in result["steps"]]
     return [
@@ -35,6 +35,14 @@ def _lines(result: dict[str, Any]) -> list[str]:
         *steps,
         *([_cost(result["psnr"])] if result["psnr"] else []),
     ]
+
+
+def _points(result: dict[str, Any]) -> str:
+    if not result.get("points"):
+        return ""
+    if not result["observations"]:
+        return f", and {result['points']:,} centres of Gaussians as points, which no photo observes"
+    return f", and {result['points']:,} triangulated points with {result['observations']:,} observations"
 
 
 def _content(result: dict[str, Any]) -> str:

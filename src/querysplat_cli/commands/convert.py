@@ -7,16 +7,15 @@ from typing import Any
 
 from querysplat_cli.commands.convert_gaussians import convert_gaussians
 from querysplat_cli.commands.convert_request import Conversion
-from querysplat_cli.pipeline.gaussian_files import READERS, file_of_scene, read_gaussians
+from querysplat_cli.commands.exported_points import observed_points, points_entry, points_without_photos
+from querysplat_cli.pipeline.gaussian_files import READERS
 from querysplat_cli.pipeline.scene_folder import write_images
-from querysplat_cli.reporting.stored_report import backdrop_of
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import PhotoCamera, rescaled
 from querysplat_cli.scene.files import atomic_folder, refuse_existing
 from querysplat_cli.scene.formats.colmap import copy_colmap, write_colmap
 from querysplat_cli.scene.formats.known import find_known_cameras, read_known_cameras
-from querysplat_cli.scene.formats.point_cloud import PointCloud, points_of
 from querysplat_cli.scene.formats.transforms import write_transforms
 from querysplat_cli.scene.formats.transforms_frame import is_rigid
 from querysplat_cli.scene.match_cameras import match_cameras
@@ -57,6 +56,7 @@ def _convert_cameras(request: Conversion) -> dict[str, Any]:
     left_out = [vars(LeftOut(name, "its camera is no rigid motion")) for name in given if name not in cameras]
     if not cameras:
         raise QuerySplatError(f"{source}: no camera of it is a rigid motion", "Export it again.")
+    counts: dict[str, Any] = {}
     if request.target.suffix.lower() == ".json" and not request.photos:
         write_transforms(request.target, cameras)
     elif request.target.suffix:
@@ -71,9 +71,11 @@ def _convert_cameras(request: Conversion) -> dict[str, Any]:
             else:
                 points = None
                 if request.source.is_dir():
-                    cameras, points = _with_lenses(source.parent, cameras), _points(source.parent)
+                    cameras = _with_lenses(source.parent, cameras)
+                    points = observed_points(source, cameras) or points_without_photos(source.parent)
                 write_colmap(draft, cameras, points=points, text=request.text)
-    return {"target": str(request.target), "cameras": len(cameras), "left_out": left_out}
+                counts = points_entry(points)
+    return {"target": str(request.target), "cameras": len(cameras), **counts, "left_out": left_out}
 
 
 def _with_lenses(folder: Path, cameras: Mapping[str, PhotoCamera]) -> dict[str, PhotoCamera]:
@@ -84,15 +86,6 @@ def _with_lenses(folder: Path, cameras: Mapping[str, PhotoCamera]) -> dict[str, 
             lens = rescaled(file.lens, *file.full_size()) if file.path.is_file() else file.lens
             found[name] = replace(lens, w2c=cameras[name].w2c)
     return found
-
-
-def _points(folder: Path) -> PointCloud | None:
-    """The points of the Gaussians beside a scene folder, without the backdrop."""
-    file = file_of_scene(folder)
-    if not file.is_file():
-        return None
-    gaussians = read_gaussians(file)
-    return points_of(gaussians[: len(gaussians) - backdrop_of(folder, len(gaussians))])
 
 
 def _make_scene_folder(target: Path, cameras: Mapping[str, PhotoCamera], place: Path) -> dict[str, Any]:

@@ -14,8 +14,8 @@ from querysplat_cli.runtime.checkpoint_files import read_tensors
 from querysplat_cli.scene.formats.moved_cameras import move_cameras
 from querysplat_cli.scene.sim3 import Sim3
 
-FILES = ("photos.json", "exposures.json", "preview.png", "curve.png")
-"""Files of a scene folder that do not depend on the frame, nor on which Gaussians there are."""
+FILES = ("photos.json", "points.safetensors", "exposures.json", "preview.png", "curve.png")
+"""Files of a scene folder that do not depend on the frame of its files, nor on which Gaussians there are."""
 
 
 def write_moved_folder(source: Path, draft: Path, place: Sim3, kept: Bool[Tensor, "n"]) -> None:

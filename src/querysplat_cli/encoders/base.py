@@ -83,7 +83,8 @@ class PosedViews:
     anywhere.
 
     `points` are sparse scene points [n, 3], and n may be 0. `visibility` holds, for each view, the row numbers of
-    the points that the view observes. Each of `warnings` is a sentence that says why the cameras may be wrong.
+    the points that the view observes, and `keypoints` the pixels [k, 2] of the photo where it does, in pixels of
+    `photo_cameras` (None: not known). Each of `warnings` is a sentence that says why the cameras may be wrong.
     `photo_cameras` are the cameras of the photos before undistortion, in the same frame; None where the views show
     the photos without resampling. `epipolar_error_px` is the median distance of the matches from their epipolar
     lines, in pixels of the views; None where it was not measured. `matching` says how photos were matched again, if any
@@ -99,6 +100,7 @@ class PosedViews:
     photo_cameras: tuple[PhotoCamera, ...] | None = None
     epipolar_error_px: float | None = None
     matching: Matching | None = None
+    keypoints: tuple[Tensor, ...] | None = None
 
 
 @dataclass(frozen=True)

@@ -129,6 +129,7 @@ def select_views(posed: PosedViews, rows: Sequence[int]) -> PosedViews:
         cameras=posed.cameras[rows],
         visibility=tuple(posed.visibility[row] for row in rows),
         photo_cameras=posed.photo_cameras and tuple(posed.photo_cameras[row] for row in rows),
+        keypoints=posed.keypoints and tuple(posed.keypoints[row] for row in rows),
     )
 
 

@@ -61,6 +61,8 @@ class PipelinePolicy:
     """Pictures that are rendered of each overlap of two regions, from places between photos."""
     bad_seam_psnr: float = 15.0
     """Where the pictures of two regions differ by more (a lower PSNR, in dB), a warning says so."""
+    seam_loss: float = 0.3
+    """A photo that a region alone shows better by more, in dB, sees a seam."""
     seam_passes: int = 4
     """How often the last optimisation over a seam takes each photo that sees it."""
     seam_rate: float = 0.25

@@ -21,6 +21,7 @@ from querysplat_cli.scene.formats.transforms import NamedCameras, read_working_c
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.photo_files import read_photo_files
 from querysplat_cli.scene.pictures import stored_name
+from querysplat_cli.scene.sparse_points import read_sparse_points
 from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.transform import transform_gaussians
 
@@ -56,8 +57,9 @@ def read_scene(path: Path) -> tuple[StoredScene, dict[str, Any]]:
     except (OSError, DamagedTensors, cv2.error, Image.DecompressionBombError) as error:
         raise QuerySplatError(f"{folder} is damaged: {error}", MAKE_AGAIN) from error
     parts = stored.memories, stored.anchors, metadata["model"], stored.map, stored.kept
+    points = read_sparse_points(folder, len(inputs.names))
     exposures = read_exposures(folder / "exposures.json", inputs.names)
-    rest = photos, frame, report.get("backdrop", 0), exposures
+    rest = photos, frame, report.get("backdrop", 0), exposures, points
     return StoredScene(views, inputs.cameras, held, *parts, *rest), report
 
 

@@ -22,6 +22,7 @@ from querysplat_cli.pipeline.parts import load_parts
 from querysplat_cli.pipeline.perceptual import optimisation_lpips
 from querysplat_cli.pipeline.regions.build import build_regions, region_count
 from querysplat_cli.pipeline.scene_folder import StoredScene, refuse_foreign, write_scene
+from querysplat_cli.pipeline.scene_points import scene_points
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.pipeline.unfinished import Unfinished, is_long, unfinished
 from querysplat_cli.prune.resolution import Blurred, blurred
@@ -286,4 +287,5 @@ def _stored(inputs: _Inputs, passes: HoldoutCameras, scene: BuiltScene, settings
         or first_sight(scene.gaussians, scene.adapted.cameras, settings.frame),
         len(scene.backdrop) if scene.backdrop else 0,
         scene.exposures,
+        scene_points(scene.posed),
     )

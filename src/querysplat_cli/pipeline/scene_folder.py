@@ -5,6 +5,7 @@ scene/
   cameras.json             nerfstudio form; held-out views under "heldout_frames"; in the frame of given cameras
   images/                  the undistorted photos that the cameras belong to
   photos.json              where the photos themselves lie, and their lenses, if the encoder knows these
+  points.safetensors       points of structure from motion, and which photos observe them, if the encoder has any
   exposures.json           the colour transforms of the input photos, if these differ in exposure
   memories.safetensors     memories, anchors, masks and depth, and the model that they belong to
   report.json
@@ -43,6 +44,7 @@ from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.photo_files import PhotoFile, write_photo_files
 from querysplat_cli.scene.pictures import LOSSLESS_SUFFIXES, eight_bit, stored_name, write_picture
 from querysplat_cli.scene.sim3 import Sim3
+from querysplat_cli.scene.sparse_points import SparsePoints, write_sparse_points
 from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.transform import transform_gaussians
 
@@ -59,7 +61,7 @@ class StoredScene:
     `model` is the preset or checkpoint that decodes the memories. `kept` marks the decoded Gaussians that belong to
     the scene (None: all). `photos` are the files of input and held-out photos by name; it may lack some. The last
     Gaussians, as many as `backdrop` says, are the backdrop. `exposures` are the colour transforms of the input views
-    (None: they show the scene's own colours).
+    (None: they show the scene's own colours). `points` are those of structure from motion (None: there are none).
 
     Everything here is in the frame in which the scene was made. `frame` maps it to that of the files, where the user
     gave cameras.
@@ -77,6 +79,7 @@ class StoredScene:
     frame: Sim3 | None = None
     backdrop: int = 0
     exposures: Exposures | None = None
+    points: SparsePoints | None = None
 
     @property
     def groups(self) -> dict[str, tuple[Views, Cameras]]:
@@ -115,6 +118,8 @@ def write_scene(target: Path, scene: StoredScene, gaussians: Gaussians, report: 
             write_photo_files(draft / "photos.json", list(scene.photos.values()))
         if scene.exposures:
             write_exposures(draft / "exposures.json", scene.views.names, scene.exposures)
+        if scene.points:
+            write_sparse_points(draft, scene.points)
         masks = torch.cat([views.masks for views, _ in scene.groups.values()])
         tensors = flattened(StoredTensors(masks, scene.memories, scene.anchors, scene.kept, scene.map))
         # Not by `save_file`, which makes files that only their owner may read.

@@ -105,5 +105,9 @@ def _sparse_model(
         lens = bundle.lenses[bundle.lens_of[place]]
         cameras[photo] = as_photo_camera(bundle.poses[place], lens, (camera.height, camera.width))
     observed, rows = np.unique(seen.point, return_inverse=True)
-    visible = {photo: np.unique(rows[seen.camera == place]) for place, photo in enumerate(numbers)}
-    return SparseModel(cameras, bundle.points[observed], visible)
+    visible, pixels = {}, {}
+    for place, photo in enumerate(numbers):
+        own = seen.camera == place
+        visible[photo], first = np.unique(rows[own], return_index=True)
+        pixels[photo] = seen.pixels[own][first]
+    return SparseModel(cameras, bundle.points[observed], visible, pixels)

@@ -64,6 +64,7 @@ def estimate_cameras(
         cameras,
         points=torch.from_numpy(model.points).float(),
         visibility=tuple(torch.from_numpy(model.seen[i]) for i in used),
+        keypoints=tuple(torch.from_numpy(model.pixels[i]).float() for i in used) if model.pixels else None,
         left_out=(*copies, *placement.left_out),
         warnings=placement.warnings,
         photo_cameras=photo_cameras,
@@ -138,6 +139,7 @@ def _place_known(
         {numbers[i]: camera for i, camera in model.cameras.items()},
         model.points,
         {numbers[i]: rows for i, rows in model.seen.items()},
+        {numbers[i]: pixels for i, pixels in model.pixels.items()},
     )
     return Placement(
         renumbered, tuple(left_out), camera_warnings(model, matches), median_epipolar_error(model, matches)

@@ -105,15 +105,17 @@ def from_colmap(reconstruction: pycolmap.Reconstruction) -> SparseModel:
     ids = sorted(reconstruction.points3D)
     row = {point: i for i, point in enumerate(ids)}
     points = np.array([reconstruction.points3D[point].xyz for point in ids]).reshape(-1, 3)
-    cameras, seen = {}, {}
+    cameras, seen, pixels = {}, {}, {}
     for image in reconstruction.images.values():
         if image.has_pose:
             photo = image.image_id - 1
             cameras[photo] = _photo_camera(reconstruction.cameras[image.camera_id], image.cam_from_world().matrix())
-            rows = {row[point.point3D_id] for point in image.get_observation_points2D()}
-            seen[photo] = np.array(sorted(rows), dtype=np.int64)
+            observed = image.get_observation_points2D()
+            rows = np.array([row[point.point3D_id] for point in observed], dtype=np.int64)
+            seen[photo], first = np.unique(rows, return_index=True)
+            pixels[photo] = np.array([point.xy for point in observed]).reshape(-1, 2)[first]
     order = sorted(cameras)
-    return SparseModel({i: cameras[i] for i in order}, points, {i: seen[i] for i in order})
+    return SparseModel({i: cameras[i] for i in order}, points, {i: seen[i] for i in order}, pixels)
 
 
 def _photo_camera(camera: pycolmap.Camera, pose: np.ndarray) -> PhotoCamera:

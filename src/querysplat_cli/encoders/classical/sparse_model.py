@@ -1,6 +1,6 @@
 """The result of structure from motion: cameras, and points that they share."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -11,12 +11,14 @@ from querysplat_cli.scene.cameras import PhotoCamera
 class SparseModel:
     """Cameras by photo number, and scene points [n, 3] in float64.
 
-    `seen` holds, for each photo, the rows of the points that its camera observes. Every point is observed.
+    `seen` holds, for each photo, the rows of the points that its camera observes, and `pixels` where it does [k, 2], in
+    pixels of its camera. Every point is observed.
     """
 
     cameras: dict[int, PhotoCamera]
     points: np.ndarray
     seen: dict[int, np.ndarray]
+    pixels: dict[int, np.ndarray] = field(default_factory=dict)
 
     def depths(self, photo: int) -> np.ndarray:
         """Camera z of the points that a photo's camera observes, in scene units."""
@@ -48,4 +50,4 @@ def in_first_camera_frame(model: SparseModel) -> SparseModel:
     # The products above leave rounding errors; the first pose is exact by definition.
     cameras[first] = replace(cameras[first], w2c=np.eye(4))
     points = scale * (model.points @ origin[:3, :3].T + origin[:3, 3])
-    return SparseModel(cameras, points, model.seen)
+    return replace(model, cameras=cameras, points=points)

@@ -1,6 +1,7 @@
 """Scene points for cameras that are given."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -38,4 +39,4 @@ def triangulated(cameras: Sequence[PhotoCamera], matches: Matches, *, seed: int)
         found = from_colmap(
             pycolmap.triangulate_points(reconstruction, matches.database, matches.folder, Path(folder), options=options)
         )
-    return SparseModel(dict(enumerate(scaled)), found.points, found.seen)
+    return replace(found, cameras=dict(enumerate(scaled)))

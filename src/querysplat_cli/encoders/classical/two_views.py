@@ -30,11 +30,12 @@ class TwoViews:
 
 @dataclass(frozen=True)
 class _Candidate:
-    """Adjusted cameras, the points that they share, and what all this costs."""
+    """Adjusted cameras, the points that they share, the pixels [2, p, 2] of these, and what all this costs."""
 
     cost: float
     cameras: tuple[PhotoCamera, PhotoCamera]
     points: np.ndarray
+    pixels: np.ndarray
 
 
 def map_two_photos(pair: Pair, sizes: Sequence[tuple[int, int]], focals: Sequence[float | None]) -> TwoViews | None:
@@ -59,7 +60,8 @@ def map_two_photos(pair: Pair, sizes: Sequence[tuple[int, int]], focals: Sequenc
     if best is None or len(best.points) < fewest:
         return None
     rows = np.arange(len(best.points))
-    model = SparseModel(dict(enumerate(best.cameras)), best.points, {0: rows, 1: rows})
+    seen, pixels = {0: rows, 1: rows}, dict(enumerate(best.pixels))
+    model = SparseModel(dict(enumerate(best.cameras)), best.points, seen, pixels)
     agreeing = epipolar_error(pair, *best.cameras) < policy.epipolar_tolerance
     return TwoViews(model, Pair(0, 1, pair.first_pixels[agreeing], pair.second_pixels[agreeing]))
 
@@ -121,7 +123,8 @@ def _adjusted(
     deviation = ((bundle.lenses - prior.mean) / prior.sigma) ** 2
     cost = weight * scale**2 * np.log1p((worst / scale) ** 2).sum() + prior.weight * deviation.sum()
     kept = residuals < policy.epipolar_tolerance
-    return _Candidate(float(cost), cameras, bundle.points[kept]) if kept.any() else None
+    pixels = seen.pixels.reshape(2, -1, 2)[:, kept]
+    return _Candidate(float(cost), cameras, bundle.points[kept], pixels) if kept.any() else None
 
 
 def _cameras(bundle: Bundle, sizes: Sequence[tuple[int, int]]) -> tuple[PhotoCamera, PhotoCamera]:

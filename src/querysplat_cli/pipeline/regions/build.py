@@ -2,71 +2,25 @@
 
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import torch
-
-from querysplat_cli.encoders.base import Encoder, Geometry, PosedViews
-from querysplat_cli.pipeline.build import BuiltScene, distinct_views
-from querysplat_cli.pipeline.full_size import FullSize, LargePhotos
+from querysplat_cli.encoders.base import Encoder, PosedViews
+from querysplat_cli.pipeline.build import distinct_views
 from querysplat_cli.pipeline.kept_parts import read_part, write_part
 from querysplat_cli.pipeline.policy import PIPELINE_POLICY
-from querysplat_cli.pipeline.regions.colours import common_exposures, recoloured
-from querysplat_cli.pipeline.regions.groups import Group, divide
-from querysplat_cli.pipeline.regions.merge import (
-    merged_anchors,
-    merged_gaussians,
-    merged_kept,
-    merged_map,
-    merged_memories,
-)
-from querysplat_cli.pipeline.regions.owners import CoreViews, owners, small_cameras
+from querysplat_cli.pipeline.regions.groups import divide
+from querysplat_cli.pipeline.regions.join import BuiltRegions, join
 from querysplat_cli.pipeline.regions.scene import RegionScene
-from querysplat_cli.pipeline.regions.seams import disagreement, find_seams, smoothed
 from querysplat_cli.pipeline.regions.task import SCENE, TASK, region_maker, region_task
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.pipeline.unfinished import Unfinished
-from querysplat_cli.queries.backdrop import shows_background
-from querysplat_cli.queries.prepare import PreparedQueries
-from querysplat_cli.reporting.report import Report, tto_entries
-from querysplat_cli.reporting.view_scores import score
 from querysplat_cli.runtime import signals
 from querysplat_cli.runtime.engine import Engine
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import StageProgress, Stages
-from querysplat_cli.scene.exposures import Exposures
-from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.scene.photo_files import photo_files
 from querysplat_cli.scene.views import PhotoSource
-from querysplat_cli.tto.adapt import Adapted
-from querysplat_cli.tto.exposure_fit import PhotoColours
-
-
-@dataclass(frozen=True)
-class BuiltRegions:
-    """A scene of several regions, and its entries in the report.
-
-    regions, seams: one entry each. peak_gib: the most memory of any process that made a region.
-    """
-
-    scene: BuiltScene
-    regions: list[dict[str, Any]]
-    seams: list[dict[str, Any]]
-    warnings: tuple[str, ...]
-    peak_gib: float
-
-    def added_to(self, report: Report) -> Report:
-        """The report of the scene with these entries."""
-        return replace(
-            report,
-            regions=self.regions,
-            seams=self.seams,
-            warnings=[*report.warnings, *self.warnings],
-            peak_memory_gib=round(max(self.peak_gib, report.peak_memory_gib), 2),
-        )
 
 
 def region_count(settings: ReconstructSettings, photos: int, encoder: Encoder) -> int:
@@ -125,34 +79,8 @@ def build_regions(
         ) from None  # fmt: skip
     scenes = [_read(folder / SCENE) for folder in folders]
     with stages("join") as progress:
-        joint = _Joint.of(posed, groups, scenes)
-        files = photo_files(posed.views.names, posed.photo_cameras, sources)
-        photos = LargePhotos(posed.views, posed.cameras, files, joint.exposures)
-        seams, warnings = _seams(groups, joint, posed)
-        size = max(scene.size for scene in scenes)
-        gaussians, runs = joint.gaussians, [entry for scene in scenes for entry in scene.entries["tto"]]
-        for number, seam in enumerate(find_seams(groups)):
-            part = partial(_part, progress, number / len(seams), 1 / len(seams))
-            gaussians, run, result = smoothed(seam, photos, size, gaussians, seed=settings.seed, progress=part)
-            (entry,) = tto_entries([(run, result)])
-            runs.append({**entry, "max_size": size})
-        scene = _scene(posed, joint, scenes, groups)
-        summary: dict[str, Any] = next((each.entries["full_size"] for each in scenes if each.entries["full_size"]), {})
-        further = FullSize(gaussians, size, runs, summary, False, joint.exposures)
-        scene = replace(scene, files=files, duplicates=duplicates, full_size=further)
-        if settings.backdrop and scene.prepared.anchors is not None and shows_background(posed.views):
-            scene = replace(scene, backdrop=photos.backdrop(gaussians))
-    peak = max(each.entries.pop("process_peak_gib") for each in scenes)
-    regions = [
-        {
-            "photos": len(group.core),
-            "overlap": len(group.overlap),
-            "gaussians": int(own.sum()),
-            **_brief(each, posed, group, gaussians),
-        }
-        for group, own, each in zip(groups, joint.own, scenes, strict=True)
-    ]
-    return BuiltRegions(scene, regions, seams, warnings, peak)
+        joined = join(posed, groups, scenes, settings, sources, progress)
+    return replace(joined, scene=replace(joined.scene, duplicates=duplicates))
 
 
 def _carry_out(folders: Sequence[Path], engine: Engine, stages: Stages) -> None:
@@ -178,70 +106,8 @@ def _carry_out(folders: Sequence[Path], engine: Engine, stages: Stages) -> None:
         engine.run(region_maker, None, folders, done, heard)
 
 
-@dataclass(frozen=True)
-class _Joint:
-    """Regions in common colours: whole, which of their Gaussians stay, and those as one scene."""
-
-    whole: list[Gaussians]
-    own: list[torch.Tensor]
-    gaussians: Gaussians
-    exposures: Exposures | None
-
-    @classmethod
-    def of(cls, posed: PosedViews, groups: Sequence[Group], scenes: Sequence[RegionScene]) -> "_Joint":
-        exposures, transforms = common_exposures(groups, scenes, len(posed.views))
-        whole = [each.gaussians for each in scenes]
-        if exposures:
-            whole = [recoloured(each, transform) for each, transform in zip(whole, transforms, strict=True)]
-        small = [small_cameras(posed.cameras[list(group.core)]) for group in groups]
-        views = CoreViews.of([(cameras, each.depth) for cameras, each in zip(small, scenes, strict=True)])
-        own = [owners(each.means, views) == number for number, each in enumerate(whole)]
-        kept = [each[mine] for each, mine in zip(whole, own, strict=True)]
-        return cls(whole, own, merged_gaussians(kept), exposures)
-
-
-def _seams(groups: Sequence[Group], joint: _Joint, posed: PosedViews) -> tuple[list[dict[str, Any]], tuple[str, ...]]:
-    """The entry of every seam, and a warning for each bad one."""
-    entries, warnings = [], []
-    for seam in find_seams(groups):
-        decibels = disagreement(seam, posed.cameras, joint.whole)
-        one, other = (number + 1 for number in seam.regions)
-        entries.append({"regions": [one, other], "photos": len(seam.photos), "psnr": round(decibels, 2)})
-        if decibels < PIPELINE_POLICY.bad_seam_psnr:
-            warnings.append(
-                f"regions {one} and {other} show different things where they meet ({decibels:.1f} dB): "
-                "look at the scene there, and use fewer --regions"
-            )
-    return entries, tuple(warnings)
-
-
-def _scene(posed: PosedViews, joint: _Joint, scenes: Sequence[RegionScene], groups: Sequence[Group]) -> BuiltScene:
-    memories = merged_memories(scenes)
-    prepared = PreparedQueries(memories, merged_anchors(scenes), None, merged_map(groups, scenes, len(posed.views)))
-    kept = merged_kept(scenes, joint.own)
-    adapted = Adapted(memories, joint.gaussians, posed.cameras, (), kept, exposures=joint.exposures)
-    warnings = tuple(dict.fromkeys(line for each in scenes for line in each.entries["warnings"]))
-    measured = [each.disagreement for each in scenes if each.disagreement is not None]
-    same = joint.exposures or Exposures.identity(len(posed.views))
-    colours = PhotoColours(same, max(measured)) if measured else None
-    return BuiltScene(posed, Geometry(None, None, (), 1, warnings), prepared, adapted, colours=colours)
-
-
-def _brief(each: RegionScene, posed: PosedViews, group: Group, gaussians: Gaussians) -> dict[str, Any]:
-    """The rest of a region's entry; `joined` is the quality of the whole scene on the region's own photos."""
-    core = list(group.core)
-    joined = score(gaussians, posed.views[core], posed.cameras[core]).summary()
-    entries = {name: value for name, value in each.entries.items() if name not in ("tto", "full_size", "warnings")}
-    quality = {name: value for name, value in entries.pop("quality").items() if name not in ("views", "background")}
-    return {**entries, "quality": quality, "joined": joined}
-
-
 def _read(path: Any) -> RegionScene:
     scene: RegionScene | None = read_part(path)
     if scene is None:
         raise QuerySplatError(f"{path} is missing or damaged", "The same command makes it again.")
     return scene
-
-
-def _part(progress: Any, start: float, share: float, text: str, fraction: float) -> None:
-    progress(text, start + share * fraction)

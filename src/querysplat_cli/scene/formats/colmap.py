@@ -1,6 +1,7 @@
 """Cameras of a COLMAP model: cameras, images and points3D as .bin or .txt, read and written."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,15 @@ FISHEYE_PARAMETERS = {
     "OPENCV_FISHEYE": (0, 1, 2, 3),
 }
 """The same of OpenCV's fisheye (k1, k2, k3, k4)."""
+
+
+@dataclass(frozen=True)
+class Observed:
+    """Points, and for photos by name the pixels [k, 2] at which they observe the points of these `rows` [k]."""
+
+    cloud: PointCloud
+    pixels: Mapping[str, np.ndarray] = field(default_factory=dict)
+    rows: Mapping[str, np.ndarray] = field(default_factory=dict)
 
 
 def find_model(folder: Path) -> Path | None:
@@ -92,9 +102,9 @@ def _cameras(folder: Path, lenses: Mapping[str, tuple[int, ...]]) -> dict[str, P
 
 
 def write_colmap(
-    folder: Path, cameras: Mapping[str, PhotoCamera], *, points: PointCloud | None = None, text: bool = False
+    folder: Path, cameras: Mapping[str, PhotoCamera], *, points: Observed | None = None, text: bool = False
 ) -> None:
-    """Write a model into the empty `folder`. Photos with equal intrinsics share a camera; none observes `points`."""
+    """Write a model into the empty `folder`. Photos with equal intrinsics share a camera."""
     pycolmap = load_pycolmap()
     model = pycolmap.Reconstruction()
     numbers: dict[tuple[object, ...], int] = {}
@@ -110,10 +120,23 @@ def write_colmap(
                 pycolmap.Camera(model=kind, **size, params=list(intrinsics), camera_id=numbers[key])
             )
         image = pycolmap.Image(name=name, camera_id=numbers[key], image_id=image_id)
+        if points:
+            image.points2D = [pycolmap.Point2D(pixel) for pixel in points.pixels.get(name, ())]
         model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(camera.w2c[:3]))
-    for place, colour in zip(points.places, points.colours, strict=True) if points else ():
-        model.add_point3D(place.astype(np.float64), pycolmap.Track(), colour)
+    if points:
+        _add_points(model, points, {name: image_id for image_id, name in enumerate(cameras, start=1)})
     (model.write_text if text else model.write_binary)(folder)
+
+
+def _add_points(model: Any, points: Observed, image_ids: Mapping[str, int]) -> None:
+    pycolmap = load_pycolmap()
+    tracks = [pycolmap.Track() for _ in points.cloud.places]
+    for name, image_id in image_ids.items():
+        for feature, row in enumerate(points.rows.get(name, ())):
+            tracks[row].add_element(image_id, feature)
+    for place, colour, track in zip(points.cloud.places, points.cloud.colours, tracks, strict=True):
+        model.add_point3D(place.astype(np.float64), track, colour)
+    model.update_point_3d_errors()
 
 
 def copy_colmap(source: Path, folder: Path, *, text: bool = False) -> None:

@@ -1,0 +1,79 @@
+"""Triangulated points of structure from motion, and where photos observe them.
+
+They are in points.safetensors of a scene folder, in the frame in which the scene was made.
+"""
+
+from dataclasses import dataclass, fields
+from pathlib import Path
+
+import torch
+from jaxtyping import Float, Int, UInt8
+from safetensors.torch import save
+from torch import Tensor
+
+from querysplat_cli.runtime.checkpoint_files import read_tensors
+from querysplat_cli.runtime.errors import MAKE_AGAIN, QuerySplatError
+
+NAME = "points.safetensors"
+
+
+@dataclass(frozen=True)
+class SparsePoints:
+    """Points, and for each observation its view, its point and its pixel.
+
+    Views count in the order of the scene's input cameras. Pixels are those of the photos in photos.json, distorted as
+    the photos are, pixel centres at +0.5. A view observes a point at most once.
+    """
+
+    places: Float[Tensor, "n 3"]
+    colours: UInt8[Tensor, "n 3"]
+    view: Int[Tensor, "m"]
+    point: Int[Tensor, "m"]
+    pixels: Float[Tensor, "m 2"]
+
+    def __len__(self) -> int:
+        return len(self.places)
+
+
+def write_sparse_points(folder: Path, points: SparsePoints) -> None:
+    """Write them into a scene folder."""
+    tensors = {field.name: getattr(points, field.name).contiguous() for field in fields(points)}
+    (folder / NAME).write_bytes(save(tensors))
+
+
+def read_sparse_points(folder: Path, views: int) -> SparsePoints | None:
+    """Those of a scene folder with so many input views; None where it has none.
+
+    Raises QuerySplatError when the file is damaged.
+    """
+    file = folder / NAME
+    if not file.is_file():
+        return None
+    tensors, _ = read_tensors(file)
+    fault = _fault(tensors, views)
+    if fault:
+        raise QuerySplatError(f"{file} is damaged: {fault}", MAKE_AGAIN)
+    return SparsePoints(**{field.name: tensors[field.name] for field in fields(SparsePoints)})
+
+
+def _fault(tensors: dict[str, Tensor], views: int) -> str:
+    """Why these are no points of a scene of so many input views, or ""."""
+    if tensors.keys() != {field.name for field in fields(SparsePoints)}:
+        return "it holds other tensors than those of points"
+    n, m = len(tensors["places"]), len(tensors["view"])
+    for name, (shape, kind) in {
+        "places": ((n, 3), torch.float32),
+        "colours": ((n, 3), torch.uint8),
+        "view": ((m,), torch.int32),
+        "point": ((m,), torch.int32),
+        "pixels": ((m, 2), torch.float32),
+    }.items():
+        if tuple(tensors[name].shape) != shape or tensors[name].dtype != kind:
+            return f"{name} has another shape or type"
+    for name, count in (("view", views), ("point", n)):
+        if m and not 0 <= int(tensors[name].min()) <= int(tensors[name].max()) < count:
+            return f"{name} names a row that is not there"
+    if not (tensors["places"].isfinite().all() and tensors["pixels"].isfinite().all()):
+        return "a number is not finite"
+    pairs = tensors["view"].long() * n + tensors["point"]
+    return "" if len(pairs.unique()) == m else "a view observes a point twice"
