@@ -141,7 +141,7 @@ class CameraPolicy:
     with the prior."""
     usual_focal: float = 0.75
     """Median focal length of photos without EXIF, in longer sides of a 4:3 frame around the photo."""
-    usual_focal_spread: float = 0.5
+    usual_focal_spread: float = 0.35
     """Standard deviation of its logarithm."""
     principal_spread: float = 0.01
     """Standard deviation of the principal point around the middle of the photo, in longer sides."""

@@ -17,6 +17,7 @@ from querysplat_cli.encoders.classical.mapping import Mapped, map_photos
 from querysplat_cli.encoders.classical.matches import Matches, matched
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
 from querysplat_cli.encoders.classical.sparse_model import SparseModel
+from querysplat_cli.encoders.classical.support_policy import SUPPORT_POLICY
 from querysplat_cli.encoders.classical.supported_matches import with_supported_matches
 from querysplat_cli.encoders.classical.tilted_views import with_tilted_views
 from querysplat_cli.runtime.choices import Matcher
@@ -110,8 +111,12 @@ def search(photos: Sequence[Photo], choice: MatcherChoice, *, seed: int, progres
 
 
 def _wants_support(trial: _Trial, matcher: Matcher) -> bool:
-    """Whether a few photos are matched again by affine SIFT: where a pair of them has too few matches that agree."""
-    return matcher == "sift-affine" or (matcher == "auto" and bool(weak_pairs(trial.matches, _wanting(trial))))
+    """Whether a few photos are matched again by affine SIFT: where few matches determine the cameras."""
+    if matcher != "auto" or trial.mapped is None:
+        return matcher in ("auto", "sift-affine")
+    support = epipolar_support(trial.mapped.model, trial.matches)
+    enough = SUPPORT_POLICY.enough_matches * (len(trial.matches.sizes) - 1)
+    return support.explained < enough or not support.sound
 
 
 def _for_affine(trial: _Trial, matcher: Matcher, *, large: bool) -> list[int]:

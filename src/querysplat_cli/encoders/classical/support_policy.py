@@ -15,6 +15,9 @@ class SupportPolicy:
 
     effort: MatchEffort = SEARCH
     """How affine features are searched for, and how many matches a pair needs. Round features are added to these."""
+    enough_matches: int = 100
+    """A few photos are searched again when the model explains fewer matches for each photo but the first. These matches
+    are more, but less exact: with them, fox's photos 10 and 16 get 1.1° of error, and 0.2° with 161 usual ones."""
     reach: float = 0.15
     """How far a neighbour may be, in longer sides."""
     tolerance: float = 0.25
