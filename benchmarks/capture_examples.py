@@ -2,7 +2,7 @@
 
     python benchmarks/capture_examples.py [--write docs/capture.md] [--picture docs/images/capture.jpg] [--keep DIR]
 
-Each kind is seven photos of one room. Every scene is one `querysplat reconstruct --quality draft --tto 20 --max-size
+Each kind is photos of one room. Every scene is one `querysplat reconstruct --quality draft --tto 20 --max-size
 224` in a process of its own, and is shown from a place between the photos, beside the room itself.
 """
 
@@ -69,7 +69,11 @@ def flickering(pictures: Pictures) -> Pictures:
 KINDS = (
     Kind("steps to the side", "what to do"),
     Kind("three photos only", "more photos: what one photo shows alone has no depth", lambda path: path[[0, 3, 6]]),
-    Kind("turned on the spot", "steps to the side: turning gives no depth", turning),
+    Kind(
+        "turned on the spot",
+        "steps to the side: without them the scene is right from this one place alone",
+        turning,
+    ),
     Kind("shaken", "hold still, or more light: blur has no match and no detail", spoil=shaken),
     Kind("changing light", "keep exposure and white balance; `--exposure auto` mends most of it", spoil=flickering),
 )
@@ -88,7 +92,7 @@ def main() -> None:
         for kind in KINDS:
             place = folder / kind.name.replace(" ", "-")
             report = reconstructed(kind, room, path, place)
-            strips.append(strip(room, path, place))
+            strips.append(strip(room, kind.cameras(path), place))
             lines.append(row(kind, report))
     cv2.imwrite(str(arguments.picture), cv2.vconcat(strips)[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])
     head = (
@@ -133,7 +137,7 @@ def strip(room: object, path: Cameras, place: Path) -> np.ndarray:
     cameras = read_cameras(place / "scene" / "cameras.json")[0].cameras
     between = halfway(cameras, 0, len(cameras) // 2)
     shown = render(read_gaussians(place / "scene.ply"), between, background=torch.full((3,), 0.5)).colour[0]
-    true = eight_bit(cast(room, halfway(path, 0, COUNT // 2))[0][0])
+    true = eight_bit(cast(room, halfway(path, 0, len(path) // 2))[0][0])
     return joined([*photos, true, eight_bit(shown.clamp(0, 1))])
 
 

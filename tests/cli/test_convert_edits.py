@@ -13,6 +13,7 @@ import torch
 from plyfile import PlyData
 
 from querysplat_cli.cli import run
+from querysplat_cli.cli.convert import lines as convert_lines
 from querysplat_cli.runtime.errors import ExitCode
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera
 from querysplat_cli.scene.formats.known import read_known_cameras
@@ -74,6 +75,12 @@ def test_cleaning_says_what_went_and_why(scene: Path, tmp_path: Path, capsys: py
     assert (said["psnr"]["against"], said["psnr"]["views"], said["psnr"]["before"]) == ("inputs", 3, 100)
     assert 5 < said["psnr"]["after"] < 60  # the giant could be seen
     assert said["psnr"]["after"] == pytest.approx(step["psnr"], abs=0.01)
+
+
+def test_nothing_lost_has_no_sign() -> None:
+    psnr = {"against": "photos", "views": 7, "before": 25.07, "after": 25.072, "lost": -0.002}
+    result = {"gaussians": 1, "bytes": {"target": 1, "source": 1}, "target": "a.spz", "scene": None, "steps": []}
+    assert convert_lines({**result, "psnr": psnr})[-1] == "on 7 of the photos: 25.07 → 25.07 dB, 0.00 dB lost"
 
 
 def test_without_cameras_a_scene_is_cleaned_too(

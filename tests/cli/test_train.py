@@ -87,7 +87,7 @@ def test_dry_run_reports_missing_encoder_weights(tmp_path: Path, capsys: pytest.
     assert run(["train", "--config", "paper", *changes, "--dry-run", "--json"]) == 0
     plan = json.loads(capsys.readouterr().out)
     assert plan["steps"] == 390_000
-    assert plan["unmeasured"]
+    assert "`querysplat weights`" in plan["unmeasured"]  # a way on, not the fault alone
     assert plan["hours"] is None
 
 

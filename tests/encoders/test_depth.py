@@ -6,7 +6,7 @@ import torch
 from synthetic import Plane, camera, photograph, texture
 
 from querysplat_cli.encoders.base import Geometry, PosedViews
-from querysplat_cli.encoders.classical.consistency import carve, confirm
+from querysplat_cli.encoders.classical.consistency import carve, confirm, lent
 from querysplat_cli.encoders.classical.depth import estimate_geometry
 from querysplat_cli.encoders.classical.neighbours import choose_sources, inverse_range
 from querysplat_cli.encoders.classical.policy import DEPTH_POLICY
@@ -222,6 +222,22 @@ def test_confirmation_counts_views_and_carving_clears_free_space():
     carved = carve(inverse, sure, np.zeros((2, 24, 24, 3), np.float32), K, w2c, [[1], [0]], [0.01, 0.01])
     assert carved[0, 8:16, 14:22].max() <= 0.5 / 0.95 + 1e-6
     np.testing.assert_array_equal(carved[sure == 1], inverse[sure == 1])
+
+
+@pytest.mark.parametrize(("own", "expected"), [(0.5, 0.5), (0.9, 0.0)])
+def test_a_view_borrows_what_another_measured_in_the_same_colour(own: float, expected: float):
+    K = np.repeat(np.array([[[24, 0, 12], [0, 24, 12], [0, 0, 1.0]]]), 2, 0)
+    w2c = np.repeat(np.eye(4)[None], 2, 0)
+    w2c[1, 0, 3] = -0.5
+    inverse = np.full((2, 24, 24), 0.5, np.float32)
+    confidence = np.stack([np.zeros((24, 24)), np.ones((24, 24))]).astype(np.float32)
+    pictures = np.full((2, 24, 24, 3), 0.5, np.float32)
+    pictures[0] = own
+    borrowed = lent(inverse, confidence, pictures, K, w2c, [[1], [0]])
+    # A pixel at depth 2 lies 6 pixels further right in the first view; the second measured nothing for the left ones.
+    np.testing.assert_allclose(borrowed[0, :, 6:], expected)
+    assert not borrowed[0, :, :6].any()
+    assert not borrowed[1].any()
 
 
 @pytest.mark.parametrize(("own", "other", "cleared"), [(0.0, 0.5, True), (0.3, 0.3, False)])

@@ -1,4 +1,4 @@
-"""Filled depth follows confirmed depth at any distance, and does not cross the edges in the photo."""
+"""Filled depth continues the planes of confirmed depth, and does not cross the edges in the photo."""
 
 import numpy as np
 
@@ -26,6 +26,14 @@ def test_each_side_of_an_edge_follows_its_own() -> None:
     filled = fill_depth(inverse, confidence, image, np.ones(inverse.shape, bool))
     np.testing.assert_allclose(filled[:, : WIDTH // 2], 1, atol=0.1)
     np.testing.assert_allclose(filled[:, WIDTH // 2 :], 2, atol=0.1)
+
+
+def test_a_table_goes_on_as_a_plane_beyond_what_was_measured() -> None:
+    inverse = np.broadcast_to(np.linspace(1.4, 1, WIDTH, dtype=np.float32), (HEIGHT, WIDTH)).copy()
+    table, confidence = inverse.copy(), np.ones_like(inverse)
+    inverse[:, -60:], confidence[:, -60:] = 3, 0
+    filled = fill_depth(inverse, confidence, np.full((HEIGHT, WIDTH, 3), 0.5), np.ones(inverse.shape, bool))
+    np.testing.assert_allclose(filled, table, atol=0.02)  # 0.06 without slopes
 
 
 def test_without_anything_confirmed_guesses_stay() -> None:

@@ -47,6 +47,13 @@ def test_what_stands_where_photos_show_nothing_stays():
     assert not hiding(joined(FOG, discs((-1.0, 0.0, 10.0), scale=0.1)), cameras_at(-1, 1)).any()
 
 
+def test_fog_that_one_photo_alone_shows_is_found():
+    alone = discs((-0.75, 0.0, 3.0), scale=0.05)  # in the photo at −1, and seen from 0
+    both = discs((0.0, 0.0, 4.0), scale=0.05)  # in both photos
+    found = hiding(joined(alone, both, wall()), cameras_at(-1, 1))
+    assert found.nonzero().flatten().tolist() == [0]
+
+
 def test_what_is_behind_stays():
     behind = discs((0.0, 0.0, 20.0), scale=0.05)
     assert not hiding(joined(behind, wall()), cameras_at(-1, 1)).any()

@@ -19,11 +19,11 @@ def convert(request: Conversion, printing: Printing) -> None:
     with showing_stages(printing) as stages:
         result = run(request, stages)
     print_json(result, printing)
-    for line in _lines(result):
+    for line in lines(result):
         say(line, printing)
 
 
-def _lines(result: dict[str, Any]) -> list[str]:
+def lines(result: dict[str, Any]) -> list[str]:
     if "cameras" in result:
         left_out = [f"left out: {each['name']}, {each['why']}" for each in result.get("left_out", ())]
         return [f"{result['cameras']} cameras{_points(result)}: {result['target']}", *left_out]
@@ -56,12 +56,17 @@ def _content(result: dict[str, Any]) -> str:
 def _step(step: dict[str, Any]) -> str:
     counts = ", ".join(f"{step[name]:,} {word}" for name, word in REASONS.items() if step.get(name))
     reasons = f" ({counts})" if counts else ""
-    return f"{step['what']}: {step['gaussians']:,} left out{reasons}, {step['lost']:.2f} dB lost"
+    return f"{step['what']}: {step['gaussians']:,} left out{reasons}, {_decibels(step['lost'])} lost"
+
+
+def _decibels(lost: float) -> str:
+    """Without a minus in front of nothing."""
+    return f"{round(lost, 2) + 0.0:.2f} dB"
 
 
 def _cost(psnr: dict[str, Any]) -> str:
     if psnr["against"] == "photos":
-        change = f"{psnr['before']:.2f} → {psnr['after']:.2f} dB, {psnr['lost']:.2f} dB lost"
+        change = f"{psnr['before']:.2f} → {psnr['after']:.2f} dB, {_decibels(psnr['lost'])} lost"
         return f"on {psnr['views']} of the photos: {change}"
     where = "from the input cameras" if psnr["against"] == "inputs" else "from all around"
     return f"against pictures of the source {where}: {psnr['after']:.2f} dB (100: no difference)"

@@ -94,7 +94,11 @@ def _file(report: Report) -> str:
     """The file, its size, and what its kind loses where that is measured."""
     if report.bytes is None:
         return report.ply
-    lost = [f", {entry['psnr_lost']:.2f} dB lost by it" for entry in report.left_out if entry["what"] == PRECISION]
+    lost = [
+        f", {round(entry['psnr_lost'], 2) + 0.0:.2f} dB lost by it"
+        for entry in report.left_out
+        if entry["what"] == PRECISION
+    ]
     return f"{report.ply} ({report.bytes / 2**20:.2f} MiB{''.join(lost)})"
 
 

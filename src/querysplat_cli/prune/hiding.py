@@ -1,59 +1,83 @@
-"""Gaussians that no photo shows, and that hide what photos show.
+"""Gaussians that hide what photos show, and that no two photos agree on.
 
-Beyond its border, a photo is continued at the depth that it ends with. Where it ends on something near, the
-continuation stands in the open space in front of what other photos show. It is in no photo, so no optimisation removes
-it, and a camera between the photos looks through a fog.
+Beyond its border, a photo is continued at the depth that it ends with. What a single photo shows has a guessed depth,
+too. Where such a guess stands in the open space in front of what other photos show, no optimisation removes it, because
+no photo looks through it, and a camera beside the photos looks through a fog.
 """
 
+import numpy as np
 import torch
 from jaxtyping import Bool
+from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from querysplat_cli.prune.policy import PRUNE_POLICY
 from querysplat_cli.prune.views import evenly_spaced
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.scene.paths import interpolate
 from querysplat_cli.splat.blending_weights import blending_weights
 from querysplat_cli.splat.render import render
 
 
 @torch.no_grad()
 def hiding(gaussians: Gaussians, cameras: Cameras) -> Bool[Tensor, "n"]:
-    """Which Gaussians have their centres outside all photos and hide the others from cameras between neighbours.
+    """Which Gaussians are guesses and hide the others from cameras between and beside the photos.
 
-    Such a Gaussian stands in front: it keeps more than `PrunePolicy.in_front` of the blending weight that it has
-    without the others. And it hides them: more than `PrunePolicy.hidden_share` of that weight falls on what they cover
-    without it. `cameras` are those of the photos; one photo has no neighbour.
+    A guess has its centre outside all photos, or more than `PrunePolicy.one_photo` of its blending weight in one of
+    them. It stands in front: it keeps more than `PrunePolicy.in_front` of the weight that it has without the others.
+    And it hides them: more than `PrunePolicy.hidden_share` of that weight falls on what they cover without it.
+    `cameras` are those of the photos; one photo has no neighbour.
     """
     shown = torch.zeros_like(gaussians.opacities, dtype=torch.bool)
     for view in range(len(cameras)):
         shown |= cameras.sees(gaussians.means, view)
-    guessed, between = gaussians[~shown], _halfway(cameras)
+    by_photo = torch.stack([blending_weights(gaussians, cameras[[view]]) for view in range(len(cameras))])
+    shown &= by_photo.amax(0) <= PRUNE_POLICY.one_photo * by_photo.sum(0)
+    guessed, beside = gaussians[~shown], _beside(cameras)
     weight, alone, excess = torch.zeros(3, len(guessed)).to(gaussians.opacities)
-    for view in range(len(between)):
-        camera = between[[view]]
-        covered = render(gaussians[shown], camera).alpha
-        weight += blending_weights(gaussians, camera)[~shown]
+    for view in range(len(beside)):
+        camera = beside[[view]]
+        others = render(gaussians[shown], camera)
+        here, over, depth = (
+            blending_weights(gaussians, camera, pixels)[~shown]
+            for pixels in (None, others.alpha, others.alpha * others.depth)
+        )
+        nearer = camera.local(guessed.means, 0)[:, 2] * over < (1 - PRUNE_POLICY.hidden_depth) * depth
+        weight += here
         alone += blending_weights(guessed, camera)
-        excess += blending_weights(gaussians, camera, covered - PRUNE_POLICY.hidden_share)[~shown]
+        excess += over * nearer - PRUNE_POLICY.hidden_share * here
     found = torch.zeros_like(shown)
     found[~shown] = (weight > PRUNE_POLICY.in_front * alone) & (excess > 0)
     return found
 
 
-def _halfway(cameras: Cameras) -> Cameras:
-    """At most `PrunePolicy.hiding_views` cameras between each of `cameras` and its nearest others, at half the size."""
+def _beside(cameras: Cameras) -> Cameras:
+    """At most `PrunePolicy.hiding_views` cameras between and beyond each of `cameras` and its nearest others.
+
+    Their pictures have half the size.
+    """
     near = torch.cdist(cameras.centres, cameras.centres).argsort(dim=1, stable=True)
     pairs = {
         tuple(sorted((one, other)))
         for one, row in enumerate(near.tolist())
         for other in [view for view in row if view != one][: PRUNE_POLICY.hiding_neighbours]
     }
-    some = evenly_spaced(sorted(pairs), PRUNE_POLICY.hiding_views)
-    middle = [interpolate(cameras[list(pair)].to("cpu"), 3)[[1]] for pair in some]
-    if not middle:
+    places = [(pair, share) for pair in sorted(pairs) for share in PRUNE_POLICY.hiding_places]
+    some = evenly_spaced(places, PRUNE_POLICY.hiding_views)
+    if not some:
         return cameras[[]]
-    w2c, K = (torch.cat([getattr(camera, name) for camera in middle]) for name in ("w2c", "K"))
+    placed = [_on_the_line(cameras[list(pair)].to("cpu"), share) for pair, share in some]
+    w2c, K = (torch.cat([getattr(camera, name) for camera in placed]) for name in ("w2c", "K"))
     joined = Cameras(w2c, K, cameras.height, cameras.width).resized(cameras.height // 2, cameras.width // 2)
     return joined.to(cameras.w2c.device)
+
+
+def _on_the_line(pair: Cameras, share: float) -> Cameras:
+    """The camera at `share` of the way from one to the other, beyond them below 0 and above 1; it turns evenly."""
+    one, other = pair.c2w.double().numpy()
+    start, end = (Rotation.from_matrix(c2w[:3, :3]) for c2w in (one, other))
+    c2w = np.eye(4)
+    c2w[:3, :3] = (start * Rotation.from_rotvec(share * (start.inv() * end).as_rotvec())).as_matrix()
+    c2w[:3, 3] = (1 - share) * one[:3, 3] + share * other[:3, 3]
+    w2c = torch.from_numpy(np.linalg.inv(c2w))[None].to(pair.w2c.dtype)
+    return Cameras(w2c, torch.lerp(pair.K[:1], pair.K[1:], share), pair.height, pair.width)

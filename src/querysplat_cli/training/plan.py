@@ -191,7 +191,7 @@ def _measured(config: TrainConfig, device: torch.device, ready: int, stages: Sta
         try:
             sample, seconds = _one_sample(config, device, ready)
         except QuerySplatError as error:
-            return _Measured(reason=error.message)
+            return _Measured(reason=f"{error.message}: {error.hint}")
         model = starting_model(config)
         freeze(model, config)
         return _Measured(

@@ -38,6 +38,27 @@ def confirm(
     return confidence
 
 
+def lent(
+    inverse: np.ndarray,
+    confidence: np.ndarray,
+    pictures: np.ndarray,
+    K: np.ndarray,
+    w2c: np.ndarray,
+    others: list[list[int]],
+) -> np.ndarray:
+    """Inverse depth [views, height, width] that the other views measured, seen from each view; 0 where there is none.
+
+    A measurement counts where its colour is that of the pixel. Of several on one pixel, the nearest counts.
+    """
+    blurred = _blurred(pictures)
+    seeds = np.zeros_like(inverse)
+    for v, compared in enumerate(others):
+        for s in compared:
+            _, leads, shifts = _projections(s, [v], K, w2c)
+            _lend(seeds[v], blurred[v], inverse[s], confidence[s], blurred[s], leads[0], shifts[0])
+    return seeds
+
+
 def carve(
     inverse: np.ndarray,
     confidence: np.ndarray,
@@ -53,9 +74,7 @@ def carve(
     unless as many views agree with it in depth and colour. `pictures` are [views, height, width, 3] in [0, 1].
     For each view, `others` are the views to compare with, and `least` is the smallest inverse depth.
     """
-    window = DEPTH_POLICY.colour_window
-    carved = inverse.copy()
-    blurred = np.stack([cv2.blur(picture, (window, window)) for picture in pictures])
+    carved, blurred = inverse.copy(), _blurred(pictures)
     for v, compared in enumerate(others):
         guess = confidence[v] < DEPTH_POLICY.guess_confidence
         if not compared or not guess.any():
@@ -64,6 +83,11 @@ def carve(
         _carve_view(carved[v], guess, blurred[v], *maps, *_projections(v, compared, K, w2c), least[v])
         carved[v][guess] = cv2.medianBlur(carved[v], 5)[guess]
     return carved
+
+
+def _blurred(pictures: np.ndarray) -> np.ndarray:
+    window = DEPTH_POLICY.colour_window
+    return np.stack([cv2.blur(picture, (window, window)) for picture in pictures])
 
 
 def _projections(
@@ -143,6 +167,28 @@ def _hides(x, y, here, colour, inverse, confidence, blurred, views, leads, shift
         elif abs(ratio - 1) < _IN_FRONT and difference < _SAME_COLOUR:
             balance -= 1
     return balance > 0
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _lend(seeds, colour, inverse, confidence, blurred, lead, shift):
+    """The larger inverse depths of another view's measurements of the same colour, on the pixels that they fall on."""
+    height, width = seeds.shape
+    for y in range(height):
+        for x in range(width):
+            here = float(inverse[y, x])
+            if confidence[y, x] < _MEASURED_CONFIDENCE:
+                continue
+            px, py = x + 0.5, y + 0.5
+            z = lead[2, 0] * px + lead[2, 1] * py + lead[2, 2] + here * shift[2]
+            if z <= 1e-6:
+                continue
+            u = (lead[0, 0] * px + lead[0, 1] * py + lead[0, 2] + here * shift[0]) / z
+            v = (lead[1, 0] * px + lead[1, 1] * py + lead[1, 2] + here * shift[1]) / z
+            if not (0 <= u < width and 0 <= v < height):
+                continue
+            column, row = int(u), int(v)
+            if _difference(colour[row, column], blurred[y, x]) < _SAME_COLOUR:
+                seeds[row, column] = max(seeds[row, column], here / z)
 
 
 @nb.njit(cache=True, error_model="numpy")

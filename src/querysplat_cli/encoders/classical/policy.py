@@ -282,6 +282,12 @@ class DepthPolicy:
     """Colour difference (of 255) across which it does not spread (the filter's sigma)."""
     guess_weight: float = 1e-4
     """Weight of a guess, where a confirmed depth weighs 1: guesses count where nothing else does."""
+    fill_ridge: float = 20.0
+    """Pixels. Confirmed depths that lie closer together than this do not tilt the plane that is continued."""
+    fill_tilt: float = 0.5
+    """A plane is continued to at most this share of its inverse depth more or less."""
+    lent_confidence: float = 0.3
+    """What another view measured, seen from a view that measured nothing there, weighs so much."""
 
 
 CAMERA_POLICY = CameraPolicy()
