@@ -78,8 +78,7 @@ def join(
     gaussians, smoothing = _smoothed(groups, scenes, joint, photos, size, settings.seed, progress)
     runs = [*(entry for scene in scenes for entry in scene.entries["tto"]), *smoothing]
     scene = _scene(posed, joint, scenes, groups)
-    summary: dict[str, Any] = next((each.entries["full_size"] for each in scenes if each.entries["full_size"]), {})
-    further = FullSize(gaussians, size, runs, summary, False, joint.exposures)
+    further = FullSize(gaussians, size, runs, _summary(scenes, len(gaussians)), False, joint.exposures)
     scene = replace(scene, files=files, full_size=further)
     if settings.backdrop and scene.prepared.anchors is not None and shows_background(posed.views):
         scene = replace(scene, backdrop=photos.backdrop(gaussians))
@@ -167,6 +166,13 @@ def _smoothed(
         (entry,) = tto_entries([(run, result)])
         runs.append({**entry, "max_size": size})
     return gaussians, runs
+
+
+def _summary(scenes: Sequence[RegionScene], gaussians: int) -> dict[str, Any]:
+    """What the report says of the optimisation on large photos, all regions together; nothing where there was none."""
+    found = [each.entries["full_size"] for each in scenes if each.entries["full_size"]]
+    sums = {name: sum(each[name] for each in found) for name in ("planned_seconds", "hiding")}
+    return {**found[0], **sums, "gaussians": gaussians} if found else {}
 
 
 def _scene(posed: PosedViews, joint: _Joint, scenes: Sequence[RegionScene], groups: Sequence[Group]) -> BuiltScene:

@@ -37,13 +37,18 @@ SHARES = {"depth": 0.25, "queries": 0.05, "tto": 0.3, "full size": 0.4}
 def region_task(
     posed: PosedViews, group: Group, settings: ReconstructSettings, sources: Mapping[str, PhotoSource]
 ) -> RegionTask:
-    """The task of one group of `posed`, with the sparse points that its photos see."""
+    """The task of one group of `posed`, with the sparse points that its photos see.
+
+    A number of Gaussians to keep is shared out by the photos of the cores.
+    """
     chosen = select_views(posed, list(group.rows))
     if chosen.visibility:
         seen, rows = torch.cat(chosen.visibility).unique(return_inverse=True)
         visibility = rows.split([len(each) for each in chosen.visibility])
         chosen = replace(chosen, points=chosen.points[seen], visibility=visibility, left_out=(), warnings=())
     alone = replace(settings, backdrop=False, refine_cameras=False)
+    if isinstance(settings.prune, int):
+        alone = replace(alone, prune=max(1, settings.prune * len(group.core) // len(posed.views)))
     return RegionTask(chosen, len(group.core), {name: sources[name] for name in chosen.views.names}, alone)
 
 
