@@ -98,6 +98,7 @@ def parsed() -> argparse.Namespace:
     parser.add_argument("--resume", action="store_true", help="run the cases that --read does not have")
     parser.add_argument("--only", default="", help="only cases with this text in their description")
     parser.add_argument("--family", nargs="*", default=[], help="only these families")
+    parser.add_argument("--sound", type=Path, help="keep the sound files in this folder, for the next time")
     parser.add_argument("--minutes", type=float, default=1e6, help="begin no case after so many minutes")
     parser.add_argument("--serve", type=Path, help=argparse.SUPPRESS)
     parser.add_argument("--start", type=int, default=0, help=argparse.SUPPRESS)
@@ -120,12 +121,13 @@ def run_cases(options: argparse.Namespace) -> list[Outcome]:
     found: list[Outcome] = []
     end = time.perf_counter() + options.minutes * 60
     with tempfile.TemporaryDirectory(prefix="abuse-") as scratch:
-        folder = Path(scratch)
-        folder.chmod(0o755)
-        (folder / "scratch").mkdir()
-        (folder / "scratch").chmod(0o777)
-        prepare = f"from hostile.sound import make; from pathlib import Path; make(Path({scratch!r}))"
-        subprocess.run([sys.executable, "-c", prepare], cwd=Path(__file__).parent, check=True)
+        folder = options.sound or Path(scratch)
+        if not (folder / "scratch").exists():
+            prepare = f"from hostile.sound import make; from pathlib import Path; make(Path({str(folder)!r}))"
+            subprocess.run([sys.executable, "-c", prepare], cwd=Path(__file__).parent, check=True)
+            folder.chmod(0o755)
+            (folder / "scratch").mkdir()
+            (folder / "scratch").chmod(0o777)
         for outcome in outcomes(folder, sys.argv[1:]):
             found.append(outcome)
             if outcome.faults:

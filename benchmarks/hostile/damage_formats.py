@@ -98,10 +98,10 @@ def exif(count: int) -> Iterator[tuple[str, bytes]]:
             0xA210: rng.choice((0, 1, 3, 9, 65535)), 0xA002: rng.choice((0, 2**32 - 1, 80)),
         }  # fmt: skip
         tags[0x0112] = rng.choice((0, 1, 3, 6, 8, 9, 65535))
-        ifd = tags.get_ifd(0x8769)
-        ifd.update(
-            {tag: value if not isinstance(value, tuple) else value[0] / value[1] for tag, value in inner.items()}
-        )
+        tags[0x8769] = {
+            tag: value if not isinstance(value, tuple) else value[0] / max(value[1], 1e-9)
+            for tag, value in inner.items()
+        }
         stream = io.BytesIO()
         pixels.save(stream, "JPEG", exif=tags)
         content = bytearray(stream.getvalue())
@@ -110,12 +110,11 @@ def exif(count: int) -> Iterator[tuple[str, bytes]]:
         yield f"EXIF {i}", bytes(content)
 
 
-def gps(pictures: list[Path], count: int) -> Iterator[tuple[str, dict[str, bytes]]]:
-    """The pictures with absurd places in their EXIF."""
-    opened = [(path.name, Image.open(path).convert("RGB").resize((160, 120))) for path in pictures]
+def gps(picture: Path, count: int) -> Iterator[tuple[str, bytes]]:
+    """The picture with absurd places in its EXIF."""
+    pixels = Image.open(picture).convert("RGB").resize((160, 120))
     for i in range(count):
-        rng = random.Random(f"gps {i}")
-        yield f"places {i}", {name: _with_place(pixels, rng) for name, pixels in opened}
+        yield f"places {i}", _with_place(pixels, random.Random(f"gps {i}"))
 
 
 def _with_place(pixels: Image.Image, rng: random.Random) -> bytes:
@@ -126,7 +125,7 @@ def _with_place(pixels: Image.Image, rng: random.Random) -> bytes:
     entries = {**sensible, **(odd if rng.random() < 0.33 else {rng.randint(1, 6): rng.choice((*wild, "x", b"\xff"))})}
     for kept in (entries, sensible):
         tags, stream = Image.Exif(), io.BytesIO()
-        tags.get_ifd(0x8825).update(kept)
+        tags[0x8825] = kept
         with contextlib.suppress(Exception):  # Pillow does not write everything
             pixels.save(stream, "PNG", exif=tags)
             return stream.getvalue()

@@ -12,7 +12,7 @@ from subprocess import DEVNULL
 
 from hostile.attempt import PROGRAM
 from hostile.case import Case
-from hostile.sound import Sound
+from hostile.sound import TRAINING, Sound
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL)
 TIMES = 6
@@ -20,43 +20,6 @@ TIMES = 6
 FIRST = 0.8
 """CPU seconds before which no command is ended: Python needs a moment until it can catch a signal."""
 WRITTEN = ("out", "out.ply", "out.spz", "out.html", "out.png", "passes", "s", "s.ply")
-TRAINING = """start = "scratch"
-save_every = 2
-log_every = 1
-[model]
-width = 64
-heads = 4
-mlp_ratio = 1.0
-geometry_blocks = 1
-appearance_blocks = 1
-query_count = 32
-gaussians_per_query = 4
-patch = 6
-mixed_layers = 1
-special_tokens = 0
-vgm_width = 12
-[data]
-cache = "passes"
-encoder = "classical"
-max_size = 96
-[[data.sources]]
-kind = "procedural"
-scenes = 1
-size = [90, 96]
-inputs = [2, 2]
-targets = 1
-cameras = "posed"
-[[stages]]
-steps = 12
-lr = 1e-3
-queries = 32
-inputs = [2, 2]
-[losses]
-lpips = 0.0
-chamfer_points = 256
-[optimiser]
-precision = "fp32"
-"""
 
 
 @dataclass(frozen=True)

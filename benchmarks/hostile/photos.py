@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 import querysplat_cli
-from hostile.case import QUIET, Case, one_file, several
+from hostile.case import QUIET, REFUSED, Case, one_file, several
 from hostile.damage import damaged, noise
 from hostile.damage_formats import changed_tensors, exif, gps, masks
 from hostile.sound import Sound
@@ -50,12 +50,9 @@ def photos(sound: Sound) -> Iterator[Case]:
     for what, content in (*masks(wrong), *damaged(mask, "mask", 12, 4, head=60), *noise("mask", 3)):
         write = several({"p/0.png": sound.bytes("photos/0.png"), "p/masks/0.png": content})
         yield Case("masks", what, write, ("reconstruct", "p", *SMALL))
-    listing = {"in.json": sound.bytes("room/transforms.json")}
-    pictures = sorted((sound.room / "images").iterdir())
-    command = ("reconstruct", "p", "--poses", "in.json", "--scale", "gps", *SMALL)
-    for what, found in gps(pictures, 24):
-        write = several(listing | {f"p/{name}": content for name, content in found.items()})
-        yield Case("GPS", what, write, command)
+    # One photo cannot give metres, which is found after its place was read. The fit of several has tests of its own.
+    for what, content in gps(sound.photos / "0.png", 40):
+        yield Case("GPS", what, one_file("0.png", content), ("reconstruct", "0.png", "--scale", "gps", *SMALL), REFUSED)
 
 
 def weights(sound: Sound) -> Iterator[Case]:

@@ -1,27 +1,21 @@
 """Damaged scene folders, settings, split files and zips of scenes."""
 
 import json
+import random
+import tomllib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from hostile.case import ANY, QUIET, REFUSED, WRITTEN, Case, one_file
-from hostile.damage import changed_json, damaged, drawn_json
+from hostile.case import ANY, QUIET, REFUSED, WRITTEN, Case, one_file, several
+from hostile.damage import changed_json, damaged, drawn_json, places
 from hostile.damage_formats import changed_tensors, zips
-from hostile.sound import Sound
+from hostile.sound import TRAINING, Sound
 
 LISTS = ("cameras.json", "report.json", "photos.json")
 NINES = "9" * 5000
-TOML = b"""base = "compact"
-seed = 3
-[data]
-samples = 4
-[losses]
-lpips = 0.0
-[[stages]]
-steps = 2
-batch = 1
-lr = 1e-3
-"""
+TOML = TRAINING.encode()
+TOML_VALUES = ("0", "-111", "1e-300", "1e30", "nan", "inf", "9223372036854775808", "true", '""', "'x'", "[]", "{}")
+TOML_VALUES += ("[[]]", "'../../etc/passwd'", "1979-05-27", "x", "", '"\\ud800"', "[1, 1e99]", "{a = {b = 1}}")
 
 
 def in_scene(
@@ -109,27 +103,27 @@ def _exposures(sound: Sound) -> Iterator[Case]:
 
 def settings(sound: Sound) -> Iterator[Case]:
     lies = [
-        ("a number of 5,000 digits", TOML.replace(b"seed = 3", b"seed = " + NINES.encode())),
+        ("a number of 5,000 digits", TOML.replace(b"seed = 0", b"seed = " + NINES.encode())),
         ("nested 5,000 times", b"a = " + b"[" * 5000),
         ("a base of itself", b'base = "in.toml"'),
         ("a base of a list", b"base = [1]"),
         ("lengths of NaN", TOML.replace(b"1e-3", b"nan")),
-        ("negative steps", TOML.replace(b"steps = 2", b"steps = -2")),
-        ("a date", TOML.replace(b"seed = 3", b"seed = 1979-05-27")),
-        ("another type", TOML.replace(b"seed = 3", b'seed = "x"')),
+        ("negative steps", TOML.replace(b"steps = 12", b"steps = -2")),
+        ("a date", TOML.replace(b"seed = 0", b"seed = 1979-05-27")),
+        ("another type", TOML.replace(b"seed = 0", b'seed = "x"')),
         ("not UTF-8", TOML + b"\xff"),
     ]
     for what, content in (*lies, *damaged(TOML, "toml", 30, 8)):
-        # There is nothing to resume, so that a training that can be read does not begin.
-        made = one_file("in.toml", content)
-        yield Case(
-            "TOML",
-            what,
-            made,
-            ("train", "--config", "in.toml", "--resume", "-o", "nowhere", QUIET),
-            REFUSED | {0},
-            ("nowhere",),
-        )
+        # A training that can be read is refused, because there is one in the folder already.
+        made = several({"in.toml": content, "out/state.safetensors": b""})
+        yield Case("TOML", what, made, ("train", "--config", "in.toml", "-o", "out", QUIET), REFUSED)
+    made = several({"in.toml": TOML, "out/state.safetensors": b""})
+    ways = list(places(tomllib.loads(TRAINING)))
+    for i in range(80):
+        rng = random.Random(f"settings {i}")
+        change = f"{'.'.join(map(str, rng.choice(ways)))}={rng.choice(TOML_VALUES)}"
+        command = ("train", "--config", "in.toml", "-o", "out", QUIET, "--set", change)
+        yield Case("TOML", f"--set {change[:60]}", made, command, REFUSED)
     split = (
         b'{"dataset_path": "d", "total_samples": 1, "num_input_views": 2, "scale": "small", "samples": [{"scene_id": '
         b'"captured", "input_views": [{"path": "d/images/0.png", "frame_index": 0}, {"path": "d/images/4.png", '

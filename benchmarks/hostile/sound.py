@@ -23,6 +23,46 @@ from querysplat_cli.training.photographer import cast, walk
 from querysplat_cli.training.rooms import make_room
 from querysplat_cli.training.solids import Scene
 
+TRAINING = """start = "scratch"
+seed = 0
+save_every = 2
+log_every = 1
+[model]
+width = 64
+heads = 4
+mlp_ratio = 1.0
+geometry_blocks = 1
+appearance_blocks = 1
+query_count = 32
+gaussians_per_query = 4
+patch = 6
+mixed_layers = 1
+special_tokens = 0
+vgm_width = 12
+[data]
+cache = "passes"
+encoder = "classical"
+max_size = 96
+[[data.sources]]
+kind = "procedural"
+scenes = 1
+size = [90, 96]
+inputs = [2, 2]
+targets = 1
+cameras = "posed"
+[[stages]]
+steps = 12
+lr = 1e-3
+queries = 32
+inputs = [2, 2]
+[losses]
+lpips = 0.0
+chamfer_points = 256
+[optimiser]
+precision = "fp32"
+"""
+"""The smallest training: a procedural scene of three photos."""
+
 
 @dataclass(frozen=True)
 class Sound:

@@ -88,6 +88,19 @@ def test_a_full_disk_is_reported_in_words(tmp_path: Path) -> None:
     assert listing(tmp_path) == []
 
 
+def test_folders_that_were_made_for_a_failed_write_are_gone_again(tmp_path: Path) -> None:
+    with pytest.raises(QuerySplatError), atomic_path(tmp_path / "made" / "too" / "scene.ply") as draft:
+        write_half(draft, OSError(errno.ENOSPC, "No space left on device"))
+    assert listing(tmp_path) == []
+
+
+def test_the_message_names_the_output_where_a_draft_is_written_in_a_draft(tmp_path: Path) -> None:
+    scene = tmp_path / "scene.ply"
+    with pytest.raises(QuerySplatError) as caught, atomic_path(scene) as outer, atomic_path(outer) as draft:
+        write_half(draft, OSError(errno.ENOSPC, "No space left on device"))
+    assert caught.value.message == f"{scene}: the disk is full"
+
+
 def test_a_write_that_fails_without_a_reason_on_a_full_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """OpenCV reports only that it could not write."""
     monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=1000))

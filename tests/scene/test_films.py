@@ -127,6 +127,13 @@ def test_a_title_that_is_not_utf_8(tmp_path: Path) -> None:
     assert len(list(film_frames(path))) > 0
 
 
+def test_a_compression_that_nobody_knows(tmp_path: Path) -> None:
+    path = write_film(tmp_path / "film.mp4", plain((9, 9, 9)))
+    path.write_bytes(path.read_bytes().replace(b"avc1", b"zzz9"))
+    with pytest.raises(QuerySplatError, match="compression is not known"):
+        list(film_frames(path))
+
+
 def test_a_cut_off_film_gives_what_it_has(tmp_path: Path) -> None:
     """As after a dead battery, of a format that has no table at its end."""
     path = write_film(tmp_path / "film.webm", pan(range(0, 400, 10)), codec="libvpx-vp9")

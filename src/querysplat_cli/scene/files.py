@@ -10,7 +10,7 @@ from pathlib import Path
 from querysplat_cli.runtime import signals
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.json_files import shown
-from querysplat_cli.scene.drafts import BEFORE, own_folder
+from querysplat_cli.scene.drafts import BEFORE, DRAFTS, own_folder
 
 NEARLY_FULL = 64 << 20
 """With fewer free bytes, a failed write that gives no reason is taken to be one of a full disk."""
@@ -153,9 +153,13 @@ def without_steps(path: Path) -> Path:
 def _draft(place: Path) -> Iterator[Path]:
     """A name for a draft of `place`, which is as `without_steps` makes it. Errors of writing are put in words."""
     try:
-        place.parent.mkdir(parents=True, exist_ok=True)
-        with own_folder(place.parent) as folder:
-            yield folder / place.name
+        with ExitStack() as undo:
+            for folder in reversed([folder for folder in place.parents if not folder.exists()]):
+                undo.callback(_remove_if_empty, folder)
+            place.parent.mkdir(parents=True, exist_ok=True)
+            with own_folder(place.parent) as folder:
+                yield folder / place.name
+            undo.pop_all()
     except QuerySplatError:
         raise
     # safetensors has errors of its own for a full disk.
@@ -166,7 +170,14 @@ def _draft(place: Path) -> Iterator[Path]:
         raise why from error
 
 
-def _in_words(error: Exception, path: Path) -> QuerySplatError | None:
+def _remove_if_empty(folder: Path) -> None:
+    with suppress(OSError):
+        folder.rmdir()
+
+
+def _in_words(error: Exception, place: Path) -> QuerySplatError | None:
+    # A draft may hold drafts; messages name the output.
+    path = Path(*(part for part in place.parts if not part.startswith(DRAFTS)))
     reason = getattr(error, "errno", None)
     if reason in FORBIDDEN:
         return QuerySplatError(
@@ -182,7 +193,8 @@ def _in_words(error: Exception, path: Path) -> QuerySplatError | None:
 def _silent_failure(error: Exception, folder: Path) -> bool:
     """Whether a write failed without a reason, as OpenCV's do, on a disk that is nearly full."""
     without_reason = isinstance(error, OSError) and error.errno is None
-    return without_reason and folder.is_dir() and shutil.disk_usage(folder).free < NEARLY_FULL
+    there = next(place for place in (folder, *folder.parents) if place.is_dir())
+    return without_reason and shutil.disk_usage(there).free < NEARLY_FULL
 
 
 def _exchange(draft: Path, place: Path, undo: ExitStack) -> None:

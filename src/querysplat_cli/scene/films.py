@@ -130,6 +130,8 @@ def _opened(path: Path) -> Iterator[tuple[InputContainer, VideoStream]]:
             if not container.streams.video:
                 raise QuerySplatError(f"{path}: a film without pictures, only sound", GIVE_A_FILM)
             stream = container.streams.video[0]
+            if stream.codec_context is None:
+                raise QuerySplatError(f"{path}: a film whose compression is not known here", GIVE_A_FILM)
             stream.thread_type = "AUTO"
             yield container, stream
     except (av.FFmpegError, OSError) as error:
