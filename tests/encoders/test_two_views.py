@@ -9,6 +9,7 @@ from synthetic import camera
 from querysplat_cli.encoders.classical.camera_warnings import camera_warnings
 from querysplat_cli.encoders.classical.matches import Matches
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
+from querysplat_cli.encoders.classical.sparse_model import SparseModel
 from querysplat_cli.encoders.classical.two_views import map_two_photos
 from querysplat_cli.encoders.classical.verified_pairs import Pair
 from querysplat_cli.scene.cameras import PhotoCamera
@@ -42,6 +43,11 @@ def matches(
     return Matches(Path(), (SIZE,) * 2, (stated,) * 2, features, (Pair(0, 1, first, second),))
 
 
+def mapped(found: Matches) -> SparseModel | None:
+    two = map_two_photos(found.pairs[0], found.sizes, found.focals)
+    return two.model if two else None
+
+
 def cloud(count: int) -> np.ndarray:
     return np.random.default_rng(1).uniform([-1.6, -1.2, 3.5], [1.6, 1.2, 7], (count, 3))
 
@@ -61,7 +67,7 @@ def turn_error(found: dict[int, PhotoCamera], truth: list[PhotoCamera]) -> float
 @pytest.mark.parametrize("wrong", [0, 30])
 def test_stated_focal_length_and_wrong_matches(wrong: int) -> None:
     truth = cameras(610.0)
-    model = map_two_photos(matches(cloud(120), truth, stated=610.0, wrong=wrong))
+    model = mapped(matches(cloud(120), truth, stated=610.0, wrong=wrong))
     assert model is not None
     assert turn_error(model.cameras, truth) < 0.5
     assert model.cameras[0].focal[0] == pytest.approx(610, rel=0.03)
@@ -71,7 +77,7 @@ def test_stated_focal_length_and_wrong_matches(wrong: int) -> None:
 @pytest.mark.parametrize("ratio", [0.8, 1.0, 1.25])
 def test_the_lens_keeps_to_the_prior_where_twenty_points_say_little(ratio: float) -> None:
     truth = cameras(PRIOR_FOCAL * ratio)
-    model = map_two_photos(matches(cloud(20), truth, stated=None))
+    model = mapped(matches(cloud(20), truth, stated=None))
     assert model is not None
     lens = model.cameras[0]
     assert abs(np.log(lens.focal[0] / PRIOR_FOCAL)) < CAMERA_POLICY.usual_focal_spread
@@ -83,7 +89,7 @@ def test_the_lens_keeps_to_the_prior_where_twenty_points_say_little(ratio: float
 def test_a_plane_is_reconstructed_as_one(stated: float | None) -> None:
     truth = cameras(PRIOR_FOCAL)
     found = matches(plane(150), truth, stated=stated, noise=0.15)
-    model = map_two_photos(found)
+    model = mapped(found)
     assert model is not None
     assert len(model.points) > 140
     assert turn_error(model.cameras, truth) < 2
@@ -99,11 +105,11 @@ def test_each_of_two_lenses_has_its_focal_length() -> None:
     one, two = cameras(480.0)[0], cameras(720.0)[1]
     found = matches(cloud(150), [one, two], stated=None)
     both = Matches(found.folder, found.sizes, (480.0, 720.0), found.features, found.pairs)
-    model = map_two_photos(both)
+    model = mapped(both)
     assert model is not None
     assert [model.cameras[i].focal[0] for i in (0, 1)] == pytest.approx([480, 720], rel=0.04)
     assert turn_error(model.cameras, [one, two]) < 0.5
 
 
 def test_too_few_matches_make_no_model() -> None:
-    assert map_two_photos(matches(cloud(8), cameras(600.0), stated=600.0)) is None
+    assert mapped(matches(cloud(8), cameras(600.0), stated=600.0)) is None

@@ -154,8 +154,8 @@ class ReconstructSettings:
     matcher: Annotated[
         Matcher,
         Option(
-            "With classical: how photos are matched. auto takes SIFT, and for photos that it matches badly a network "
-            "(`querysplat weights` says how to install one) or affine SIFT; the others are used for all photos."
+            "With classical: how photos are matched. auto takes SIFT, and for photos that it matches badly affine SIFT "
+            "or a network (`querysplat weights` says how to install one); the others are used for all photos."
         ),
     ] = "auto"
     weights: Weights = None

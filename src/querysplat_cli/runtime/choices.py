@@ -42,8 +42,8 @@ Lens = Literal["auto", "equirectangular"]
 equirectangular: every photo is a panorama of 360°."""
 
 Matcher = Literal["auto", "sift", "sift-affine", "disk-lightglue", "xfeat"]
-"""How the classical encoder matches photos. auto: SIFT, and for photos that it matches badly a network, where one is
-installed, or affine SIFT. The others are used for all photos."""
+"""How the classical encoder matches photos. auto: SIFT, and for photos that it matches badly affine SIFT, and a network
+where one is installed. The others are used for all photos."""
 MATCHERS: tuple[Matcher, ...] = get_args(Matcher)
 
 LearnedMatcherName = Literal["disk-lightglue", "xfeat"]

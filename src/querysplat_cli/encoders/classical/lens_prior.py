@@ -18,11 +18,20 @@ def lens_prior(
     mean, sigma = [], []
     for (height, width), focal in zip(sizes, stated, strict=True):
         longer = max(height, width)
-        mean.append([np.log(focal or policy.usual_focal * longer), width / 2, height / 2, 0.0, 0.0])
+        mean.append([np.log(focal or usual_focal(height, width)), width / 2, height / 2, 0.0, 0.0])
         spread = policy.stated_focal_spread if focal else policy.usual_focal_spread
         shift = policy.principal_spread * longer
         sigma.append([spread, shift, shift, *policy.distortion_spread])
     return LensPrior(np.array(mean), np.array(sigma), weight)
+
+
+def usual_focal(height: int, width: int) -> float:
+    """The prior's focal length in pixels, where EXIF states none.
+
+    Sensors are 4:3 or longer. A photo that is nearer to a square was cut from one, so its focal length is measured in
+    sides of that.
+    """
+    return CAMERA_POLICY.usual_focal * max(height, width, 4 / 3 * min(height, width))
 
 
 def as_photo_camera(pose: np.ndarray, lens: np.ndarray, size: tuple[int, int]) -> PhotoCamera:

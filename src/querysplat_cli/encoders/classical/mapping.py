@@ -17,6 +17,7 @@ from querysplat_cli.encoders.classical.policy import CAMERA_POLICY, Attempt
 from querysplat_cli.encoders.classical.self_calibration import self_calibrated
 from querysplat_cli.encoders.classical.sparse_model import SparseModel
 from querysplat_cli.encoders.classical.two_views import map_two_photos
+from querysplat_cli.encoders.classical.verified_pairs import Pair, read_candidates
 from querysplat_cli.scene.cameras import PhotoCamera
 
 COLMAP_DISTORTION: dict[str, Callable[..., tuple[float, float, float, float]]] = {
@@ -33,11 +34,12 @@ COLMAP_DISTORTION: dict[str, Callable[..., tuple[float, float, float, float]]] =
 class Mapped:
     """A model of some photos, and COLMAP's form of it where the final bundle adjustment is still to be made.
 
-    `fit_lens`: whether COLMAP fitted the lenses.
+    `fit_lens`: whether COLMAP fitted the lenses. `pairs` are the matches that belong to the model.
     """
 
     model: SparseModel
-    reconstruction: pycolmap.Reconstruction | None
+    pairs: tuple[Pair, ...]
+    reconstruction: pycolmap.Reconstruction | None = None
     fit_lens: bool = True
 
     def refined(self, matches: Matches) -> SparseModel:
@@ -67,8 +69,10 @@ def map_photos(matches: Matches, *, seed: int) -> Mapped | None:
     The search ends with the first attempt whose model is sound and contains all photos that matches connect.
     """
     if len(matches.sizes) == 2:
-        two = map_two_photos(matches)
-        return Mapped(two, None) if two else None
+        with pycolmap.Database.open(matches.database) as store:
+            candidates = read_candidates(store, 0, 1)
+        two = map_two_photos(candidates, matches.sizes, matches.focals)
+        return Mapped(two.model, (two.pair,)) if two else None
     connected = len(matches.largest_group())
     best: tuple[float, pycolmap.Reconstruction, bool] | None = None
     for attempt in _attempts(matches):
@@ -77,13 +81,13 @@ def map_photos(matches: Matches, *, seed: int) -> Mapped | None:
             support, ordinary = epipolar_support(model, matches), has_ordinary_lens(model)
             score = support.score if ordinary else support.score / 2
             if len(model.cameras) >= connected and support.sound and ordinary:
-                return Mapped(model, reconstruction, attempt.fit_lens)
+                return Mapped(model, matches.pairs, reconstruction, attempt.fit_lens)
             if best is None or score > best[0]:
                 best = score, reconstruction, attempt.fit_lens
     if best is None:
         return None
     grown = _extended(best[1], matches, seed)
-    return Mapped(from_colmap(grown), grown, best[2])
+    return Mapped(from_colmap(grown), matches.pairs, grown, best[2])
 
 
 def _attempts(matches: Matches) -> list[Attempt]:

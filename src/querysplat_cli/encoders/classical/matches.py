@@ -16,6 +16,7 @@ from querysplat_cli.encoders.classical.features import (
     write_grey,
     write_masks,
 )
+from querysplat_cli.encoders.classical.lens_prior import usual_focal
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY, MatchEffort
 from querysplat_cli.encoders.classical.verified_pairs import Pair, Verification, match_pairs, read_pairs
 from querysplat_cli.runtime.errors import QuerySplatError
@@ -123,9 +124,9 @@ def shared_cameras(
     """COLMAP's camera of each photo, with a key that is equal for photos of one lens."""
     keyed: list[tuple[Hashable, pycolmap.Camera]] = []
     few = len(sizes) <= CAMERA_POLICY.few_photos
-    assumed = CAMERA_POLICY.usual_focal if few else CAMERA_POLICY.assumed_focal
     for (height, width), focal in zip(sizes, focals, strict=True):
-        guess = focal or assumed * max(height, width)
+        assumed = usual_focal(height, width) if few else CAMERA_POLICY.assumed_focal * max(height, width)
+        guess = focal or assumed
         camera = pycolmap.Camera.create_from_model_name(1, "SIMPLE_RADIAL", guess, width, height)
         camera.has_prior_focal_length = focal is not None or few
         keyed.append(((height, width, focal and round(focal / width, 2)), camera))

@@ -140,7 +140,7 @@ class CameraPolicy:
     """More than four photos that put the focal length farther from EXIF's, in standard deviations, are adjusted again
     with the prior."""
     usual_focal: float = 0.75
-    """Median focal length of photos without EXIF, in longer sides."""
+    """Median focal length of photos without EXIF, in longer sides of a 4:3 frame around the photo."""
     usual_focal_spread: float = 0.35
     """Standard deviation of its logarithm."""
     principal_spread: float = 0.01
@@ -149,12 +149,12 @@ class CameraPolicy:
     """Standard deviations of the distortion terms k1 and k2 around zero."""
     few_photos: int = 4
     """With so few photos or fewer the mapper keeps the lens of the prior, and only the adjustment fits it."""
-    few_matches: int = 100
-    """Of so few photos, a second search is made when the model explains fewer matches for each photo but the first."""
     tried_focals: tuple[float, ...] = (-1.0, 0.0, 1.0)
     """Focal lengths from which two photos without EXIF are adjusted, in standard deviations of the prior."""
     fewest_two_view_points: int = 15
     """Two photos need so many points."""
+    fewest_two_view_share: float = 0.25
+    """These points must be such a share of all matches of the two photos."""
     calibrated_tolerance: float = 0.004
     """Epipolar distance in longer sides up to which the prior's lens explains a match of so few photos."""
 

@@ -17,6 +17,8 @@ from querysplat_cli.encoders.classical.mapping import Mapped, map_photos
 from querysplat_cli.encoders.classical.matches import Matches, matched
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
 from querysplat_cli.encoders.classical.sparse_model import SparseModel
+from querysplat_cli.encoders.classical.support_policy import SUPPORT_POLICY
+from querysplat_cli.encoders.classical.supported_matches import with_supported_matches
 from querysplat_cli.encoders.classical.tilted_views import with_tilted_views
 from querysplat_cli.runtime.choices import Matcher
 from querysplat_cli.runtime.errors import MissingPart
@@ -65,6 +67,12 @@ class _Trial:
     mapped: Mapped | None
     matching: Matching | None = None
 
+    @staticmethod
+    def of(matches: Matches, seed: int) -> "_Trial":
+        """The matches mapped; of two photos, those that the cameras explain."""
+        mapped = map_photos(matches, seed=seed)
+        return _Trial(replace(matches, pairs=mapped.pairs) if mapped else matches, mapped)
+
     @property
     def few(self) -> bool:
         return len(self.matches.sizes) <= CAMERA_POLICY.few_photos
@@ -76,37 +84,51 @@ class _Trial:
 def search(photos: Sequence[Photo], choice: MatcherChoice, *, seed: int, progress: Progress) -> Found:
     """Matches and a model of the photos.
 
-    Where SIFT leaves photos out, or has few matches of a few photos, `auto` matches these again: with a network, where
-    one is installed, and where that is not enough, with affine SIFT. Raises MissingPart where the chosen matcher is not
-    installed.
+    Where SIFT leaves photos out, or has few matches of a few photos, `auto` matches these again: a few photos with
+    affine SIFT and then, where one is installed, with a network; more photos with the network first. Raises MissingPart
+    where the chosen matcher is not installed.
     """
     with matched(photos, seed=seed, progress=progress) as matches:
         progress("placing cameras", 0.6)
-        trial = _Trial(matches, map_photos(matches, seed=seed))
+        trial = _Trial.of(matches, seed)
         if choice.matcher == "sift":
             return trial.refined()
+        if trial.few and _wants_support(trial, choice.matcher):
+            progress("matching again", 0.65)
+            trial = _better(trial, _Trial.of(with_supported_matches(trial.matches, photos, seed=seed), seed))
         if choice.matcher != "sift-affine":
             trial = _with_network(photos, trial, choice, seed, progress)
         affine = _for_affine(trial, choice.matcher, large=are_large(photos))
         if affine and are_large(photos):
             progress("matching again", 0.7)
-            more = with_tilted_views(trial.matches, affine, seed=seed)
-            return _better(trial, replace(trial, matches=more, mapped=map_photos(more, seed=seed))).refined()
+            more = _Trial.of(with_tilted_views(trial.matches, affine, seed=seed), seed)
+            return _better(trial, replace(more, matching=trial.matching)).refined()
         if not affine:
             return trial.refined()
     progress("matching again", 0.7)
-    with matched(photos, seed=seed, progress=lambda *_: None, effort=CAMERA_POLICY.thorough) as more:
-        return _better(trial, replace(trial, matches=more, mapped=map_photos(more, seed=seed))).refined()
+    with matched(photos, seed=seed, progress=lambda *_: None, effort=CAMERA_POLICY.thorough) as again:
+        return _better(trial, replace(_Trial.of(again, seed), matching=trial.matching)).refined()
+
+
+def _wants_support(trial: _Trial, matcher: Matcher) -> bool:
+    """Whether a few photos are matched again by affine SIFT: where few matches determine the cameras."""
+    if matcher != "auto" or trial.mapped is None:
+        return matcher in ("auto", "sift-affine")
+    support = epipolar_support(trial.mapped.model, trial.matches)
+    enough = SUPPORT_POLICY.enough_matches * (len(trial.matches.sizes) - 1)
+    return support.explained < enough or not support.sound
 
 
 def _for_affine(trial: _Trial, matcher: Matcher, *, large: bool) -> list[int]:
-    """Photos that affine SIFT searches; none where these are too many for the time it takes."""
+    """Of many photos those that affine SIFT searches; none where these are too many for the time it takes."""
     count, most = len(trial.matches.sizes), CAMERA_POLICY.thorough_photos
+    if trial.few:
+        return []
     if matcher == "sift-affine":
         return list(range(count))
     if matcher != "auto":
         return []
-    weak = _missing(trial) or _loosely_tied(trial)
+    weak = _missing(trial)
     # In large photos only the weak ones are searched again, in others all of them.
     searched = len(weak) if large else count
     return weak if searched * count <= most**2 else []
@@ -132,9 +154,9 @@ def _with_network(
     more = with_learned_matches(trial.matches, photos, pairs, matcher, seed=seed)
     seconds = time.monotonic() - start
     progress("placing cameras", 0.7)
-    second = _Trial(more, map_photos(more, seed=seed))
+    second = _Trial.of(more, seed)
     kept = second if chosen and second.mapped else _better(trial, second)
-    agreeing = _agreeing(trial.matches, pairs), _agreeing(more, pairs)
+    agreeing = _agreeing(trial.matches, pairs), _agreeing(second.matches, pairs)
     return replace(kept, matching=Matching(matcher.name, len(pairs), agreeing, round(seconds, 2), kept is second))
 
 
@@ -163,16 +185,6 @@ def _better(first: _Trial, second: _Trial) -> _Trial:
     if few and gain == 0:
         gain = new.explained - epipolar_support(first.mapped.model, first.matches).explained
     return second if gain > 0 and (few or new.sound) else first
-
-
-def _loosely_tied(trial: _Trial) -> list[int]:
-    """All of a few photos where few matches determine the cameras."""
-    photos = list(range(len(trial.matches.sizes)))
-    if trial.mapped is None or not trial.few:
-        return []
-    support = epipolar_support(trial.mapped.model, trial.matches)
-    enough = CAMERA_POLICY.few_matches * (len(photos) - 1)
-    return photos if support.explained < enough or not support.sound else []
 
 
 def _missing(trial: _Trial) -> list[int]:

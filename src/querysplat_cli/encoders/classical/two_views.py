@@ -14,11 +14,18 @@ import numpy as np
 from querysplat_cli.encoders.classical.epipolar import epipolar_error, rays
 from querysplat_cli.encoders.classical.least_squares import Bundle, LensPrior, Loss, Observations, adjust, project
 from querysplat_cli.encoders.classical.lens_prior import as_photo_camera, lens_prior
-from querysplat_cli.encoders.classical.matches import Matches
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
 from querysplat_cli.encoders.classical.sparse_model import SparseModel
 from querysplat_cli.encoders.classical.verified_pairs import Pair
 from querysplat_cli.scene.cameras import PhotoCamera
+
+
+@dataclass(frozen=True)
+class TwoViews:
+    """The model of two photos, and the matches that its cameras explain."""
+
+    model: SparseModel
+    pair: Pair
 
 
 @dataclass(frozen=True)
@@ -31,26 +38,32 @@ class _Candidate:
     pixels: np.ndarray
 
 
-def map_two_photos(matches: Matches) -> SparseModel | None:
-    """The cameras and points of the only pair of photos, or None where too few of its matches become points."""
-    if not matches.pairs:
+def map_two_photos(pair: Pair, sizes: Sequence[tuple[int, int]], focals: Sequence[float | None]) -> TwoViews | None:
+    """The cameras and points of two photos, or None where too few of their matches agree.
+
+    `pair` may hold wrong matches. `sizes` are (height, width), `focals` EXIF's focal lengths in pixels, or None.
+    """
+    policy = CAMERA_POLICY
+    fewest = max(policy.fewest_two_view_points, policy.fewest_two_view_share * len(pair))
+    if len(pair) < fewest:
         return None
-    pair = matches.pairs[0]
-    shared = matches.sizes[0] == matches.sizes[1] and matches.focals[0] == matches.focals[1]
+    shared = sizes[0] == sizes[1] and focals[0] == focals[1]
     lenses = np.array([0, 0] if shared else [0, 1])
-    prior = lens_prior(matches.sizes[: lenses.max() + 1], matches.focals[: lenses.max() + 1], two_photos=True)
-    stated = all(matches.focals)
+    prior = lens_prior(sizes[: lenses.max() + 1], focals[: lenses.max() + 1], two_photos=True)
+    numbers = [0.0] if all(focals) else policy.tried_focals
     candidates = [
-        _adjusted(pair, start, prior, lenses, matches.sizes)
-        for number in CAMERA_POLICY.tried_focals
-        for start in _starts(pair, matches.sizes, np.exp(prior.mean[lenses, 0] + number * prior.sigma[lenses, 0]))
-        if number == 0 or not stated
+        _adjusted(pair, start, prior, lenses, sizes)
+        for number in numbers
+        for start in _starts(pair, sizes, np.exp(prior.mean[lenses, 0] + number * prior.sigma[lenses, 0]))
     ]
     best = min((each for each in candidates if each), key=lambda each: each.cost, default=None)
-    if best is None:
+    if best is None or len(best.points) < fewest:
         return None
     rows = np.arange(len(best.points))
-    return SparseModel(dict(enumerate(best.cameras)), best.points, {0: rows, 1: rows}, dict(enumerate(best.pixels)))
+    seen, pixels = {0: rows, 1: rows}, dict(enumerate(best.pixels))
+    model = SparseModel(dict(enumerate(best.cameras)), best.points, seen, pixels)
+    agreeing = epipolar_error(pair, *best.cameras) < policy.epipolar_tolerance
+    return TwoViews(model, Pair(0, 1, pair.first_pixels[agreeing], pair.second_pixels[agreeing]))
 
 
 def _starts(

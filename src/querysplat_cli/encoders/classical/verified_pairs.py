@@ -90,6 +90,14 @@ def verify_pairs(database: Path, folder: Path, pairs: Iterable[tuple[int, int]],
     pycolmap.verify_matches(database, _listing(folder, pairs), options=verification.options())
 
 
+def read_candidates(store: pycolmap.Database, first: int, second: int) -> Pair:
+    """All matches of two photos in the database, right and wrong ones."""
+    numbers = first + 1, second + 1
+    rows = store.read_matches(*numbers) if store.exists_matches(*numbers) else np.zeros((0, 2), np.int64)
+    sides = [store.read_keypoints(number)[:, :2].astype(np.float64) for number in numbers]
+    return Pair(first, second, sides[0][rows[:, 0]], sides[1][rows[:, 1]])
+
+
 def read_pairs(store: pycolmap.Database, photos: int) -> tuple[Pair, ...]:
     """The verified pairs of the database, in the order of their photos' numbers."""
     keypoints = [store.read_keypoints(photo + 1)[:, :2].astype(np.float64) for photo in range(photos)]
