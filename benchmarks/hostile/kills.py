@@ -11,7 +11,7 @@ from pathlib import Path
 from subprocess import DEVNULL
 
 from hostile.attempt import PROGRAM
-from hostile.case import Case
+from hostile.case import Case, several
 from hostile.sound import TRAINING, Sound
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL)
@@ -91,7 +91,9 @@ def _commands(sound: Sound) -> dict[str, Killed]:
 
 
 def _pictures(sound: Sound, folder: Path) -> None:
-    shutil.copytree(sound.photos, folder / "out")
+    """What `--force` may replace as a whole: a folder of pictures."""
+    for name in ("0.png", "attention_geometry.png"):
+        several({f"out/{name}": sound.bytes("photos/0.png")})(folder)
 
 
 def _spz(sound: Sound, folder: Path) -> None:
