@@ -23,8 +23,10 @@ install_import_hook(
 hypothesis.settings.register_profile("querysplat", deadline=None, derandomize=True)
 hypothesis.settings.load_profile("querysplat")
 
-# `nohup` starts programs with SIGHUP ignored, and they leave it so. Tests of that signal need it as it usually is.
+# `nohup` starts programs with SIGHUP ignored, a shell those in the background with SIGINT, and programs leave it so.
+# Tests of these signals need them as they usually are.
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def _found(variable: str) -> Path:
