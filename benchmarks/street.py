@@ -11,36 +11,13 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import cv2
-import numpy as np
-
 from common.arguments import folder_or_scratch
 from common.clock import children_cpu_seconds
 from common.output import Table, write_json
-from querysplat_cli.scene.formats.transforms import write_cameras
-from querysplat_cli.scene.views import Views
-from querysplat_cli.training.photographer import cast
-from querysplat_cli.training.streets import make_street, stroll
+from common.street_photos import take_street
 
-SEED = 5
 STEP = 0.35
 """Metres from photo to photo."""
-
-
-def photograph(folder: Path, count: int, size: int) -> None:
-    """Write the photos, and `transforms.json` beside their folder."""
-    height, width = size * 3 // 4, size
-    length = STEP * (count - 1)
-    cameras, street = stroll(length, count, SEED, height, width), make_street(SEED, length)
-    pictures = folder / "images"
-    pictures.mkdir(parents=True)
-    names = tuple(f"{number:04d}.png" for number in range(count))
-    images, _ = cast(street, cameras)
-    for name, image in zip(names, images, strict=True):
-        pixels = np.rint(image.clamp(0, 1).permute(1, 2, 0).numpy() * 255).astype(np.uint8)
-        cv2.imwrite(str(pictures / name), np.ascontiguousarray(pixels[..., ::-1]))
-    views = Views(images, images[:, 0] >= 0, names, ((height, width),) * count)
-    write_cameras(folder / "transforms.json", cameras, views)
 
 
 def measure(folder: Path, ply: Path, regions: int, more: list[str]) -> dict[str, Any]:
@@ -80,7 +57,7 @@ def main() -> None:
     )
     with folder_or_scratch(options.keep) as folder:
         if not (folder / "images").is_dir():
-            photograph(folder, options.photos, options.size)
+            take_street(folder / "images", options.photos, length=STEP * (options.photos - 1), width=options.size)
         more = ["--quality", options.quality, "--max-size", str(options.size), "--holdout-cameras", "joint"]
         if options.poses:
             more += ["--poses", str(folder / "transforms.json")]

@@ -11,7 +11,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from street_photos import take_street
+from common.street_photos import take_street
 
 pytestmark = pytest.mark.slow
 ADDRESS = "tcp://127.0.0.1:18787"
@@ -22,7 +22,7 @@ SECONDS = 600
 def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
     pytest.importorskip("distributed")
     folder = tmp_path_factory.mktemp("street") / "photos"
-    take_street(folder, 10)
+    take_street(folder, 10, length=4.0, width=144, samples=1)
     return folder
 
 

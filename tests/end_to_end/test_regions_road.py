@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 import torch
 
+from common.street_photos import take_street
 from querysplat_cli.cli import run
 from querysplat_cli.model.checkpoints import load
 from querysplat_cli.pipeline.kept_parts import read_part
@@ -17,7 +18,6 @@ from querysplat_cli.pipeline.regions.scene import RegionScene
 from querysplat_cli.runtime.errors import ExitCode
 from querysplat_cli.scene.formats.ply import read_ply
 from querysplat_cli.tto.features import Start, gaussians_of
-from street_photos import take_street
 
 COUNT = 10
 SMALL = ["--max-size", "112", "--tto", "8", "--quality", "draft", "--holdout-every", "5", "-q"]
@@ -27,7 +27,7 @@ Made = tuple[Path, dict[str, Any]]
 @pytest.fixture(scope="module")
 def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("street") / "photos"
-    take_street(folder, COUNT)
+    take_street(folder, COUNT, length=4.0, width=144, samples=1)
     return folder
 
 

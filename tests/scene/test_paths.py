@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
-from querysplat_cli.scene.paths import interpolate, look_at, orbit
+from querysplat_cli.scene.paths import interpolate, look_at, on_the_line, orbit
 
 MIDDLE = torch.tensor([1.0, 2.0, 3.0])
 UP = np.array([0.0, -1.0, 0.0])
@@ -106,3 +106,15 @@ def test_interpolation_between_equal_and_opposite_cameras_is_finite(degrees: flo
 
 def test_interpolation_of_one_camera_repeats_it() -> None:
     assert interpolate(CAMERA, 3).w2c.shape == (3, 4, 4)
+
+
+def test_a_line_goes_on_beyond_both_cameras() -> None:
+    w2c = torch.eye(4, dtype=torch.float64).repeat(2, 1, 1)
+    w2c[1, :3, :3] = torch.from_numpy(Rotation.from_euler("y", 20, degrees=True).as_matrix())
+    pair = Cameras(w2c, CAMERA.K.repeat(2, 1, 1).double(), 240, 320)
+    for share, angle in ((-0.5, -10), (0.0, 0), (0.5, 10), (1.0, 20), (1.5, 30)):
+        rotation = Rotation.from_matrix(on_the_line(pair, share).w2c[0, :3, :3].numpy())
+        np.testing.assert_allclose(rotation.as_euler("yxz", degrees=True), [angle, 0, 0], atol=1e-6)
+    sideways = ring(np.array([0.0, 40]))
+    beyond = on_the_line(sideways, 1.5).centres[0]
+    torch.testing.assert_close(beyond, 1.5 * sideways.centres[1] - 0.5 * sideways.centres[0])

@@ -12,7 +12,7 @@ from splat_scenes import as_kernel_sees, assert_agree, outcome
 from querysplat_cli.runtime.errors import MissingPart, QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.splat.blending_weights import blending_weights
+from querysplat_cli.splat.blending_weights import blending_weights, three_blending_weights
 from querysplat_cli.splat.projection import colours
 from querysplat_cli.splat.render import RenderSettings, render
 from scenes import FIELDS, camera, cloud
@@ -144,6 +144,14 @@ def test_contributions_are_the_blending_weights(backend: str) -> None:
     torch.testing.assert_close(weights.sum(), alpha.sum(), rtol=1e-4, atol=0)
     without = render(scene[weights < weights.median()], cameras, backend=backend).alpha
     assert without.sum() < alpha.sum()
+
+
+def test_three_weights_of_pixels_at_once_are_those_of_one_after_another() -> None:
+    cameras = camera(24, 31)
+    scene = cloud(3, 80, cameras).to(torch.float32)
+    pixels = torch.rand(3, 24, 31, generator=torch.Generator().manual_seed(0))
+    alone = torch.stack([blending_weights(scene, cameras, each[None]) for each in pixels])
+    assert three_blending_weights(scene, cameras, pixels).equal(alone)
 
 
 def test_auto_takes_the_reference_for_float64_and_the_kernel_otherwise() -> None:

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from querysplat_cli.cli.convert import decibels
 from querysplat_cli.cli.terminal import say
 from querysplat_cli.cli.verb import Printing
 from querysplat_cli.reporting.omissions import PRECISION
@@ -94,11 +95,7 @@ def _file(report: Report) -> str:
     """The file, its size, and what its kind loses where that is measured."""
     if report.bytes is None:
         return report.ply
-    lost = [
-        f", {round(entry['psnr_lost'], 2) + 0.0:.2f} dB lost by it"
-        for entry in report.left_out
-        if entry["what"] == PRECISION
-    ]
+    lost = [f", {decibels(entry['psnr_lost'])} lost by it" for entry in report.left_out if entry["what"] == PRECISION]
     return f"{report.ply} ({report.bytes / 2**20:.2f} MiB{''.join(lost)})"
 
 

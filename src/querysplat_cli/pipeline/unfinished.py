@@ -30,19 +30,9 @@ from querysplat_cli.scene.views import Photo
 Part = TypeVar("Part")
 MADE_OF, CAMERAS, REGION = "made_of.json", "cameras.pt", "region-"
 OF_CAMERAS = (
-    *(
-        "holdout_every",
-        "holdout_cameras",
-        "film_frames",
-        "max_size",
-        "max_views",
-        "fit",
-        "preset",
-        "encoder",
-        "matcher",
-    ),
-    *("weights", "precision", "poses", "lens", "seed", "keep_everything", "device"),
-)
+    "holdout_every", "holdout_cameras", "film_frames", "max_size", "max_views", "fit", "preset", "encoder", "matcher",
+    "weights", "precision", "poses", "lens", "seed", "keep_everything", "device",
+)  # fmt: skip
 """Settings that the cameras depend on."""
 OF_FILES = ("inputs", "ply", "force", "frame", "metres_by", "backdrop", "cluster")
 """Settings that change neither cameras nor regions; `inputs` stand for photos, which are compared themselves."""

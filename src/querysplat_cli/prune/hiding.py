@@ -5,17 +5,16 @@ too. Where such a guess stands in the open space in front of what other photos s
 no photo looks through it, and a camera beside the photos looks through a fog.
 """
 
-import numpy as np
 import torch
 from jaxtyping import Bool
-from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from querysplat_cli.prune.policy import PRUNE_POLICY
 from querysplat_cli.prune.views import evenly_spaced
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.splat.blending_weights import blending_weights
+from querysplat_cli.scene.paths import on_the_line
+from querysplat_cli.splat.blending_weights import blending_weights, three_blending_weights
 from querysplat_cli.splat.render import render
 
 
@@ -25,7 +24,8 @@ def hiding(gaussians: Gaussians, cameras: Cameras) -> Bool[Tensor, "n"]:
 
     A guess has its centre outside all photos, or more than `PrunePolicy.one_photo` of its blending weight in one of
     them. It stands in front: it keeps more than `PrunePolicy.in_front` of the weight that it has without the others.
-    And it hides them: more than `PrunePolicy.hidden_share` of that weight falls on what they cover without it.
+    And it hides them: more than `PrunePolicy.hidden_share` of that weight falls on what they cover without it, farther
+    away by more than `PrunePolicy.hidden_depth`.
     `cameras` are those of the photos; one photo has no neighbour.
     """
     shown = torch.zeros_like(gaussians.opacities, dtype=torch.bool)
@@ -38,10 +38,9 @@ def hiding(gaussians: Gaussians, cameras: Cameras) -> Bool[Tensor, "n"]:
     for view in range(len(beside)):
         camera = beside[[view]]
         others = render(gaussians[shown], camera)
-        here, over, depth = (
-            blending_weights(gaussians, camera, pixels)[~shown]
-            for pixels in (None, others.alpha, others.alpha * others.depth)
-        )
+        covered, depths = others.alpha[0], others.alpha[0] * others.depth[0]
+        pixels = torch.stack([torch.ones_like(covered), covered, depths])
+        here, over, depth = three_blending_weights(gaussians, camera, pixels)[:, ~shown]
         nearer = camera.local(guessed.means, 0)[:, 2] * over < (1 - PRUNE_POLICY.hidden_depth) * depth
         weight += here
         alone += blending_weights(guessed, camera)
@@ -66,18 +65,7 @@ def _beside(cameras: Cameras) -> Cameras:
     some = evenly_spaced(places, PRUNE_POLICY.hiding_views)
     if not some:
         return cameras[[]]
-    placed = [_on_the_line(cameras[list(pair)].to("cpu"), share) for pair, share in some]
+    placed = [on_the_line(cameras[list(pair)].to("cpu"), share) for pair, share in some]
     w2c, K = (torch.cat([getattr(camera, name) for camera in placed]) for name in ("w2c", "K"))
     joined = Cameras(w2c, K, cameras.height, cameras.width).resized(cameras.height // 2, cameras.width // 2)
     return joined.to(cameras.w2c.device)
-
-
-def _on_the_line(pair: Cameras, share: float) -> Cameras:
-    """The camera at `share` of the way from one to the other, beyond them below 0 and above 1; it turns evenly."""
-    one, other = pair.c2w.double().numpy()
-    start, end = (Rotation.from_matrix(c2w[:3, :3]) for c2w in (one, other))
-    c2w = np.eye(4)
-    c2w[:3, :3] = (start * Rotation.from_rotvec(share * (start.inv() * end).as_rotvec())).as_matrix()
-    c2w[:3, 3] = (1 - share) * one[:3, 3] + share * other[:3, 3]
-    w2c = torch.from_numpy(np.linalg.inv(c2w))[None].to(pair.w2c.dtype)
-    return Cameras(w2c, torch.lerp(pair.K[:1], pair.K[1:], share), pair.height, pair.width)

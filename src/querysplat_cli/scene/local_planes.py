@@ -13,8 +13,10 @@ class LocalPlanes:
     """For each pixel of [height, width], the weighted mean of its surroundings and the slopes of the plane through it.
 
     A plane of space is a linear function of the pixel in inverse depth. `x` and `y` are the mean places, in pixels.
+    `weight` is that of all the surroundings.
     """
 
+    weight: np.ndarray
     x: np.ndarray
     y: np.ndarray
     mean: np.ndarray
@@ -43,10 +45,11 @@ def local_planes(inverse: np.ndarray, weight: np.ndarray, smooth: Smooth, ridge:
     y, x = np.indices(inverse.shape, np.float32) + np.float32(0.5)
     unit = np.float32(max(inverse.shape) / 2)  # moments of pixels near 1 keep their precision
     x, y = x / unit - 1, y / unit - 1
-    total = np.maximum(smooth(weight), 1e-9)
+    total = smooth(weight)
+    divisor = np.maximum(total, 1e-9)
 
     def mean(values: np.ndarray) -> np.ndarray:
-        return smooth(weight * values) / total
+        return smooth(weight * values) / divisor
 
     mx, my, mz = mean(x), mean(y), mean(inverse)
     least = (ridge / unit) ** 2
@@ -54,4 +57,4 @@ def local_planes(inverse: np.ndarray, weight: np.ndarray, smooth: Smooth, ridge:
     xz, yz = mean(x * inverse) - mx * mz, mean(y * inverse) - my * mz
     determinant = xx * yy - xy * xy
     slope_x, slope_y = (yy * xz - xy * yz) / determinant, (xx * yz - xy * xz) / determinant
-    return LocalPlanes((mx + 1) * unit, (my + 1) * unit, mz, slope_x / unit, slope_y / unit)
+    return LocalPlanes(total, (mx + 1) * unit, (my + 1) * unit, mz, slope_x / unit, slope_y / unit)

@@ -92,6 +92,16 @@ def interpolate(cameras: Cameras, frames: int) -> Cameras:
     return _cameras(path, K, cameras)
 
 
+def on_the_line(pair: Cameras, share: float) -> Cameras:
+    """The camera at `share` of the way from one to the other, beyond them below 0 and above 1; it turns evenly."""
+    c2w = pair.c2w.double().numpy()
+    start, end = (Rotation.from_matrix(each[:3, :3]) for each in c2w)
+    place = np.eye(4)
+    place[:3, :3] = (start * Rotation.from_rotvec(share * (start.inv() * end).as_rotvec())).as_matrix()
+    place[:3, 3] = (1 - share) * c2w[0, :3, 3] + share * c2w[1, :3, 3]
+    return _cameras(place[None], torch.lerp(pair.K[:1], pair.K[1:], share), pair)
+
+
 def look_at(places: np.ndarray, target: np.ndarray, up: np.ndarray, like: Cameras) -> Cameras:
     """Cameras at `places` [n, 3] towards `target` [3] or [n, 3]; canvas and median intrinsics of `like`."""
     z = target - places

@@ -20,14 +20,7 @@ def blending_weights(
 
     Views are rendered one after another, so that memory does not grow with their number.
     """
-    # A picture's derivative by the flat colour of a Gaussian is that Gaussian's blending weight.
-    flat = Gaussians(
-        gaussians.means.detach(),
-        gaussians.quats.detach(),
-        gaussians.scales.detach(),
-        gaussians.opacities.detach(),
-        torch.zeros_like(gaussians.sh[:, :1]).requires_grad_(),
-    )
+    flat = _flat(gaussians)
     total = torch.zeros_like(flat.opacities)
     for view in range(len(cameras)):
         with torch.enable_grad():
@@ -36,3 +29,25 @@ def blending_weights(
             (gradient,) = torch.autograd.grad(weighted.sum(), flat.sh)
         total += gradient[:, 0, 0] / SH_0
     return total
+
+
+def three_blending_weights(
+    gaussians: Gaussians, camera: Cameras, pixel_weights: Float[Tensor, "3 height width"]
+) -> Float[Tensor, "3 n"]:
+    """`blending_weights` of one view with each of three pixel weights, by one rendering."""
+    flat = _flat(gaussians)
+    with torch.enable_grad():
+        weighted = render(flat, camera).colour[0] * pixel_weights
+        (gradient,) = torch.autograd.grad(weighted.sum(), flat.sh)
+    return gradient[:, 0].T / SH_0
+
+
+def _flat(gaussians: Gaussians) -> Gaussians:
+    """In one colour: a picture's derivative by the flat colour of a Gaussian is that Gaussian's blending weight."""
+    return Gaussians(
+        gaussians.means.detach(),
+        gaussians.quats.detach(),
+        gaussians.scales.detach(),
+        gaussians.opacities.detach(),
+        torch.zeros_like(gaussians.sh[:, :1]).requires_grad_(),
+    )

@@ -41,28 +41,28 @@ def confirm(
 def lent(
     inverse: np.ndarray,
     confidence: np.ndarray,
-    pictures: np.ndarray,
+    colours: np.ndarray,
     K: np.ndarray,
     w2c: np.ndarray,
     others: list[list[int]],
 ) -> np.ndarray:
     """Inverse depth [views, height, width] that the other views measured, seen from each view; 0 where there is none.
 
-    A measurement counts where its colour is that of the pixel. Of several on one pixel, the nearest counts.
+    A measurement counts where its colour is that of the pixel. Of several on one pixel, the nearest counts. `colours`
+    are pictures that `blurred` made.
     """
-    blurred = _blurred(pictures)
     seeds = np.zeros_like(inverse)
     for v, compared in enumerate(others):
         for s in compared:
             _, leads, shifts = _projections(s, [v], K, w2c)
-            _lend(seeds[v], blurred[v], inverse[s], confidence[s], blurred[s], leads[0], shifts[0])
+            _lend(seeds[v], colours[v], inverse[s], confidence[s], colours[s], leads[0], shifts[0])
     return seeds
 
 
 def carve(
     inverse: np.ndarray,
     confidence: np.ndarray,
-    pictures: np.ndarray,
+    colours: np.ndarray,
     K: np.ndarray,
     w2c: np.ndarray,
     others: list[list[int]],
@@ -71,21 +71,22 @@ def carve(
     """Inverse depth [views, height, width] in which no guess stands in free space: guesses move back along their rays.
 
     A guess must not hide a surface that another view measured. It must not hide guesses of another colour either,
-    unless as many views agree with it in depth and colour. `pictures` are [views, height, width, 3] in [0, 1].
+    unless as many views agree with it in depth and colour. `colours` are pictures that `blurred` made.
     For each view, `others` are the views to compare with, and `least` is the smallest inverse depth.
     """
-    carved, blurred = inverse.copy(), _blurred(pictures)
+    carved = inverse.copy()
     for v, compared in enumerate(others):
         guess = confidence[v] < DEPTH_POLICY.guess_confidence
         if not compared or not guess.any():
             continue
-        maps = inverse, confidence, blurred
-        _carve_view(carved[v], guess, blurred[v], *maps, *_projections(v, compared, K, w2c), least[v])
+        maps = inverse, confidence, colours
+        _carve_view(carved[v], guess, colours[v], *maps, *_projections(v, compared, K, w2c), least[v])
         carved[v][guess] = cv2.medianBlur(carved[v], 5)[guess]
     return carved
 
 
-def _blurred(pictures: np.ndarray) -> np.ndarray:
+def blurred(pictures: np.ndarray) -> np.ndarray:
+    """Pictures [views, height, width, 3] whose colours are compared, as means over small squares."""
     window = DEPTH_POLICY.colour_window
     return np.stack([cv2.blur(picture, (window, window)) for picture in pictures])
 
@@ -111,9 +112,8 @@ def _outside_specks(inverse: np.ndarray, sure: np.ndarray) -> np.ndarray:
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _surface(x, y, inverse_here, inverse, view, lead, shift):
-    """Depth of the point in `view` over the view's own depth there, and that pixel; 0 outside the picture."""
-    height, width = inverse.shape[1:]
+def _pixel(x, y, inverse_here, width, height, lead, shift):
+    """Where a pixel's surface lies in another view: z over that of the pixel, column and row; z is 0 outside."""
     z = lead[2, 0] * x + lead[2, 1] * y + lead[2, 2] + inverse_here * shift[2]
     if z <= 1e-6:
         return 0.0, 0, 0
@@ -121,7 +121,16 @@ def _surface(x, y, inverse_here, inverse, view, lead, shift):
     v = (lead[1, 0] * x + lead[1, 1] * y + lead[1, 2] + inverse_here * shift[1]) / z
     if not (0 <= u < width and 0 <= v < height):
         return 0.0, 0, 0
-    return z / inverse_here * inverse[view, int(v), int(u)], int(u), int(v)
+    return z, int(u), int(v)
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _surface(x, y, inverse_here, inverse, view, lead, shift):
+    """Depth of the point in `view` over the view's own depth there, and that pixel; 0 outside the picture."""
+    z, column, row = _pixel(x, y, inverse_here, inverse.shape[2], inverse.shape[1], lead, shift)
+    if z <= 0:
+        return 0.0, 0, 0
+    return z / inverse_here * inverse[view, row, column], column, row
 
 
 @nb.njit(cache=True, error_model="numpy", parallel=True)
@@ -178,15 +187,9 @@ def _lend(seeds, colour, inverse, confidence, blurred, lead, shift):
             here = float(inverse[y, x])
             if confidence[y, x] < _MEASURED_CONFIDENCE:
                 continue
-            px, py = x + 0.5, y + 0.5
-            z = lead[2, 0] * px + lead[2, 1] * py + lead[2, 2] + here * shift[2]
-            if z <= 1e-6:
+            z, column, row = _pixel(x + 0.5, y + 0.5, here, width, height, lead, shift)
+            if z <= 0:
                 continue
-            u = (lead[0, 0] * px + lead[0, 1] * py + lead[0, 2] + here * shift[0]) / z
-            v = (lead[1, 0] * px + lead[1, 1] * py + lead[1, 2] + here * shift[1]) / z
-            if not (0 <= u < width and 0 <= v < height):
-                continue
-            column, row = int(u), int(v)
             if _difference(colour[row, column], blurred[y, x]) < _SAME_COLOUR:
                 seeds[row, column] = max(seeds[row, column], here / z)
 

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 
 from querysplat_cli.encoders.base import Geometry, PosedViews
-from querysplat_cli.encoders.classical.consistency import carve, confirm, lent
+from querysplat_cli.encoders.classical.consistency import blurred, carve, confirm, lent
 from querysplat_cli.encoders.classical.fill_depth import fill_depth
 from querysplat_cli.encoders.classical.neighbours import InverseRange, choose_sources, inverse_range, nearest_views
 from querysplat_cli.encoders.classical.patch_features import PATCH, patch_features
@@ -52,8 +52,8 @@ def estimate_geometry(posed: PosedViews, *, seed: int, progress: Progress) -> Ge
     K, w2c = (part.double().numpy() for part in (posed.cameras.K, posed.cameras.w2c))
     confidence = confirm(inverse, match, K, w2c, sources) * masks
     pictures = views.images.permute(0, 2, 3, 1).contiguous().numpy()
-    nearest = nearest_views(posed)
-    others = lent(inverse, confidence, pictures, K, w2c, nearest)
+    nearest, colours = nearest_views(posed), blurred(pictures)
+    others = lent(inverse, confidence, colours, K, w2c, nearest)
     for v in range(len(views)):
         borrowed = (others[v] > 0) & (confidence[v] < DEPTH_POLICY.guess_confidence) & masks[v]
         start = np.where(borrowed, others[v], inverse[v])
@@ -62,7 +62,7 @@ def estimate_geometry(posed: PosedViews, *, seed: int, progress: Progress) -> Ge
         inverse[v] = np.clip(inverse[v], ranges[v].far, ranges[v].near)
     progress("clearing free space", 0.95)
     least = [limits.far for limits in ranges]
-    inverse = carve(inverse, confidence, pictures, K, w2c, nearest, least)
+    inverse = carve(inverse, confidence, colours, K, w2c, nearest, least)
     return _geometry(posed, 1 / inverse, confidence, ())
 
 

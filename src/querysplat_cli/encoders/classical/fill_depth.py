@@ -19,8 +19,8 @@ def fill_depth(inverse: np.ndarray, confidence: np.ndarray, image: np.ndarray, m
     guess = np.where(mask, policy.guess_weight, 1e-6).astype(np.float32)
     sure = np.where(mask, confidence, 0).astype(np.float32)
     y, x = np.indices(inverse.shape) + 0.5
-    planes = local_planes(inverse, sure, smooth.filter, policy.fill_ridge).at(x, y, policy.fill_tilt)
-    near = smooth.filter(sure)
-    spread = (near * planes + smooth.filter(guess * inverse)) / (near + smooth.filter(guess))
+    planes = local_planes(inverse, sure, smooth.filter, policy.fill_ridge)
+    continued = planes.weight * planes.at(x, y, policy.fill_tilt)
+    spread = (continued + smooth.filter(guess * inverse)) / (planes.weight + smooth.filter(guess))
     share = np.clip(confidence * 2, 0, 1)
     return (share * inverse + (1 - share) * spread).astype(np.float32)
