@@ -161,6 +161,28 @@ def test_a_long_drag_ends_above_the_ground(scene: Path, browser: Browser) -> Non
     assert np.abs(pictures[1] - pictures[0]).mean() < 0.5 < 5 < np.abs(pictures[2] - pictures[1]).mean()
 
 
+def test_a_drag_right_after_the_panel_went(scene: Path, browser: Browser) -> None:
+    """In this window the panel leaves the canvas no width. Whoever takes hold before the next frame sees no scene that
+    shrank to a dot."""
+    take = """(() => {
+        document.body.classList.toggle("bare");
+        const send = (kind, x) => canvas.dispatchEvent(new PointerEvent(kind,
+            { pointerId: 1, pointerType: "mouse", clientX: x, clientY: 60, button: 0, buttons: 1, bubbles: true }));
+        canvas.setPointerCapture = canvas.releasePointerCapture = () => {};
+        send("pointerdown", 80);
+        send("pointermove", 90);
+        send("pointerup", 90);
+    })()"""
+    with serving(viewed_scene(scene).file, browser=False) as address:
+        browser.open(f"{address}#1")
+        browser.settled()
+        browser.run(take)
+        browser.settled()
+        assert browser.run("document.getElementById('where').textContent") == "free view"
+        assert browser.screenshot()[40:80, 60:100].max(2).mean() > 30
+    assert browser.errors == []
+
+
 def test_the_page_follows_a_run_to_its_end(browser: Browser, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two states of a scene, the second with every Gaussian in grey."""
     monkeypatch.setenv("BROWSER", "true")

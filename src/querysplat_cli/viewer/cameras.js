@@ -28,8 +28,9 @@ export function showView(camera, view, canvas) {
   return { left, top, width: scale * view.width, height: scale * view.height };
 }
 
-// Controls that turn the camera around `middle`, seen from wherever it is when the user takes hold of it.
-export function freeControls(camera, canvas, manifest, onTaken, onMoved) {
+// Controls that turn the camera around `middle`, seen from wherever it is when the user takes hold of it. `place` shows the
+// photo once more at that moment: the canvas may have changed its size since the last frame.
+export function freeControls(camera, canvas, manifest, { place, onTaken, onMoved }) {
   camera.up.fromArray(manifest.up);
   const controls = new OrbitControls(camera, canvas);
   controls.maxPolarAngle = lowestView(manifest);
@@ -37,6 +38,7 @@ export function freeControls(camera, canvas, manifest, onTaken, onMoved) {
   controls.free = false;
   controls.addEventListener("start", () => {
     if (controls.free) return;
+    place();
     const forward = camera.getWorldDirection(new Vector3());
     const away = middle.clone().sub(camera.position).dot(forward);
     const distance = away > 0 ? away : middle.distanceTo(camera.position);

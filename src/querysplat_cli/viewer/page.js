@@ -34,7 +34,11 @@ class Page {
     this.canvas = element("canvas");
     this.view = new SplatView(this.canvas, manifest);
     const { camera } = this.view;
-    this.controls = freeControls(camera, this.canvas, manifest, () => this.label(), () => this.view.draw());
+    this.controls = freeControls(camera, this.canvas, manifest, {
+      place: () => this.place(),
+      onTaken: () => this.label(),
+      onMoved: () => this.view.draw(),
+    });
     document.title = `${manifest.name} – querysplat`;
     element("name").textContent = manifest.name;
     this.connect();
