@@ -1,4 +1,7 @@
-"""What `demo` does: render photos of a procedural scene, and reconstruct them like any others."""
+"""What `demo` does: take photos of a procedural scene, and reconstruct them like any others."""
+
+from importlib import resources
+from pathlib import Path
 
 import cv2
 
@@ -6,11 +9,10 @@ from querysplat_cli.commands.requests import DemoRequest
 from querysplat_cli.pipeline.reconstruct import reconstruct
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.reporting.report import Report
-from querysplat_cli.runtime.progress import Stages
+from querysplat_cli.runtime.compiler import DEPTH_KERNELS, SCENE_KERNELS, start_compiling
+from querysplat_cli.runtime.progress import Progress, Stages
 from querysplat_cli.scene.files import atomic_folder, refuse_existing
 from querysplat_cli.scene.pictures import eight_bit, write_picture
-from querysplat_cli.training.photographer import cast, walk
-from querysplat_cli.training.rooms import make_room
 
 
 def run_demo(request: DemoRequest, stages: Stages) -> Report:
@@ -20,12 +22,35 @@ def run_demo(request: DemoRequest, stages: Stages) -> Report:
     """
     folder = request.output
     refuse_existing([folder], force=request.force)
+    start_compiling(*DEPTH_KERNELS)
+    start_compiling(*SCENE_KERNELS)
     with stages("photograph") as progress, atomic_folder(folder / "photos") as draft:
-        scene = make_room(request.seed)
-        cameras = walk(scene, request.photos, request.seed)
-        for i in range(request.photos):
-            image = cast(scene, cameras[[i]])[0][0]
-            write_picture(draft / f"photo_{i + 1:02d}.jpg", eight_bit(image), [cv2.IMWRITE_JPEG_QUALITY, 95])
-            progress("ray casting", (i + 1) / request.photos)
+        if (request.photos, request.seed) == (DemoRequest.photos, DemoRequest.seed):
+            copy_shipped_photos(draft)
+        else:
+            take_photos(draft, request.photos, request.seed, progress)
     settings = ReconstructSettings((folder / "photos",), folder / "scene.ply", seed=request.seed, force=True)
     return reconstruct(settings, stages)
+
+
+def copy_shipped_photos(folder: Path) -> None:
+    """Those that `take_photos` makes with the default options.
+
+    They are a part of the package, because the ray caster takes ten seconds to compile.
+    """
+    for photo in (resources.files("querysplat_cli") / "demo_photos").iterdir():
+        (folder / photo.name).write_bytes(photo.read_bytes())
+
+
+def take_photos(folder: Path, count: int, seed: int, progress: Progress) -> None:
+    """Ray-cast `count` photos on a walk through a made-up room."""
+    # Imported here: numba compiles the ray caster only where it is used.
+    from querysplat_cli.training.photographer import cast, walk
+    from querysplat_cli.training.rooms import make_room
+
+    scene = make_room(seed)
+    cameras = walk(scene, count, seed)
+    for i in range(count):
+        image = cast(scene, cameras[[i]])[0][0]
+        write_picture(folder / f"photo_{i + 1:02d}.jpg", eight_bit(image), [cv2.IMWRITE_JPEG_QUALITY, 95])
+        progress("ray casting", (i + 1) / count)

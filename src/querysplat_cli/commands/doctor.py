@@ -15,6 +15,7 @@ import psutil
 import querysplat_cli
 from querysplat_cli.reporting.report import machine
 from querysplat_cli.runtime.caches import is_cached
+from querysplat_cli.runtime.compiler import DEPTH_KERNELS, SCENE_KERNELS, kernels
 from querysplat_cli.runtime.limits import GIB, free_memory
 from querysplat_cli.runtime.optional_parts import OPTIONAL_PARTS, OptionalPart
 
@@ -113,10 +114,7 @@ def _package(module: str) -> str:
 
 def _kernels() -> tuple[int, int]:
     """The kernels that are compiled ahead, and how many of them numba's cache has."""
-    from querysplat_cli.encoders.classical.compile_depth import SIGNATURES as DEPTH
-    from querysplat_cli.splat.compile_ahead import SIGNATURES as SPLATTER
-
-    cached = [is_cached(function) for function, _ in (*SPLATTER, *DEPTH)]
+    cached = [is_cached(function) for module in (*DEPTH_KERNELS, *SCENE_KERNELS) for function, _ in kernels(module)]
     return len(cached), sum(cached)
 
 

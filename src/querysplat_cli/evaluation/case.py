@@ -18,7 +18,7 @@ from querysplat_cli.runtime.choices import CameraSource
 from querysplat_cli.runtime.device import find_device
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.precision import check_precision, matrix_products
-from querysplat_cli.runtime.progress import Stages
+from querysplat_cli.runtime.progress import Stages, silent
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.gaussians import Gaussians
 
@@ -79,7 +79,7 @@ class CaseRunner:
         settings: ReconstructSettings,
     ) -> tuple[Gaussians, dict[str, Cost], tuple[str, ...]]:
         if row.method == "depth":
-            geometry = encoder.estimate_geometry(posed, seed=settings.seed, progress=_silent)
+            geometry = encoder.estimate_geometry(posed, seed=settings.seed, progress=silent)
             depth = geometry.depth
             if depth is None:
                 raise QuerySplatError("the encoder was not asked for depth", "This row needs it.")
@@ -89,7 +89,7 @@ class CaseRunner:
         scene, cost = measured(lambda: encode_and_build(posed, encoder, model, settings, stages))
         costs = {stage: Cost(spent, cost.peak_gib) for stage, spent in stages.seconds.items()}
         # The stage was nearly free when an earlier row had asked the same.
-        geometry = encoder.estimate_geometry(scene.posed, seed=settings.seed, progress=_silent)
+        geometry = encoder.estimate_geometry(scene.posed, seed=settings.seed, progress=silent)
         if scene.interrupted:
             raise KeyboardInterrupt
         return scene.gaussians, costs | {"depth": encoder.cost_of(geometry)}, geometry.warnings
@@ -125,7 +125,7 @@ class CaseRunner:
         known = {name: camera for name, camera in self._judge.known.items() if name in names} if poses_known else None
         photos = [shown for name, (_, shown) in self._judge.photos.items() if name in names]
         request = CameraRequest(self._size(encoder, settings), settings.seed, known)
-        return encoder.estimate_cameras(photos, request, _silent)
+        return encoder.estimate_cameras(photos, request, silent)
 
     def _size(self, encoder: MemoisedEncoder, settings: ReconstructSettings) -> int:
         """Longer side of the working pictures: no smaller than the protocol shows them, nor than suits the encoder."""
@@ -142,7 +142,3 @@ def parts(settings: ReconstructSettings) -> tuple[QuerySplat, Encoder]:
 def same_parts(settings: ReconstructSettings) -> ReconstructSettings:
     """Equal for all settings that need the same model and encoder."""
     return replace(settings, tto=None, tto_target="kv", max_size=None, max_views=None)
-
-
-def _silent(text: str, fraction: float) -> None:
-    pass

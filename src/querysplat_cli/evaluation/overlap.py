@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 from querysplat_cli.encoders.classical.matches import matched
+from querysplat_cli.runtime.progress import silent
 from querysplat_cli.scene.views import Photo
 
 
@@ -15,13 +16,9 @@ def unmatched_targets(inputs: Sequence[Photo], targets: Sequence[Photo]) -> froz
     if not targets:
         return frozenset()
     photos = [*inputs, *targets]
-    with matched(photos, seed=0, progress=_silent) as matches:
+    with matched(photos, seed=0, progress=silent) as matches:
         return frozenset(
             photo.name
             for number, photo in enumerate(photos)
             if number >= len(inputs) and min(matches.partners(number), default=len(photos)) >= len(inputs)
         )
-
-
-def _silent(text: str, fraction: float) -> None:
-    pass

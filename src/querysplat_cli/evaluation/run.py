@@ -22,13 +22,13 @@ from querysplat_cli.evaluation.summary import summarise
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.runtime.choices import FurtherMetric
 from querysplat_cli.runtime.cluster import find_engine
+from querysplat_cli.runtime.compiler import DEPTH_KERNELS, SCENE_KERNELS, start_compiling, wait_until_compiled
 from querysplat_cli.runtime.device import find_device
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.runtime.workers import Workers
 from querysplat_cli.scene.files import check_writable
 from querysplat_cli.scene.formats.dataset import find_scenes
-from querysplat_cli.splat.compile_ahead import compile_ahead
 from querysplat_cli.splat.lpips import LpipsFiles, find_lpips, load_lpips
 
 MANY_SCENES = 100
@@ -112,7 +112,8 @@ def handler(setup: Setup) -> Callable[[Job], None]:
     """The function that runs one job in a worker."""
     meter = Meter(load_lpips(setup.lpips) if setup.lpips else None, setup.metrics)
     if find_device(setup.settings.device).type == "cpu" and not setup.predictions:
-        compile_ahead().join()  # otherwise the first case's seconds would include it
+        start_compiling(*DEPTH_KERNELS, *SCENE_KERNELS)  # otherwise the first case's seconds would include it
+        wait_until_compiled(*DEPTH_KERNELS, *SCENE_KERNELS)
     return partial(_work, setup, meter)
 
 

@@ -19,6 +19,7 @@ from querysplat_cli.prune.gaussians import target_count
 from querysplat_cli.prune.views import near_duplicates
 from querysplat_cli.queries.backdrop import shows_background
 from querysplat_cli.queries.prepare import PreparedQueries, prepare
+from querysplat_cli.runtime.compiler import SCENE_KERNELS, wait_until_compiled
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.exposures import Exposures
@@ -141,7 +142,8 @@ def _prepared(
     posed: PosedViews, geometry: Geometry, model: QuerySplat, settings: ReconstructSettings, stages: Stages
 ) -> tuple[PreparedQueries, PhotoColours | None]:
     """Where photos disagree in colour, queries are made of their colours without the differences."""
-    with stages("queries"):
+    with stages("queries") as progress:
+        wait_until_compiled(*SCENE_KERNELS, progress=progress)
         colours = _compared(posed, geometry, model, settings)
         exposures = _transforms(colours)
         alike = replace(posed, views=exposures.removed_from(posed.views)) if exposures else posed

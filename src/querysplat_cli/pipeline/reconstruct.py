@@ -41,6 +41,7 @@ from querysplat_cli.reporting.unseen import Unseen, unseen
 from querysplat_cli.reporting.view_scores import Quality, score
 from querysplat_cli.runtime.choices import HoldoutProtocol
 from querysplat_cli.runtime.cluster import find_engine
+from querysplat_cli.runtime.compiler import SCENE_KERNELS, start_compiling
 from querysplat_cli.runtime.device import find_device, free_bytes, peak_gib
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.precision import check_precision, matrix_products
@@ -53,7 +54,6 @@ from querysplat_cli.scene.lenses import pinhole_photos
 from querysplat_cli.scene.photo_files import photo_files
 from querysplat_cli.scene.photos import find_photos
 from querysplat_cli.scene.views import LeftOut, Photo, PhotoSource
-from querysplat_cli.splat.compile_ahead import compile_ahead
 
 
 @dataclass(frozen=True)
@@ -155,7 +155,7 @@ def _read_inputs(settings: ReconstructSettings, device: torch.device, stages: St
     with stages("photos") as progress:
         photos, unread = load_inputs(find_photos(settings.inputs), settings.film_frames, progress=progress)
     if device.type == "cpu":
-        compile_ahead()
+        start_compiling(*SCENE_KERNELS)
     with stages("model") as progress:
         model, encoder = load_parts(settings, device)
         optimisation_lpips(settings.lpips, official=model.config.queries == "learned")  # a damaged file ends it here

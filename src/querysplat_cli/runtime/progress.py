@@ -9,6 +9,10 @@ Progress = Callable[[str, float], None]
 """Called with a text about the current work, and the finished fraction of the stage."""
 
 
+def silent(text: str, fraction: float) -> None:
+    """Progress that nobody sees."""
+
+
 @runtime_checkable
 class Watcher(Protocol):
     """What shows a scene while it is made. Both calls must be quick, and change nothing that they are given."""

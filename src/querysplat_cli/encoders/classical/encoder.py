@@ -1,11 +1,11 @@
 """The default encoder: classical structure from motion and multi-view stereo. It needs no weights."""
 
-import subprocess
 from collections.abc import Sequence
 
 from querysplat_cli.encoders.base import CameraRequest, EncoderOptions, Geometry, PosedViews
 from querysplat_cli.encoders.classical.cameras import estimate_cameras
 from querysplat_cli.encoders.classical.search import MatcherChoice
+from querysplat_cli.runtime.compiler import DEPTH_KERNELS, start_compiling, wait_until_compiled
 from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.views import Photo
 
@@ -19,24 +19,18 @@ class ClassicalEncoder:
 
     def __init__(self, choice: MatcherChoice) -> None:
         self._choice = choice
-        self._compiler: subprocess.Popen[bytes] | None = None
 
     def estimate_cameras(self, photos: Sequence[Photo], request: CameraRequest, progress: Progress) -> PosedViews:
         """See `querysplat_cli.encoders.classical.cameras.estimate_cameras`. The depth is compiled meanwhile."""
-        from querysplat_cli.encoders.classical.compile_depth import start_compiling
-
-        if self._compiler is None:
-            self._compiler = start_compiling()
+        start_compiling(*DEPTH_KERNELS)
         return estimate_cameras(photos, request, progress, self._choice)
 
     def estimate_geometry(self, posed: PosedViews, *, seed: int, progress: Progress) -> Geometry:
         """See `querysplat_cli.encoders.classical.depth.estimate_geometry`."""
         # Imported here: other encoders and `--help` need neither the kernels of the depth nor numba.
-        from querysplat_cli.encoders.classical.compile_depth import wait_until_compiled
         from querysplat_cli.encoders.classical.depth import estimate_geometry
 
-        if self._compiler:
-            wait_until_compiled(self._compiler, progress)
+        wait_until_compiled(*DEPTH_KERNELS, progress=progress)
         return estimate_geometry(posed, seed=seed, progress=progress)
 
     def free(self) -> None:

@@ -21,13 +21,13 @@ from querysplat_cli.pipeline.regions.scene import RegionScene, RegionTask
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.reporting.report import quality_entry, seconds_entry, tto_entries
 from querysplat_cli.reporting.view_scores import score
+from querysplat_cli.runtime.compiler import SCENE_KERNELS, start_compiling
 from querysplat_cli.runtime.device import find_device, peak_gib, reset_peak_memory
 from querysplat_cli.runtime.engine import report_progress
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.precision import check_precision, matrix_products
 from querysplat_cli.runtime.progress import Progress, Stages
 from querysplat_cli.scene.views import Photo, PhotoSource
-from querysplat_cli.splat.compile_ahead import compile_ahead
 
 TASK, DEPTH, SCENE = "task.pt", "depth.pt", "scene.pt"
 SHARES = {"depth": 0.25, "queries": 0.05, "tto": 0.3, "full size": 0.4}
@@ -71,7 +71,7 @@ def run_region(folder: Path) -> None:
         raise QuerySplatError(f"{folder} has no task of a region", "Run the whole command again.")
     device = find_device(task.settings.device)
     if device.type == "cpu":
-        compile_ahead().join()
+        start_compiling(*SCENE_KERNELS)
     before = peak_gib()
     restarted = reset_peak_memory()
     stages = Stages(_summed(report_progress))

@@ -1,6 +1,4 @@
-"""Compile the splatter in the background. The first time on a machine this takes some ten seconds."""
-
-from threading import Thread
+"""The kernels of `cpu.py` and of the loss, with their types, in the order of their first call."""
 
 from numba import boolean, float32, float64, int32, int64, uint32
 
@@ -13,7 +11,7 @@ from querysplat_cli.splat import compiled_tiles as tiles
 F1, F2, F3, F4 = float32[::1], float32[:, ::1], float32[:, :, ::1], float32[:, :, :, ::1]
 D1, D2, I1, I2, L1, L2 = float64[::1], float64[:, ::1], int32[::1], int32[:, ::1], int64[::1], int64[:, ::1]
 GAUSSIANS = (F2, F2, F2, F1, F3)
-SIGNATURES = (
+KERNELS = (
     (projection.project_view, (*GAUSSIANS, D1, D1, F2, F1)),
     (projection.by_depth, (uint32[::1],)),
     (tiles.tile_rows, (F2, int64, I1, I1)),
@@ -24,16 +22,3 @@ SIGNATURES = (
     (blending.blend_backward, (F2, L1, I1, L1, int64, F1, F3, F3, F3)),
     (projection_backward.project_view_backward, (*GAUSSIANS, D1, D1, F2, F3, *GAUSSIANS, D2)),
 )
-"""The functions that `cpu.py` and the loss call, with their types, in the order of their first call."""
-
-
-def compile_ahead() -> Thread:
-    """Start to compile, or to load what an earlier run compiled, and return the thread that does so."""
-    thread = Thread(target=_compile, daemon=True)
-    thread.start()
-    return thread
-
-
-def _compile() -> None:
-    for function, signature in SIGNATURES:
-        function.compile(signature)
