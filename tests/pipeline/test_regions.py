@@ -14,7 +14,7 @@ from querysplat_cli.pipeline.kept_parts import read_part, write_part
 from querysplat_cli.pipeline.regions.build import region_count
 from querysplat_cli.pipeline.regions.colours import common_exposures, recoloured
 from querysplat_cli.pipeline.regions.groups import Group, divide
-from querysplat_cli.pipeline.regions.owners import CoreViews, owners
+from querysplat_cli.pipeline.regions.owners import CoreViews, depth_maps, owners
 from querysplat_cli.pipeline.regions.scene import RegionScene
 from querysplat_cli.pipeline.regions.seams import find_seams
 from querysplat_cli.pipeline.settings import ReconstructSettings
@@ -104,6 +104,21 @@ def grey() -> Gaussians:
     sh = torch.full((1, 4, 3), 0.1)
     sh[:, 0] = 0
     return Gaussians(torch.zeros(1, 3), torch.tensor([[1.0, 0, 0, 0]]), torch.ones(1, 3), torch.ones(1) / 2, sh)
+
+
+def test_depth_is_that_of_what_covers_a_pixel_in_part() -> None:
+    """A wall of opacity 0.7, four units in front of the camera; nothing beside it."""
+    wall = Gaussians(
+        torch.tensor([[-2.0, 0, 4]]),
+        torch.tensor([[1.0, 0, 0, 0]]),
+        torch.tensor([[0.6, 2, 1e-3]]),
+        torch.tensor([0.7]),
+        torch.zeros(1, 1, 3),
+    )
+    camera = Cameras(torch.eye(4)[None], torch.tensor([[[10.0, 0, 10], [0, 10, 5], [0, 0, 1]]]), 10, 20)
+    depth = depth_maps(wall, camera)[0]
+    assert depth[5, 5].item() == pytest.approx(4, rel=1e-3)
+    assert depth[5, 18].isinf()
 
 
 def test_regions_get_common_colours() -> None:

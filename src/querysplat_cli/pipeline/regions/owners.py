@@ -51,8 +51,7 @@ def depth_maps(gaussians: Gaussians, cameras: Cameras) -> Float[Tensor, "views h
     found = []
     for view in range(len(cameras)):
         drawn = render(gaussians, cameras[[view]])
-        depth = drawn.depth[0] / drawn.alpha[0].clamp_min(1e-6)
-        found.append(torch.where(drawn.alpha[0] > COVERED, depth, torch.inf))
+        found.append(torch.where(drawn.alpha[0] > COVERED, drawn.depth[0], torch.inf))
     return torch.stack(found)
 
 
