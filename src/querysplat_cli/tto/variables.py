@@ -86,9 +86,19 @@ class UndoableAdam(Generic[V]):
         self._adam.zero_grad(set_to_none=True)
 
     def undo(self) -> None:
-        """The variables before the last step, at half the rate and without momentum."""
+        """The variables before the last step, at half the rate and without momentum.
+
+        Squared gradients are kept: without them, Adam's next step would move every number by the whole rate, and be
+        undone again.
+        """
         self._lr /= 2
-        self._start(self._before, self._decode)
+        with torch.no_grad():
+            for before, now in zip(tensors(self._before), tensors(self._leaves), strict=True):
+                now.copy_(before)
+        for state in self._adam.state.values():
+            state["exp_avg"].zero_()
+            state["exp_avg_sq"].nan_to_num_()
+        self._adam.zero_grad(set_to_none=True)
 
     def go_on_with(self, denser: Denser[V]) -> None:
         """Take other rows. Each inherits the moments of its origin, unless the origin was split."""
