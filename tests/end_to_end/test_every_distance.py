@@ -5,7 +5,7 @@ from pathlib import Path
 
 import cv2
 import pytest
-from test_road import take_photos
+from rooms import take_photos
 from torch import Tensor
 from torch.nn import functional as F
 

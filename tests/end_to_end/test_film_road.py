@@ -9,7 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from test_road import take_photos
+from rooms import take_photos
 
 from film_files import write_film
 from querysplat_cli.cli import run

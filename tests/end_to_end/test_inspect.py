@@ -6,7 +6,7 @@ from pathlib import Path
 import cv2
 import pytest
 import torch
-from test_road import take_photos
+from rooms import take_photos
 
 from querysplat_cli.cli import run
 from querysplat_cli.commands.inspect import on_patches

@@ -8,7 +8,7 @@ from typing import Any
 import cv2
 import pycolmap
 import pytest
-from test_road import take_photos
+from rooms import take_photos
 
 from querysplat_cli.cli import run
 from querysplat_cli.pipeline.gaussian_files import read_gaussians

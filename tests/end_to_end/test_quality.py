@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from test_road import take_photos
+from rooms import take_photos
 
 from querysplat_cli.cli import run
 from querysplat_cli.runtime.errors import ExitCode

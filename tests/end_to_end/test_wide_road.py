@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
-from test_road import take_photos
+from rooms import take_photos
 
 from querysplat_cli.cli import run
 from querysplat_cli.runtime.errors import ExitCode
