@@ -68,6 +68,14 @@ def test_a_move_is_in_units_of_the_longest_axis() -> None:
     torch.testing.assert_close(moved.means, torch.tensor([[1.2, 1.0, 0.6]]), atol=1e-3, rtol=1e-3)
 
 
+def test_no_gaussian_becomes_a_giant_between_two_splits() -> None:
+    one = cloud()
+    large = replace(Changes.none(one), log_scales=torch.full_like(one.scales, 50.0))
+    small = replace(Changes.none(one), log_scales=torch.full_like(one.scales, 0.1))
+    torch.testing.assert_close(changed(one, large).scales, math.e * one.scales)
+    torch.testing.assert_close(changed(one, small).scales, math.exp(0.1) * one.scales, rtol=1e-3, atol=0)
+
+
 @pytest.mark.parametrize("stretch", [1.0, 1e2, 1e4], ids="κ={:g}".format)
 def test_disturbed_gaussians_come_back(stretch: float) -> None:
     wanted = cloud(stretch=stretch)

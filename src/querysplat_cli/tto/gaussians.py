@@ -25,7 +25,10 @@ from querysplat_cli.tto.smoothing import bounding
 from querysplat_cli.tto.variables import Denser, Parametrisation
 
 LARGEST_CHANGE = 8.0
-"""Bound of a move or of a log-scale's change, so that no step overflows."""
+"""Bound of a move or of a log-scale's fall, so that no step overflows."""
+LARGEST_GROWTH = 1.0
+"""Bound of a log-scale's rise from the last split to the next. Faint Gaussians would otherwise become giants, which no
+photo forbids, and which other views show."""
 
 
 @dataclass(frozen=True)
@@ -103,11 +106,13 @@ def changed(gaussians: Gaussians, changes: Changes) -> Gaussians:
     quaternion; scales change by logarithms, opacities by logits.
     """
     moves = LARGEST_CHANGE * torch.tanh(changes.moves / LARGEST_CHANGE)
+    grown = LARGEST_GROWTH * torch.tanh(changes.log_scales / LARGEST_GROWTH)
+    log_scales = torch.where(changes.log_scales > 0, grown, changes.log_scales.clamp_min(-LARGEST_CHANGE))
     logits = torch.logit(gaussians.opacities, eps=1e-6)
     return Gaussians(
         means=gaussians.means + moves * gaussians.scales.amax(1, keepdim=True),
         quats=F.normalize(F.normalize(gaussians.quats, dim=1) + changes.turns, dim=1),
-        scales=gaussians.scales * torch.exp(changes.log_scales.clamp(-LARGEST_CHANGE, LARGEST_CHANGE)),
+        scales=gaussians.scales * torch.exp(log_scales),
         opacities=torch.sigmoid(logits + changes.logits),
         sh=gaussians.sh + torch.cat([changes.colours, changes.bands], 1),
     )

@@ -72,7 +72,7 @@ class TtoPolicy:
         default_factory=lambda: {
             "moves": 2.7,
             "turns": 1.3,
-            "log_scales": 4.0,
+            "log_scales": 2.8,
             "logits": 2.0,
             "colours": 0.5,
             "bands": 0.8,
