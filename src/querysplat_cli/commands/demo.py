@@ -9,7 +9,6 @@ from querysplat_cli.commands.requests import DemoRequest
 from querysplat_cli.pipeline.reconstruct import reconstruct
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.reporting.report import Report
-from querysplat_cli.runtime.compiler import DEPTH_KERNELS, SCENE_KERNELS, start_compiling
 from querysplat_cli.runtime.progress import Progress, Stages
 from querysplat_cli.scene.files import atomic_folder, refuse_existing
 from querysplat_cli.scene.pictures import eight_bit, write_picture
@@ -22,8 +21,6 @@ def run_demo(request: DemoRequest, stages: Stages) -> Report:
     """
     folder = request.output
     refuse_existing([folder], force=request.force)
-    start_compiling(*DEPTH_KERNELS)
-    start_compiling(*SCENE_KERNELS)
     with stages("photograph") as progress, atomic_folder(folder / "photos") as draft:
         if (request.photos, request.seed) == (DemoRequest.photos, DemoRequest.seed):
             copy_shipped_photos(draft)
