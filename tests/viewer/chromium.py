@@ -61,9 +61,6 @@ class Browser:
         self._send("Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=False)
 
     def open(self, address: str) -> None:
-        """Load the page anew, even where the browser shows the same address with another fragment."""
-        self._send("Page.navigate", url="about:blank")
-        self.wait_until("location.href === 'about:blank'")
         self._send("Page.navigate", url=address)
         self.wait_until(f"location.href === {json.dumps(address)} && document.readyState === 'complete'")
 
