@@ -191,7 +191,7 @@ class _Run(Generic[V]):
     def _has_risen(self, loss: LossAndGradient, chosen: list[int]) -> bool:
         least = sum(self._least_losses[view] for view in chosen) / len(chosen)
         # Written so that NaN counts as risen.
-        return not loss.loss <= least + min((TTO_POLICY.rise - 1) * least, TTO_POLICY.largest_rise) + 1e-4
+        return not loss.loss <= min(TTO_POLICY.rise * least, least + TTO_POLICY.largest_rise) + 1e-4
 
     def _undo(self) -> None:
         self.undone += 1

@@ -79,8 +79,8 @@ class TtoPolicy:
         }
     )
     """In Gaussian space, the rate of each field of `Changes` relative to the learning rate. Colours are SH
-    coefficients, of which 1 is 0.28 of a channel. Bands, which depend on the direction, learn more slowly, because
-    they can fit one view and harm all others."""
+    coefficients, of which 1 is 0.28 of a channel. Bands, which depend on the direction, can fit one view and harm
+    all others, and do so where they learn faster (docs/tried.md)."""
     sampled_every: int = 20
     """In Gaussian space, steps after which it is found anew how finely the photos sample each Gaussian. Gaussians move
     little in so many steps."""
