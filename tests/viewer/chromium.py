@@ -70,16 +70,19 @@ class Browser:
         assert "exceptionDetails" not in found, found["exceptionDetails"]
         return found["result"].get("value")
 
-    def wait_until(self, condition: str) -> None:
+    def wait_until(self, condition: str) -> Any:
+        """The value of an expression as soon as it holds."""
         until = time.monotonic() + PATIENCE
-        while not self.run(condition):
+        while not (found := self.run(condition)):
             assert time.monotonic() < until, f"{condition} does not come; errors: {self.errors}"
             time.sleep(0.05)
+        return found
 
     def settled(self) -> None:
         """Wait until the canvas shows all Gaussians in the order of the camera."""
-        self.wait_until("(document.documentElement.dataset.state ?? 'busy') !== 'busy'")
-        assert self.run("document.documentElement.dataset.state") == "settled", self.run("document.body.innerText")
+        # Read once: the page may be busy again a moment later.
+        state = self.wait_until("((state) => state !== 'busy' && state)(document.documentElement.dataset.state)")
+        assert state == "settled", self.run("document.body.innerText")
 
     def press(self, key: str) -> None:
         for kind in ("keyDown", "keyUp"):
