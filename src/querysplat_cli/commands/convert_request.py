@@ -92,9 +92,9 @@ class Conversion:
     ] = None
     scale: Annotated[float, Ge(1e-9), Le(1e9), Option("Multiply all lengths by this number.", metavar="FACTOR")] = 1.0
     clean: Annotated[bool, Option("Leave out what no photo supports, small islands, and giants.")] = False
-    no_backdrop: Annotated[
-        bool, Option("Leave out the backdrop, which makes the box large that viewers frame.")
-    ] = False
+    no_backdrop: Annotated[bool, Option("Leave out the backdrop, which makes the box large that viewers frame.")] = (
+        False
+    )
     crop: Annotated[
         tuple[float, ...] | None,
         Option(
