@@ -165,7 +165,7 @@ DAMAGE: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
     "a negative offset": (lambda meta: first(meta["tree"])["lods"]["0"].update(offset=-1), "whole number"),
     "no such file": (lambda meta: first(meta["tree"])["lods"]["0"].update(file=99), "no such one"),
     "no such level": (lambda meta: meta.update(lodLevels=1), "no such one"),
-    "levels mixed": (lambda meta: first(meta["tree"]).update(lods=swapped(meta)), "several levels"),
+    "levels mixed": (lambda meta: swap(meta), "several levels"),
     "a bound that is no box": (lambda meta: meta["tree"]["bound"].update(min=[9, 9, 9]), "no box"),
     "a bound that is too small": (lambda meta: squeeze(first(meta["tree"])), "outside the bound"),
     "a child outside": (lambda meta: first(meta["tree"])["bound"].update(max=[99, 99, 99]), "that of its parent"),
@@ -176,9 +176,11 @@ DAMAGE: dict[str, tuple[Callable[[dict[str, Any]], object], str]] = {
 }
 
 
-def swapped(meta: dict[str, Any]) -> dict[str, Any]:
+def swap(meta: dict[str, Any]) -> None:
+    """The runs of a leaf under each other's level; without counts, these do not give it away."""
     lods = first(meta["tree"])["lods"]
-    return {"0": lods["1"], "1": lods["0"]}
+    lods["0"], lods["1"] = lods["1"], lods["0"]
+    del meta["counts"], meta["count"]
 
 
 def squeeze(leaf: dict[str, Any]) -> None:

@@ -12,8 +12,8 @@ import numpy as np
 from querysplat_cli.scene.formats.lod_tree import Box
 
 INDEX_NAME = "lod-meta.json"
-VERSION = 1
-SLACK = 1e-3
+INDEX_VERSION = 1
+BOUND_SLACK = 1e-3
 """Share of the largest coordinate of the scene, plus one, by which something may lie outside its bound: the 16 bits of
 a coordinate are of a logarithm, and programs round bounds as they like."""
 
@@ -45,11 +45,11 @@ def read_index(path: Path) -> StreamedIndex:
     """What the lod-meta.json at `path` says. Raises ValueError, and other errors of parsing, where it is damaged."""
     meta = json.loads(path.read_text(encoding="utf-8"))
     # Files of before the version was written have none.
-    if meta.get("version", VERSION) != VERSION:
-        raise ValueError(f"its version is {meta['version']}, and only version {VERSION} is read")
+    if meta.get("version", INDEX_VERSION) != INDEX_VERSION:
+        raise ValueError(f"its version is {meta['version']}, and only version {INDEX_VERSION} is read")
     levels = _whole(meta["lodLevels"], "lodLevels")
     files = tuple(_inside(name) for name in meta["filenames"])
-    slack = SLACK * (1 + float(np.abs(_box(meta["tree"])).max()))
+    slack = BOUND_SLACK * (1 + float(np.abs(_box(meta["tree"])).max()))
     runs = tuple(_runs(meta["tree"], slack))
     counts = [0] * levels
     for run in runs:

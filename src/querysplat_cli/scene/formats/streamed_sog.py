@@ -21,7 +21,7 @@ from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.formats import sog
 from querysplat_cli.scene.formats.lod_tree import Division, extents, morton_codes, node
 from querysplat_cli.scene.formats.ply import NoGaussian
-from querysplat_cli.scene.formats.streamed_index import INDEX_NAME, VERSION, StreamedIndex, read_index
+from querysplat_cli.scene.formats.streamed_index import INDEX_NAME, INDEX_VERSION, StreamedIndex, read_index
 from querysplat_cli.scene.gaussians import Gaussians, joined
 
 ENVIRONMENT = "env"
@@ -63,7 +63,7 @@ def write_streamed(
                 runs[leaf][str(number)] = {"file": len(names), "offset": offset, "count": int(counts[leaf])}
             names.append(f"{number}_{place}/meta.json")
     sizes = [len(level.gaussians) for level in levels]
-    meta: dict[str, Any] = {"version": VERSION, "asset": {"generator": "querysplat"}}
+    meta: dict[str, Any] = {"version": INDEX_VERSION, "asset": {"generator": "querysplat"}}
     meta |= {"count": sum(sizes), "counts": sizes, "lodLevels": len(levels)}
     if environment is not None:
         _write_chunk(folder / ENVIRONMENT, environment)
