@@ -95,7 +95,8 @@ def main() -> None:
             for photo_set, sample in samples:
                 for name, steps, gaussians in scenes(sample, options.models, options.tto):
                     quality = score(gaussians, sample.targets, sample.target_cameras, options.background)
-                    row = Row(group, photo_set.name, photo_set.use, name, steps, **quality.summary())
+                    scores = round(quality.psnr, 3), round(quality.ssim, 4)
+                    row = Row(group, photo_set.name, photo_set.use, name, steps, *scores)
                     found.append(row)
                     table.add(row.set, row.use, row.row, row.steps, row.psnr, row.ssim)
     show_means(table, found)

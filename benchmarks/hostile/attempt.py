@@ -160,13 +160,23 @@ def _process(case: Any, work: Path, temporary: Path, log: Path) -> int:
         try:
             if "signal" in place:
                 _compute(process, place["seconds"])
+                workers = _children(process)
                 if process.poll() is None:
                     process.send_signal(place["signal"])
+                code = process.wait(STUCK)
+                psutil.wait_procs(workers, SLOW)
+                return code
             return process.wait(STUCK)
         except subprocess.TimeoutExpired:
             os.killpg(process.pid, signal.SIGKILL)
             process.wait()
             return 124
+
+
+def _children(process: "subprocess.Popen[bytes]") -> list[psutil.Process]:
+    with contextlib.suppress(psutil.NoSuchProcess):
+        return list(psutil.Process(process.pid).children(recursive=True))
+    return []
 
 
 def _compute(process: "subprocess.Popen[bytes]", seconds: float) -> None:

@@ -31,7 +31,16 @@ def shell(command: str, tmp_path: object) -> subprocess.CompletedProcess[str]:
 
 @pytest.mark.parametrize(
     "command",
-    ["{}", "{} | head -1", "{} 2>&1 | head -1", "{} 2>&-", "{} >&-", "{} >&- 2>&- <&-", "{} 2>&1 >/dev/null | true"],
+    [
+        "{}",
+        "{} | head -1",
+        "{} 2>&1 | head -1",
+        "{} 2>&-",
+        "{} >&-",
+        "{} >&- 2>&- <&-",
+        "{} 2>&1 >/dev/null | true",
+        "{} 2>/dev/full",
+    ],
 )
 def test_the_run_is_finished_with_its_own_code(command: str, tmp_path: object) -> None:
     done = shell(command, tmp_path)

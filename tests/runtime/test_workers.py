@@ -4,8 +4,10 @@ import os
 import signal
 import time
 from collections.abc import Callable
+from multiprocessing import get_context
 from pathlib import Path
 
+import psutil
 import pytest
 
 from querysplat_cli.runtime.workers import THREAD_LIMITS, Workers, _Pool
@@ -18,7 +20,7 @@ def handler(folder: Path) -> Callable[[str], None]:
         if job == "kill":
             os.kill(os.getpid(), signal.SIGKILL)
         if job == "sleep":
-            (folder / "started").touch()
+            (folder / "started").write_text(str(os.getpid()))
             time.sleep(60)
         (folder / job).write_text(f"{os.getpid()} {os.environ.get(THREAD_LIMITS[0])}")
 
@@ -54,6 +56,23 @@ def test_an_interruption_stops_every_worker(tmp_path: Path) -> None:
     assert time.monotonic() - start < 30
     assert workers._running
     assert not any(process.is_alive() for process in workers._running)
+
+
+def test_a_worker_ends_with_the_process_that_started_it(tmp_path: Path) -> None:
+    """After SIGKILL nobody waits for its result, and its temporary files may be swept."""
+    main = get_context("spawn").Process(target=Workers(1).run, args=(handler, tmp_path, ["sleep"], print))
+    main.start()
+    worker = psutil.Process(int(_written(tmp_path / "started")))
+    main.kill()
+    assert not psutil.wait_procs([worker], timeout=20)[1]
+
+
+def _written(file: Path) -> str:
+    until = time.monotonic() + 60
+    while not (file.is_file() and file.read_text()):
+        assert time.monotonic() < until
+        time.sleep(0.05)
+    return file.read_text()
 
 
 def test_workers_that_cannot_start_are_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,9 +1,14 @@
 """Signals that end a command: SIGTERM and SIGHUP are interruptions as Ctrl-C is."""
 
+import os
 import signal
+import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+SOON = 0.05
+"""Seconds after which a signal that Python swallowed is sent again."""
 ENDING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 
@@ -20,6 +25,17 @@ def catch() -> None:
     for number in ENDING:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, interrupt)
+    sys.unraisablehook = _send_again
+
+
+def _send_again(swallowed: "sys.UnraisableHookArgs") -> None:
+    """Send a signal again that arrived in a destructor or a callback: Python drops exceptions there."""
+    if swallowed.exc_type is not KeyboardInterrupt or _State.received is None:
+        sys.__unraisablehook__(swallowed)
+        return
+    timer = threading.Timer(SOON, os.kill, (os.getpid(), _State.received))
+    timer.daemon = True
+    timer.start()
 
 
 def interrupt(number: int, frame: object = None) -> None:

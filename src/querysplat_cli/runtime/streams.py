@@ -7,22 +7,25 @@ from typing import Any
 
 
 class Tolerant:
-    """A text stream whose reader may go away (`| head -1`): the rest of the text is dropped, and the work goes on."""
+    """A text stream whose reader may go away (`| head -1`): the rest of the text is dropped, and the work goes on.
 
-    def __init__(self, stream: Any) -> None:
-        self._stream = stream
+    `survives` are the errors that drop the text; all others are raised.
+    """
+
+    def __init__(self, stream: Any, survives: type[OSError]) -> None:
+        self._stream, self._survives = stream, survives
 
     def write(self, text: str) -> int:
         try:
             return int(self._stream.write(text))
-        except BrokenPipeError:
+        except self._survives:
             self._drop()
             return len(text)
 
     def flush(self) -> None:
         try:
             self._stream.flush()
-        except BrokenPipeError:
+        except self._survives:
             self._drop()
 
     def __getattr__(self, name: str) -> Any:
@@ -57,4 +60,5 @@ def tolerate_closed_streams() -> None:
         if number:
             if hasattr(stream, "reconfigure"):
                 stream.reconfigure(errors="backslashreplace")
-            setattr(sys, name, Tolerant(stream))
+            # Results that cannot be written are an error. Messages have nowhere to say so, and the work is not lost.
+            setattr(sys, name, Tolerant(stream, BrokenPipeError if name == "stdout" else OSError))

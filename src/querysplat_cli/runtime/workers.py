@@ -6,8 +6,8 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Sequence
-from multiprocessing import get_context
-from multiprocessing.connection import Connection
+from multiprocessing import get_context, parent_process
+from multiprocessing.connection import Connection, wait
 from typing import Any, Generic, TypeVar
 
 from querysplat_cli.runtime import signals
@@ -128,6 +128,7 @@ def _serve(pipe: Connection, handler: Callable[[Any], Callable[[Any], None]], se
     # Ctrl-C reaches every process of a terminal. The main process stops the workers, so they ignore it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     handle = handler(setup)
     while True:
         try:
@@ -136,6 +137,14 @@ def _serve(pipe: Connection, handler: Callable[[Any], Callable[[Any], None]], se
             return
         handle(job)
         pipe.send(None)
+
+
+def _end_with_parent() -> None:
+    """End this process as soon as the main one was killed: nobody waits for its results any more."""
+    parent = parent_process()
+    assert parent is not None
+    wait([parent.sentinel])
+    os._exit(1)
 
 
 def _last_words(code: int | None) -> str:
