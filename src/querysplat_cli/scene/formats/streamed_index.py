@@ -75,8 +75,8 @@ def _runs(tree: dict[str, Any], slack: float) -> Iterator[Run]:
             raise ValueError("a node has both children and levels, or neither")
         waiting += [(child, box) for child in reversed(part.get("children", []))]
         for level, run in part.get("lods", {}).items():
-            numbers = (_whole(run[name], name) for name in ("file", "offset", "count"))
-            yield Run(_whole(int(level), "a level"), *numbers, box=box)
+            file, offset, count = (_whole(run[name], name) for name in ("file", "offset", "count"))
+            yield Run(_whole(int(level), "a level"), file, offset, count, box)
 
 
 def _size(number: int, runs: tuple[Run, ...]) -> int:
