@@ -4,7 +4,8 @@
 
 DATA is the folder of the photo sets, by default $QUERYSPLAT_DATA. Every 4th photo is held out. Each row is one run of
 the command in a process of its own, so that seconds and memory are what a user sees. The splatted depth is scored on
-the same cameras and with the same renderer. Scores are over black, but for the column "on grey".
+the same cameras and with the same renderer. Scores are over black, but for "on grey" and "on white", which must agree
+with them: where they are lower, one can see through the scene.
 """
 
 import json
@@ -19,6 +20,7 @@ from common.output import Table, write_json
 from common.photo_sets import PHOTO_SETS, PhotoSet
 from common.samples import HOLDOUT_EVERY, joint_sample
 from querysplat_cli.evaluation.baseline import back_project
+from querysplat_cli.pipeline.read_scene import read_scene, read_scene_gaussians
 from querysplat_cli.reporting.view_scores import score
 
 
@@ -42,6 +44,13 @@ def splatted_depth(photos: list[Path]) -> float:
     return score(depth, sample.targets, sample.target_cameras).psnr
 
 
+def on_white(scene: Path) -> float:
+    """Held-out PSNR of a written scene over white."""
+    stored, _ = read_scene(scene)
+    assert stored.heldout
+    return score(read_scene_gaussians(scene, stored), *stored.heldout, 1.0).psnr
+
+
 def measure(photo_set: PhotoSet, data: Path, folder: Path, options: list[str]) -> dict[str, Any]:
     """The row of one set; `error` and `code` where the command fails."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -55,6 +64,7 @@ def measure(photo_set: PhotoSet, data: Path, folder: Path, options: list[str]) -
         **labels,
         "splatted_depth_psnr": splatted_depth(photos),
         "joint": heldout["joint"],
+        "joint_psnr_white": on_white(folder / "joint.ply"),
         "isolated": heldout["isolated"],
         "pose_difference": heldout["pose_difference"],
         "seconds": run["wall"],
@@ -69,7 +79,7 @@ def show(table: Table, row: dict[str, Any]) -> None:
         print(f"{row['set']} failed ({row['code']}): {row['error']}", file=sys.stderr)
         return
     isolated = row["isolated"] and row["isolated"]["psnr"]
-    joint = row["joint"]["psnr"], row["joint"]["psnr_grey"]
+    joint = row["joint"]["psnr"], row["joint"]["psnr_grey"], row["joint_psnr_white"]
     costs = row["seconds"], row["peak_memory_gib"], row["gaussians"]
     table.add(row["set"], row["use"], row["splatted_depth_psnr"], *joint, isolated, *costs)
 
@@ -80,7 +90,7 @@ def main() -> None:
     parser.add_argument("--options", default="", help="further options for `querysplat reconstruct`")
     options = parser.parse()
     rows = []
-    scores = dict.fromkeys(("depth, dB", "joint, dB", "on grey, dB", "isolated, dB"), ".2f")
+    scores = dict.fromkeys(("depth, dB", "joint, dB", "on grey, dB", "on white, dB", "isolated, dB"), ".2f")
     table = Table({"set": "", "use": "", **scores, "s": ".1f", "GiB": ".2f", "Gaussians": ","})
     with folder_or_scratch(options.keep) as folder:
         for photo_set in (PHOTO_SETS[name] for name in options.sets):

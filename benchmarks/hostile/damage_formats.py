@@ -34,7 +34,7 @@ def changed_tensors(file: Path, count: int) -> Iterator[tuple[str, Callable[[Pat
         "bool": lambda t: t.bool(),
         "NaN": lambda t: torch.full_like(t, torch.nan) if t.is_floating_point() else t.float() * torch.nan,
         "infinite": lambda t: torch.full_like(t, torch.inf) if t.is_floating_point() else t.double() * torch.inf,
-        "huge": lambda t: t.new_full(t.shape, 2**15 if t.dtype == torch.half else 2**30),
+        "huge": lambda t: t.new_full(t.shape, {torch.half: 2**15, torch.uint8: 255}.get(t.dtype, 2**30)),
         "negative": lambda t: -t - 1 if t.dtype != torch.bool else ~t,
         "last axis cut": lambda t: t[..., :-1],
     }

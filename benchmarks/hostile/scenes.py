@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from hostile.case import ANY, QUIET, REFUSED, WRITTEN, Case, one_file, several
-from hostile.damage import changed_json, damaged, drawn_json, places
+from hostile.damage import changed_json, damaged, drawn_json, noise, places
 from hostile.damage_formats import changed_tensors, zips
 from hostile.sound import TRAINING, Sound
 
@@ -55,6 +55,7 @@ def scene_folder(sound: Sound) -> Iterator[Case]:
         for what, content in changed_json(sound.bytes(f"s/{part}"), part, count):
             yield in_scene(sound, part, what, part, content, ("tto", "s", "--steps", "0", QUIET))
     yield from _exposures(sound)
+    yield from _points(sound)
     for what, content in damaged(sound.bytes("s/images/0.png"), "image", 10, 5, head=60):
         yield in_scene(sound, "a scene's pictures", what, "images/0.png", content, again)
 
@@ -99,6 +100,17 @@ def _exposures(sound: Sound) -> Iterator[Case]:
             command = ("tto", "s", "--steps", "0", *option, QUIET)
             text = f"{what}{', --exposure off' if option else ''}"
             yield in_scene(sound, "exposures.json", text, "exposures.json", content, command)
+
+
+def _points(sound: Sound) -> Iterator[Case]:
+    """The points of structure from motion: read by `tto`, and written into a COLMAP model by `convert`."""
+    commands = (("tto", "s", "--steps", "0", QUIET), ("convert", "s", "out", QUIET))
+    points = sound.points()
+    whole = points.read_bytes()
+    lies = [("sound", whole), *changed_tensors(points, 40), *damaged(whole, "points", 12, 4, head=600)]
+    for i, (what, content) in enumerate((*lies, *noise("points", 4))):
+        command = commands[i % 2]
+        yield in_scene(sound, "points.safetensors", f"{command[0]}, {what}", points.name, content, command)
 
 
 def settings(sound: Sound) -> Iterator[Case]:

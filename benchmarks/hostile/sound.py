@@ -19,6 +19,7 @@ from querysplat_cli.scene.formats.ply import write_ply
 from querysplat_cli.scene.formats.sog import write_sog
 from querysplat_cli.scene.formats.transforms import read_transforms, write_transforms
 from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.sparse_points import NAME, SparsePoints, write_sparse_points
 from querysplat_cli.training.photographer import cast, walk
 from querysplat_cli.training.rooms import make_room
 from querysplat_cli.training.solids import Scene
@@ -92,6 +93,15 @@ class Sound:
         """A copy of the scene, as s.ply and s/."""
         shutil.copy(self.folder / "s.ply", target / "s.ply")
         shutil.copytree(self.folder / "s", target / "s")
+
+    def points(self) -> Path:
+        """A points.safetensors that fits the scene: 20 points that its only photo observes."""
+        generator = torch.Generator().manual_seed(0)
+        places, pixels = torch.randn(20, 3, generator=generator), 70 * torch.rand(20, 2, generator=generator)
+        rows = torch.arange(20, dtype=torch.int32)
+        points = SparsePoints(places, torch.zeros(20, 3, dtype=torch.uint8), torch.zeros_like(rows), rows, pixels)
+        write_sparse_points(self.folder, points)
+        return self.folder / NAME
 
 
 def make(folder: Path) -> None:

@@ -77,10 +77,12 @@ def test_cleaning_says_what_went_and_why(scene: Path, tmp_path: Path, capsys: py
     assert said["psnr"]["after"] == pytest.approx(step["psnr"], abs=0.01)
 
 
-def test_nothing_lost_has_no_sign() -> None:
+def test_a_loss_has_no_sign_and_can_be_a_gain() -> None:
     psnr = {"against": "photos", "views": 7, "before": 25.07, "after": 25.072, "lost": -0.002}
     result = {"gaussians": 1, "bytes": {"target": 1, "source": 1}, "target": "a.spz", "scene": None, "steps": []}
     assert convert_lines({**result, "psnr": psnr})[-1] == "on 7 of the photos: 25.07 → 25.07 dB, 0.00 dB lost"
+    gain = {**psnr, "after": 25.08, "lost": -0.01}
+    assert convert_lines({**result, "psnr": gain})[-1] == "on 7 of the photos: 25.07 → 25.08 dB, 0.01 dB gained"
 
 
 def test_without_cameras_a_scene_is_cleaned_too(

@@ -12,7 +12,7 @@ from querysplat_cli.reporting.report import Report
 from querysplat_cli.reporting.stored_report import backdrop_of
 from querysplat_cli.runtime.errors import ExitCode
 from querysplat_cli.scene.cameras import Cameras
-from querysplat_cli.scene.formats.ply import write_ply
+from querysplat_cli.scene.formats.ply import read_ply, write_ply
 from querysplat_cli.scene.formats.transforms import NamedCameras
 from querysplat_cli.scene.gaussians import Gaussians
 
@@ -66,6 +66,10 @@ def test_the_backdrop_is_no_oddity(tmp_path: Path, capsys: pytest.CaptureFixture
         found = json.loads(capsys.readouterr().out)
         assert (found["gaussians"], found["backdrop"], found["odd"]["giants"]["count"]) == (216, behind, giants)
         assert backdrop_of(tmp_path / "grid", 216) == behind
+        made = tmp_path / "without.ply"
+        assert run(["convert", str(tmp_path / "grid.ply"), str(made), "--no-backdrop", "--json", "-q", "--force"]) == 0
+        (step,) = json.loads(capsys.readouterr().out)["steps"]
+        assert (step["what"], step["gaussians"], len(read_ply(made))) == ("no-backdrop", behind, 216 - behind)
 
 
 def test_one_gaussian_is_a_scene() -> None:

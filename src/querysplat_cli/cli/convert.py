@@ -61,17 +61,17 @@ def _level(number: int, level: dict[str, Any]) -> str:
 def _step(step: dict[str, Any]) -> str:
     counts = ", ".join(f"{step[name]:,} {word}" for name, word in REASONS.items() if step.get(name))
     reasons = f" ({counts})" if counts else ""
-    return f"{step['what']}: {step['gaussians']:,} left out{reasons}, {decibels(step['lost'])} lost"
+    return f"{step['what']}: {step['gaussians']:,} left out{reasons}, {decibels(step['lost'])}"
 
 
 def decibels(lost: float) -> str:
-    """A loss in dB, without a minus in front of nothing."""
-    return f"{round(lost, 2) + 0.0:.2f} dB"
+    """A loss in dB in words, which can be a gain."""
+    return f"{abs(lost):.2f} dB {'gained' if round(lost, 2) < 0 else 'lost'}"
 
 
 def _cost(psnr: dict[str, Any]) -> str:
     if psnr["against"] == "photos":
-        change = f"{psnr['before']:.2f} → {psnr['after']:.2f} dB, {decibels(psnr['lost'])} lost"
+        change = f"{psnr['before']:.2f} → {psnr['after']:.2f} dB, {decibels(psnr['lost'])}"
         return f"on {psnr['views']} of the photos: {change}"
     where = "from the input cameras" if psnr["against"] == "inputs" else "from all around"
     return f"against pictures of the source {where}: {psnr['after']:.2f} dB (100: no difference)"

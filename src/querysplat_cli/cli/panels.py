@@ -28,7 +28,7 @@ PANELS = {
     "Rows and scores": ("sweep", "predictions", "name", "metrics", "fitted"),
     "Pictures": ("frames", "seconds", "fps", "size", "background", "query"),
     "Changes": (
-        *("up", "scale", "clean", "prune_to", "crop", "remove", "keep_sphere"),
+        *("up", "scale", "clean", "prune_to", "no_backdrop", "crop", "remove", "keep_sphere"),
         *("points", "mesh", "text", "spz_version", "levels"),
     ),
     "Output": (

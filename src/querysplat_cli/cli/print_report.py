@@ -95,7 +95,7 @@ def _file(report: Report) -> str:
     """The file, its size, and what its kind loses where that is measured."""
     if report.bytes is None:
         return report.ply
-    lost = [f", {decibels(entry['psnr_lost'])} lost by it" for entry in report.left_out if entry["what"] == PRECISION]
+    lost = [f", {decibels(entry['psnr_lost'])} by it" for entry in report.left_out if entry["what"] == PRECISION]
     return f"{report.ply} ({report.bytes / 2**20:.2f} MiB{''.join(lost)})"
 
 

@@ -103,6 +103,9 @@ class Conversion:
     ] = None
     scale: Annotated[float, Ge(1e-9), Le(1e9), Option("Multiply all lengths by this number.", metavar="FACTOR")] = 1.0
     clean: Annotated[bool, Option("Leave out what no photo supports, small islands, and giants.")] = False
+    no_backdrop: Annotated[bool, Option("Leave out the backdrop, which makes the box large that viewers frame.")] = (
+        False
+    )
     crop: Annotated[
         tuple[float, ...] | None,
         Option(
@@ -143,5 +146,5 @@ class Conversion:
     @property
     def changes(self) -> bool:
         """Whether Gaussians are turned, scaled or cut."""
-        cuts = self.clean, self.crop, self.remove, self.keep_sphere, self.prune_to
+        cuts = self.clean, self.no_backdrop, self.crop, self.remove, self.keep_sphere, self.prune_to
         return bool(self.up) or self.scale != 1.0 or any(cuts)

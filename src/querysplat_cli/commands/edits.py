@@ -65,6 +65,8 @@ def _finders(
     body = torch.arange(len(places)) < len(places) - backdrop
     if request.clean:
         yield "clean", lambda here, kept: _dirt(here, kept & body, views)
+    if request.no_backdrop:
+        yield "no-backdrop", lambda here, kept: (~body, {})
     if request.crop:
         crop = ~inside_box(request.crop, places)
         yield "crop", lambda here, kept: (crop, {})

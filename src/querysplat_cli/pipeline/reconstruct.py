@@ -45,7 +45,7 @@ from querysplat_cli.runtime.compiler import SCENE_KERNELS, start_compiling
 from querysplat_cli.runtime.device import find_device, free_bytes, peak_gib
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.precision import check_precision, matrix_products
-from querysplat_cli.runtime.progress import Stages
+from querysplat_cli.runtime.progress import Stages, stages_within
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.files import check_writable, refuse_existing, refuse_replacing
 from querysplat_cli.scene.formats.known import read_known_cameras
@@ -54,6 +54,9 @@ from querysplat_cli.scene.lenses import pinhole_photos
 from querysplat_cli.scene.photo_files import photo_files
 from querysplat_cli.scene.photos import find_photos
 from querysplat_cli.scene.views import LeftOut, Photo, PhotoSource
+
+BUILDING = "depth", "queries", "tto", "full size"
+"""The stages of making a scene from photos with cameras."""
 
 
 @dataclass(frozen=True)
@@ -204,9 +207,11 @@ def _score(
     large = _score_large(inputs, passes.chosen, scene, stages)
     other = passes.other
     if other and other.heldout and not settings.one_scene and scene.time_for_more and not scene.interrupted:
-        with stages(f"{other.protocol} score"):
+        with stages(f"{other.protocol} score") as progress:
+            like_the_first = {name: stages.seconds[name] for name in BUILDING if name in stages.seconds}
             rest = Allowance(inputs.budget.share() if inputs.budget else None, inputs.sources)
-            second = encode_and_build(other.inputs, inputs.encoder, inputs.model, settings, Stages(), rest)
+            inner = stages_within(progress, like_the_first)
+            second = encode_and_build(other.inputs, inputs.encoder, inputs.model, settings, inner, rest)
             if not second.interrupted:
                 heldout[other.protocol] = _score_heldout(second, other)
     return _Scores(quality, heldout, large, film)
