@@ -16,10 +16,10 @@ from querysplat_cli.pipeline.regions.colours import common_exposures, recoloured
 from querysplat_cli.pipeline.regions.groups import Group, divide
 from querysplat_cli.pipeline.regions.owners import CoreViews, depth_maps, owners
 from querysplat_cli.pipeline.regions.scene import RegionScene
-from querysplat_cli.pipeline.regions.seams import find_seams
+from querysplat_cli.pipeline.regions.seams import Seam, disagreement, find_seams, verdict
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.queries.prepare import MemoryMap
-from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.errors import ImpossibleScene, QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.exposures import Exposures
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
@@ -68,6 +68,37 @@ def test_groups_without_points_go_by_the_cameras(street: PosedViews) -> None:
 def test_every_two_groups_with_a_photo_in_common_have_a_seam() -> None:
     groups = (Group((0, 1), (2,)), Group((2, 3), (1, 4)), Group((4, 5), ()))
     assert [(seam.regions, seam.photos) for seam in find_seams(groups)] == [((0, 1), (1, 2)), ((1, 2), (4,))]
+
+
+def test_regions_that_show_other_things_are_not_joined() -> None:
+    """Sound joins have no warning, doubtful ones and those that no picture shows have one, and bad ones are refused."""
+    seam = Seam((0, 2), (4,))
+    assert verdict(seam, 20.0) is None
+    for decibels in (12.0, 0.0):
+        assert "regions 1 and 3 show different things" in (verdict(seam, decibels) or "")
+    with pytest.raises(ImpossibleScene, match=r"regions 1 and 3 .*\(8\.0 dB\), so they are not joined") as raised:
+        verdict(seam, 8.0)
+    assert "fewer --regions" in raised.value.hint
+
+
+def test_pictures_of_unrelated_regions_are_refused() -> None:
+    """Two walls of noise at one place: what `disagreement` finds is below what is refused, and 100 dB for the same."""
+    chance = torch.Generator().manual_seed(0)
+    x, y = torch.meshgrid(torch.linspace(-2, 2, 24), torch.linspace(-1.5, 1.5, 18), indexing="xy")
+    means = torch.stack([x, y, torch.full_like(x, 3.0)], -1).reshape(-1, 3)
+    count = len(means)
+
+    def wall() -> Gaussians:
+        colours = torch.randint(0, 2, (count, 1, 3), generator=chance).float()
+        size, turn = torch.full((count, 3), 0.08), torch.tensor([[1.0, 0, 0, 0]]).expand(count, 4)
+        return Gaussians(means, turn, size, torch.full((count,), 0.95), (colours - 0.5) / SH_0)
+
+    one, other = wall(), wall()
+    cameras, _ = facing(-0.2, 0.2, depth=3.0)
+    seam = Seam((0, 1), (0, 1))
+    assert disagreement(seam, cameras, [one, one]) == pytest.approx(100)
+    with pytest.raises(ImpossibleScene):
+        verdict(seam, disagreement(seam, cameras, [one, other]))
 
 
 def facing(*places: float, depth: float) -> tuple[Cameras, torch.Tensor]:

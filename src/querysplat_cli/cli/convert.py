@@ -33,6 +33,7 @@ def lines(result: dict[str, Any]) -> list[str]:
         f"{_content(result)}, {written:.2f} MiB (source {read:.2f} MiB): {result['target']}",
         *([f"with its folder: {result['scene']}"] if result["scene"] else []),
         *steps,
+        *[_level(number, level) for number, level in enumerate(result.get("levels", ()))],
         *([_cost(result["psnr"])] if result["psnr"] else []),
     ]
 
@@ -51,6 +52,10 @@ def _content(result: dict[str, Any]) -> str:
     if "triangles" in result:
         return f"{result['triangles']:,} triangles with {result['corners']:,} corners"
     return f"{result['gaussians']:,} Gaussians"
+
+
+def _level(number: int, level: dict[str, Any]) -> str:
+    return f"level {number}: {level['gaussians']:,} Gaussians, {level['psnr']:.2f} dB"
 
 
 def _step(step: dict[str, Any]) -> str:

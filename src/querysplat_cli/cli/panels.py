@@ -29,7 +29,7 @@ PANELS = {
     "Pictures": ("frames", "seconds", "fps", "size", "background", "query"),
     "Changes": (
         *("up", "scale", "clean", "prune_to", "no_backdrop", "crop", "remove", "keep_sphere"),
-        *("points", "mesh", "text", "spz_version"),
+        *("points", "mesh", "text", "spz_version", "levels"),
     ),
     "Output": (
         *(

@@ -8,7 +8,7 @@ from typing import Any
 from querysplat_cli.commands.convert_gaussians import convert_gaussians
 from querysplat_cli.commands.convert_request import Conversion
 from querysplat_cli.commands.exported_points import observed_points, points_entry, points_without_photos
-from querysplat_cli.pipeline.gaussian_files import READERS
+from querysplat_cli.pipeline.gaussian_files import READERS, is_streamed
 from querysplat_cli.pipeline.scene_folder import write_images
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Stages
@@ -37,15 +37,15 @@ def convert(request: Conversion, stages: Stages | None = None) -> dict[str, Any]
     given = [path.resolve() for path in (request.source, request.photos) if path]
     if request.target.is_dir() and any(path.is_relative_to(request.target.resolve()) for path in given):
         raise QuerySplatError(f"{request.target} holds what is to be converted", "Choose another target.")
-    if request.source.suffix.lower() in READERS:
+    if request.source.suffix.lower() in READERS or is_streamed(request.source):
         if request.photos or request.text:
             raise QuerySplatError("--photos and --text are for cameras", "Leave them out.")
         return convert_gaussians(request, stages or Stages())
     if request.photos and request.text:
         raise QuerySplatError("--text is for COLMAP models, --photos for scene folders", "Leave one of them out.")
-    if request.changes or request.geometry:
-        wanted = "Give a .ply, .spz, .sog or .glb."
-        raise QuerySplatError("options that turn, scale or cut, --points and --mesh are for Gaussians", wanted)
+    if request.changes or request.geometry or request.levels:
+        what = "options that turn, scale or cut, --points, --mesh and --levels are for Gaussians"
+        raise QuerySplatError(what, "Give a .ply, .spz, .sog or .glb.")
     return _convert_cameras(request)
 
 

@@ -8,13 +8,16 @@ from typing import Any
 import torch
 
 from querysplat_cli.commands.compared_views import ComparedViews, cameras_beside, compared_views
+from querysplat_cli.commands.convert_levels import levels_entry, write_levels
 from querysplat_cli.commands.convert_request import Conversion
 from querysplat_cli.commands.edits import edited
 from querysplat_cli.commands.moved_folder import write_moved_folder
 from querysplat_cli.pipeline.first_sight import upright_frame
 from querysplat_cli.pipeline.gaussian_files import (
     FLIPPED,
+    STREAMED,
     WRITERS,
+    bytes_of,
     check_target,
     folder_of_scene,
     read_gaussians,
@@ -52,18 +55,25 @@ def convert_gaussians(request: Conversion, stages: Stages) -> dict[str, Any]:
     kept, steps = edited(request, here, place.apply(gaussians.means), backdrop, views)
     levels = [before, *(step.psnr for step in steps)]
     placed = transform_gaussians(gaussians, place) if place.scale != 1.0 or request.up else gaussians
+    result_views = replace(views, frame=place.after(views.frame))
     body = kept & (torch.arange(len(kept)) < len(kept) - backdrop)
+    written: dict[str, Any]
     with ExitStack() as stack:
         drafts = stack.enter_context(atomic_together(request.target, *([folder] if folder else [])))
         after = levels[-1]
         if request.points:
             written = _write_cloud(drafts[0], placed[body])
+        elif request.target.suffix.lower() == STREAMED:
+            with stages("levels"):
+                write_levels(drafts[0], placed[kept], int((kept & ~body).sum()), request.levels)
+            written = levels_entry(drafts[0], result_views)
+            after = written["levels"][0]["psnr"]
         elif request.mesh:
-            written = _write_surface(drafts[0], request.source, here[body], place.after(views.frame), views, stages)
+            written = _write_surface(drafts[0], request.source, here[body], result_views.frame, views, stages)
         else:
             written = {"gaussians": write_gaussians(drafts[0], placed[kept], request.spz_version)}
-            after = _psnr_of_file(drafts[0], place, views)
-        size = drafts[0].stat().st_size
+            after = result_views.psnr(result_views.here(read_gaussians(drafts[0])))
+        size = bytes_of(drafts[0])
         if folder:
             write_moved_folder(folder_of_scene(request.source), drafts[1], place, kept)
     return {
@@ -71,7 +81,7 @@ def convert_gaussians(request: Conversion, stages: Stages) -> dict[str, Any]:
         "scene": str(folder) if folder else None,
         **written,
         "left_out": len(gaussians) - written["gaussians"],
-        "bytes": {"source": request.source.stat().st_size, "target": size},
+        "bytes": {"source": bytes_of(request.source), "target": size},
         "steps": [step.entry(level) for step, level in zip(steps, levels, strict=False)],
         "psnr": None if request.geometry else _psnr_entry(views, before, after),
     }
@@ -80,6 +90,8 @@ def convert_gaussians(request: Conversion, stages: Stages) -> dict[str, Any]:
 def _check_kind(request: Conversion) -> None:
     """Raise QuerySplatError unless the target can be written as what is asked for."""
     kind = request.target.suffix.lower()
+    if request.levels and kind != STREAMED:
+        raise QuerySplatError("--levels is for levels of detail", f"Choose a target that ends in {STREAMED}.")
     if request.points and request.mesh:
         raise QuerySplatError("--points and --mesh are two files", "Write one after the other.")
     if request.points and kind != ".ply":
@@ -90,7 +102,7 @@ def _check_kind(request: Conversion) -> None:
         check_mesh_parts()
     elif kind in MESH_KINDS and kind not in WRITERS:
         raise QuerySplatError(f"{request.target}: an {kind} holds a mesh", "Add --mesh to make one of the scene.")
-    else:
+    elif kind != STREAMED:
         check_target(request.target)
 
 
@@ -136,11 +148,6 @@ def _folder(request: Conversion) -> Path | None:
         )
     refuse_existing([target], force=request.force)
     return target
-
-
-def _psnr_of_file(path: Path, place: Sim3, views: ComparedViews) -> float:
-    whole = place.after(views.frame)
-    return replace(views, frame=whole).psnr(replace(views, frame=whole).here(read_gaussians(path)))
 
 
 def _turn(request: Conversion, gaussians: Gaussians) -> torch.Tensor:

@@ -65,17 +65,28 @@ class Conversion:
     source: Annotated[
         Path,
         Option(
-            "Gaussians: a .ply, .spz, .sog or .glb. Cameras: a transforms.json, a COLMAP model or a scene folder.",
+            "Gaussians: a .ply, .spz, .sog or .glb, or the lod-meta.json of a streamed SOG. Cameras: a "
+            "transforms.json, a COLMAP model or a scene folder.",
             argument=True,
         ),
     ]
     target: Annotated[
         Path,
-        Option("Gaussians: a .ply, .spz, .sog or .glb. Cameras: a .json, or a folder for COLMAP.", argument=True),
+        Option(
+            "Gaussians: a .ply, .spz, .sog or .glb, or a folder with the suffix .lod for levels of detail. Cameras: a "
+            ".json, or a folder for COLMAP.",
+            argument=True,
+        ),
     ]
     spz_version: Annotated[
         SpzVersion, Option("Of an .spz: 3, which most viewers read, or 4, whose compression is newer.")
     ] = "3"
+    levels: Annotated[
+        int | None,
+        Ge(1),
+        Le(16),
+        Option("Of a .lod: the number of coarser levels. By default the coarsest has at most a million.", metavar="N"),
+    ] = None
     text: Annotated[bool, Option("Write the COLMAP model as text.")] = False
     photos: Annotated[
         Path | None,

@@ -12,6 +12,8 @@ from querysplat_cli.scene.formats.compressed import check_spz, read_spz, write_s
 from querysplat_cli.scene.formats.gltf import read_glb, write_glb
 from querysplat_cli.scene.formats.ply import read_ply, write_ply
 from querysplat_cli.scene.formats.sog import read_sog, write_sog
+from querysplat_cli.scene.formats.streamed_index import INDEX_NAME
+from querysplat_cli.scene.formats.streamed_sog import read_streamed
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.sim3 import Sim3
 from querysplat_cli.splat.transform import transform_gaussians
@@ -31,17 +33,34 @@ WRITERS: dict[str, Writer] = {
 }
 Y_UP = {".spz", ".glb"}
 """Kinds whose specification says that y points up."""
+STREAMED = ".lod"
+"""Suffix of the folder of a streamed SOG."""
 COMPRESSED_PLY = ".compressed.ply"
 FLIPPED = Sim3(1.0, torch.diag(torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64)), torch.zeros(3).double())
 """From the y-down axes of .ply files to axes whose y points up. It is its own inverse."""
 
 
+def is_streamed(path: Path) -> bool:
+    """Whether `path` names a streamed SOG: its folder, or the lod-meta.json in it."""
+    return path.suffix.lower() == STREAMED or path.name == INDEX_NAME
+
+
+def bytes_of(path: Path) -> int:
+    """The size of a file of Gaussians, or of all files of a streamed SOG."""
+    if not is_streamed(path):
+        return path.stat().st_size
+    folder = path if path.is_dir() else path.parent
+    return sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
+
+
 def read_gaussians(path: Path) -> Gaussians:
-    """The Gaussians of a .ply, .spz, .sog or .glb.
+    """The Gaussians of a .ply, .spz, .sog or .glb, or the finest ones of a streamed SOG.
 
     Raises QuerySplatError when the file is missing, of another kind, damaged or empty, and MissingPart without the
     package for its kind.
     """
+    if is_streamed(path):
+        return read_streamed(path)
     kind = path.suffix.lower()
     if kind not in READERS:
         raise QuerySplatError(f"{path}: not a kind of file for Gaussians", f"Give a {', '.join(READERS)}.")
@@ -63,6 +82,8 @@ def check_target(path: Path) -> None:
     kind = path.suffix.lower()
     if path.name.lower().endswith(COMPRESSED_PLY):
         raise QuerySplatError(f"{path}: {COMPRESSED_PLY} is a format of PlayCanvas, which is not written", "Use .spz.")
+    if is_streamed(path):
+        raise QuerySplatError(f"{path}: levels of detail are not written here", "Write a .ply, and convert it.")
     if kind not in WRITERS:
         raise QuerySplatError(f"{path}: not a kind of file for Gaussians", f"Use {', '.join(WRITERS)}.")
     if path.is_dir():
@@ -75,7 +96,7 @@ def file_of_scene(path: Path) -> Path:
     """The Gaussians of a scene; `path` is its folder, or the file itself. Of a folder it is the .ply unless there is
     none, and another kind is there.
     """
-    if path.suffix.lower() in READERS and not path.is_dir():
+    if is_streamed(path) or (path.suffix.lower() in READERS and not path.is_dir()):
         return path
     files = [path.with_name(f"{path.name}{kind}") for kind in READERS]
     return next((file for file in files if file.is_file()), files[0])
@@ -83,4 +104,7 @@ def file_of_scene(path: Path) -> Path:
 
 def folder_of_scene(path: Path) -> Path:
     """The folder beside a scene's Gaussians; `path` is that file, or the folder itself."""
+    if is_streamed(path):
+        folder = path.parent if path.name == INDEX_NAME else path
+        return folder.with_suffix("") if folder.suffix.lower() == STREAMED else folder
     return path.with_suffix("") if path.suffix.lower() in READERS and not path.is_dir() else path

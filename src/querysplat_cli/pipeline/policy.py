@@ -61,6 +61,8 @@ class PipelinePolicy:
     """Pictures that are rendered of each overlap of two regions, from places between photos."""
     bad_seam_psnr: float = 15.0
     """Where the pictures of two regions differ by more (a lower PSNR, in dB), a warning says so."""
+    refused_seam_psnr: float = 10.0
+    """Where they differ by more than this, no scene is made of them: pictures of unrelated things differ as much."""
     seam_loss: float = 0.3
     """A photo that a region alone shows better by more, in dB, sees a seam."""
     seam_passes: int = 4

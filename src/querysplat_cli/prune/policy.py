@@ -76,6 +76,19 @@ class PrunePolicy:
     """A group of fewer touching Gaussians is an island in any scene."""
     clean_island: float = 0.001
     """Share of the Gaussians that a group of touching ones must have to be no island."""
+    lod_finest: int = 1_000_000
+    """Levels of detail are halved until the coarsest has no more Gaussians than this. There is one coarser level at
+    least."""
+    lod_leaf: int = 1 << 15
+    """A leaf of the tree of streamed files has at most so many Gaussians of the finest level. A viewer chooses a level
+    for each leaf."""
+    lod_chunk: int = 1 << 19
+    """A chunk of streamed files, which a viewer loads at once, has at most so many Gaussians, or is one leaf."""
+    lod_neighbours: int = 8
+    """A Gaussian is merged with one of so many nearest others."""
+    lod_colour: float = 0.05
+    """Difference of two colours, each channel from 0 to 1, that counts as much as a distance of two standard
+    deviations between equal Gaussians."""
 
 
 PRUNE_POLICY = PrunePolicy()

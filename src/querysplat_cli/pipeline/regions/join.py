@@ -22,7 +22,7 @@ from querysplat_cli.pipeline.regions.merge import (
 )
 from querysplat_cli.pipeline.regions.owners import CoreViews, owners, small_cameras
 from querysplat_cli.pipeline.regions.scene import RegionScene
-from querysplat_cli.pipeline.regions.seams import disagreement, find_seams, smoothed
+from querysplat_cli.pipeline.regions.seams import disagreement, find_seams, smoothed, verdict
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.queries.backdrop import shows_background
 from querysplat_cli.queries.prepare import PreparedQueries
@@ -69,7 +69,10 @@ def join(
     sources: Mapping[str, PhotoSource],
     progress: Progress,
 ) -> BuiltRegions:
-    """One scene of the regions of `groups`, optimised over their seams, with a backdrop behind it."""
+    """One scene of the regions of `groups`, optimised over their seams, with a backdrop behind it.
+
+    Raises ImpossibleScene where regions do not fit together.
+    """
     joint = _Joint.of(posed, groups, scenes)
     files = photo_files(posed.views.names, posed.photo_cameras, sources)
     photos = LargePhotos(posed.views, posed.cameras, files, joint.exposures)
@@ -118,17 +121,15 @@ class _Joint:
 
 
 def _seams(groups: Sequence[Group], joint: _Joint, posed: PosedViews) -> tuple[list[dict[str, Any]], tuple[str, ...]]:
-    """The entry of every seam, and a warning for each bad one."""
-    entries, warnings = [], []
+    """The entry of every seam, and a warning for each bad one. Raises ImpossibleScene where one is too bad to join."""
+    entries: list[dict[str, Any]] = []
+    warnings: list[str] = []
     for seam in find_seams(groups):
         decibels = disagreement(seam, posed.cameras, joint.whole)
         one, other = (number + 1 for number in seam.regions)
         entries.append({"regions": [one, other], "photos": len(seam.photos), "psnr": round(decibels, 2)})
-        if decibels < PIPELINE_POLICY.bad_seam_psnr:
-            warnings.append(
-                f"regions {one} and {other} show different things where they meet ({decibels:.1f} dB): "
-                "look at the scene there, and use fewer --regions"
-            )
+        warning = verdict(seam, decibels)
+        warnings += [warning] if warning else []
     return entries, tuple(warnings)
 
 

@@ -11,6 +11,7 @@ from querysplat_cli.pipeline.full_size import LargePhotos
 from querysplat_cli.pipeline.policy import PIPELINE_POLICY
 from querysplat_cli.pipeline.regions.groups import Group
 from querysplat_cli.prune.views import evenly_spaced
+from querysplat_cli.runtime.errors import ImpossibleScene
 from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
@@ -61,6 +62,20 @@ def disagreement(seam: Seam, cameras: Cameras, regions: Sequence[Gaussians]) -> 
         errors += float((one - other).square().mean(0)[covered].sum())
         count += int(covered.sum())
     return -10 * math.log10(max(errors / count, 1e-10)) if count else 0.0
+
+
+def verdict(seam: Seam, decibels: float) -> str | None:
+    """A warning where the regions of a seam hardly agree; None where they do. `decibels` is their `disagreement`.
+
+    Raises ImpossibleScene where they show different things altogether. 0 dB, where no picture shows both, is a warning.
+    """
+    one, other = (number + 1 for number in seam.regions)
+    if decibels >= PIPELINE_POLICY.bad_seam_psnr:
+        return None
+    why = f"regions {one} and {other} show different things where they meet ({decibels:.1f} dB)"
+    if 0 < decibels < PIPELINE_POLICY.refused_seam_psnr:
+        raise ImpossibleScene(f"{why}, so they are not joined", "Use fewer --regions: the cameras are kept for that.")
+    return f"{why}: look at the scene there, and use fewer --regions"
 
 
 def smoothed(

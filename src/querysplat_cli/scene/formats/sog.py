@@ -10,6 +10,7 @@ import io
 import json
 import math
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +44,7 @@ def write_sog(path: Path, gaussians: Gaussians) -> int:
     with atomic_path(path) as draft, zipfile.ZipFile(draft, "w") as archive:
         archive.writestr(zipfile.ZipInfo("meta.json", FIXED_TIME), json.dumps(meta))
         for name, pixels in pictures.items():
-            archive.writestr(zipfile.ZipInfo(name, FIXED_TIME), _webp(pixels))
+            archive.writestr(zipfile.ZipInfo(name, FIXED_TIME), webp(pixels))
     return len(finite)
 
 
@@ -54,7 +55,7 @@ def read_sog(path: Path) -> Gaussians:
             meta = json.loads(archive.read("meta.json"))
             if meta.get("version") != VERSION:
                 raise QuerySplatError(f"{path}: SOG version {meta.get('version', 1)} is not read", "Export version 2.")
-            gaussians = _decoded(archive, meta)
+            gaussians = decoded(meta, lambda name: unpacked(archive.read(name)))
     except QuerySplatError:
         raise
     except Exception as error:  # damage can raise anything in the decoders
@@ -113,11 +114,12 @@ def _encoded_bands(gaussians: Gaussians) -> tuple[dict[str, Any], dict[str, np.n
     return meta, files
 
 
-def _decoded(archive: zipfile.ZipFile, meta: dict[str, Any]) -> Gaussians:
+def decoded(meta: dict[str, Any], picture: Callable[[str], np.ndarray]) -> Gaussians:
+    """The opposite of `encoded`; `picture` gives the pixels of a file name. Damage can raise anything."""
     count = int(meta["count"])
 
     def pixels(part: str, file: int = 0) -> np.ndarray:
-        found = _unpacked(archive.read(meta[part]["files"][file])).reshape(-1, 4)
+        found = picture(meta[part]["files"][file]).reshape(-1, 4)
         if len(found) < count:
             raise ValueError(f"{part} has fewer pixels than there are Gaussians")
         return found[:count].astype(np.int64)
@@ -129,7 +131,7 @@ def _decoded(archive: zipfile.ZipFile, meta: dict[str, Any]) -> Gaussians:
     if "shN" in meta:
         bands = (int(meta["shN"]["bands"]) + 1) ** 2 - 1
         labels = pixels("shN", 1)
-        palette_pixels = _unpacked(archive.read(meta["shN"]["files"][0])).reshape(-1, bands, 4)
+        palette_pixels = picture(meta["shN"]["files"][0]).reshape(-1, bands, 4)
         entries = np.array(meta["shN"]["codebook"], np.float64)[palette_pixels[..., :3].astype(np.int64)]
         sh = np.concatenate([sh, entries[labels[:, 0] + 256 * labels[:, 1]]], 1)
     scales = np.exp(np.array(meta["scales"]["codebook"], np.float64)[pixels("scales")[:, :3]])
@@ -180,14 +182,16 @@ def _picture(values: np.ndarray) -> np.ndarray:
     return pixels.reshape(height, width, 4)
 
 
-def _webp(pixels: np.ndarray) -> bytes:
+def webp(pixels: np.ndarray) -> bytes:
+    """A picture [height, width, 4] as a lossless WebP."""
     stream = io.BytesIO()
     # Without `exact`, colours under an alpha of 0 are lost.
     Image.fromarray(pixels, "RGBA").save(stream, "WEBP", lossless=True, exact=True)
     return stream.getvalue()
 
 
-def _unpacked(content: bytes) -> np.ndarray:
+def unpacked(content: bytes) -> np.ndarray:
+    """The picture [height, width, 4] in a WebP. Raises ValueError when it is something else."""
     with Image.open(io.BytesIO(content)) as image:
         if image.format != "WEBP" or image.width * image.height > MOST_PIXELS:
             raise ValueError("a picture of it is no WebP of a sensible size")

@@ -1,0 +1,98 @@
+"""What a long run keeps is used again only where it was made of the same photos and settings."""
+
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from querysplat_cli.pipeline.settings import ReconstructSettings
+from querysplat_cli.pipeline.unfinished import OF_FILES, unfinished
+from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.views import Photo
+
+PART = Gaussians(*(torch.zeros(2, *shape) for shape in ((3,), (4,), (3,), (), (1, 3))))
+"""Stands for the cameras. Any part that can be kept does."""
+
+
+class Stopped(Exception):
+    """In place of a kill."""
+
+
+@pytest.fixture
+def settings(tmp_path: Path) -> ReconstructSettings:
+    """Of a run with one photo that was stopped when its cameras and one of two regions were done."""
+    (tmp_path / "a.jpg").write_bytes(b"a photo")
+    found = ReconstructSettings((tmp_path,), tmp_path / "scene.ply", regions=2)
+    with suppress(Stopped), unfinished(found, [photo(tmp_path)], 64) as work:
+        assert work.notes == ()
+        work.cameras(lambda: PART)
+        (work.region(1) / "scene.pt").write_bytes(b"a region")
+        work.region(2)
+        raise Stopped
+    return found
+
+
+def photo(folder: Path) -> Photo:
+    return Photo("a", folder / "a.jpg", np.zeros((4, 4, 3), np.uint8))
+
+
+def goes_on(settings: ReconstructSettings, size: int = 64) -> tuple[bool, bool, str]:
+    """Whether a run with these settings takes the cameras, whether it takes the region, and what the user reads."""
+    made_again = []
+    folder = settings.inputs[0]
+    with suppress(Stopped), unfinished(settings, [photo(folder)], size) as work:
+        work.cameras(lambda: made_again.append("cameras") or PART)
+        region = (work.region(1) / "scene.pt").is_file()
+        raise Stopped
+    return not made_again, region, " ".join(work.notes)
+
+
+def test_the_same_settings_go_on(settings: ReconstructSettings) -> None:
+    assert goes_on(settings) == (True, True, "went on with the cameras and 1 regions of an unfinished run")
+
+
+def test_what_only_changes_the_files_goes_on(settings: ReconstructSettings) -> None:
+    """Replacing, frame and engine may change."""
+    changed = replace(settings, force=True, frame="vgm", cluster="local:2", backdrop=False)
+    assert {"force", "frame", "cluster", "backdrop"} < set(OF_FILES)
+    assert goes_on(changed)[:2] == (True, True)
+
+
+@pytest.mark.parametrize(
+    ("change", "option"),
+    [({"quality": "draft"}, "--quality"), ({"queries": 50}, "--queries"), ({"regions": 3}, "--regions")],
+)
+def test_a_setting_of_regions_invalidates_these_alone(
+    settings: ReconstructSettings, change: dict[str, object], option: str
+) -> None:
+    cameras, region, said = goes_on(replace(settings, **change))
+    assert (cameras, region) == (True, False)
+    assert said == f"an unfinished run had other values of {option}: its regions are made again"
+    assert goes_on(replace(settings, **change))[0]  # the new values are those that count from now on
+
+
+def test_a_setting_of_cameras_invalidates_both(settings: ReconstructSettings) -> None:
+    assert goes_on(replace(settings, seed=7, max_views=9)) == (
+        False,
+        False,
+        "an unfinished run had other values of --max-views, --seed: its cameras and regions are made again",
+    )
+
+
+def test_another_photo_or_size_invalidates_both(settings: ReconstructSettings) -> None:
+    (settings.inputs[0] / "a.jpg").write_bytes(b"another photo")
+    cameras, region, said = goes_on(settings)
+    assert (cameras, region) == (False, False)
+    assert "photos" in said
+    assert goes_on(settings, size=32)[:2] == (False, False)
+
+
+def test_a_run_that_ends_leaves_nothing(settings: ReconstructSettings) -> None:
+    folder = settings.inputs[0] / ".scene.ply.unfinished"
+    assert folder.is_dir()
+    with unfinished(settings, [photo(settings.inputs[0])], 64):
+        pass
+    assert not folder.exists()
