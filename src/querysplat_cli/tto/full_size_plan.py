@@ -91,6 +91,7 @@ def plan_full_size(
             seconds=None if seconds is None else seconds * part,
             keep_cover=1 < photos.count <= TTO_POLICY.few_views,
             densify_after=policy.splits,
+            opacity=policy.opacity,
         )
         stages.append(FullSizeStage(round(size * share), settings, more))
         expected += steps * cost
