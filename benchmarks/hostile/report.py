@@ -53,8 +53,9 @@ def page(found: list[Outcome], command: str, intro: str) -> str:
         table(found),
         "The program has 504 kills: each of 21 commands is ended six times by each of four signals, half of the times "
         "in the second half of its computing. None is ended in its first 0.8 CPU seconds, in which Python itself "
-        "starts. After a kill comes what the next run does first: it sweeps what was left. Then every file is read: each must be the old one or the new one, and whole. Every case with "
-        "its message, exit code, time and files is in `benchmarks/results/abuse.json`.",
+        "starts. After a kill comes what the next run does first: it sweeps what was left. Then every file is read: "
+        "each must be the old one or the new one, and whole. Every case with its message, exit code, time and files "
+        "is in `benchmarks/results/abuse.json`.",
         "## Cases that are not clean",
         markdown(("inputs", "case", "faults"), [(e.family, f"`{e.what}`", "; ".join(e.faults)) for e in faulty])
         if faulty

@@ -150,9 +150,12 @@ def test_opacities_fall_until_the_last_split() -> None:
     fallen = [before - after for before, after in pairwise(means)]
     assert min(fallen[:10]) > 1e-3
     assert max(fallen[-5:]) < 0.1 * min(fallen[:10])
-    assert {each.settings.opacity for each in plan_full_size("high", LARGE, 40_000).stages} == {
-        FULL_SIZE_POLICY.opacity
-    }
+
+
+def test_opacity_has_a_price_where_gaussians_are_plenty() -> None:
+    plenty, few = plan_full_size("high", Photos(8, 480, 640, 448), 40_000), plan_full_size("high", LARGE, 40_000)
+    assert {each.settings.opacity for each in plenty.stages} == {FULL_SIZE_POLICY.opacity}
+    assert {each.settings.opacity for each in few.stages} == {0.0}
 
 
 def test_only_photos_that_are_shown_often_have_dropout() -> None:
