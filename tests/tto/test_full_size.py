@@ -1,7 +1,6 @@
 """Optimisation on large photos: the plan, and what it does to a coarse scene."""
 
 from dataclasses import replace
-from itertools import pairwise
 
 import pytest
 import torch
@@ -132,30 +131,6 @@ def test_small_photos_have_one_stage_and_few_photos_have_few_steps() -> None:
     assert sum(each.settings.steps for each in few.stages) <= 2 * TTO_POLICY.passes
     assert all(each.settings.keep_cover for each in few.stages)
     assert not any(each.settings.keep_cover for each in plan_full_size("high", LARGE, 40_000).stages)
-
-
-def test_opacities_fall_until_the_last_split() -> None:
-    """Where no photo sees the scene, the weight alone moves them, and afterwards Adam's momentum runs out."""
-    grey = Views(
-        torch.full((4, 3, 36, 36), 0.5), *(getattr(views_at(36)[0], name) for name in ("masks", "names", "sizes"))
-    )
-    scene = replace(coarse(), means=coarse().means + torch.tensor([0, 0, -20.0]))  # behind all cameras
-    means = []
-    plan = FullSizePlan((FullSizeStage(36, replace(stage(36, 30).settings, opacity=0.2), 30),), 1.0)
-
-    def look(gaussians: Gaussians) -> None:
-        means.append(float(gaussians.opacities.detach().mean()))
-
-    optimise_full_size(scene, lambda size: (grey, cameras(36)), plan, seed=0, look=look)
-    fallen = [before - after for before, after in pairwise(means)]
-    assert min(fallen[:10]) > 1e-3
-    assert max(fallen[-5:]) < 0.1 * min(fallen[:10])
-
-
-def test_opacity_has_a_price_where_gaussians_are_plenty() -> None:
-    plenty, few = plan_full_size("high", Photos(8, 480, 640, 448), 40_000), plan_full_size("high", LARGE, 40_000)
-    assert {each.settings.opacity for each in plenty.stages} == {FULL_SIZE_POLICY.opacity}
-    assert {each.settings.opacity for each in few.stages} == {0.0}
 
 
 def test_only_photos_that_are_shown_often_have_dropout() -> None:

@@ -74,7 +74,6 @@ def plan_full_size(
     pixels = photos.pixels(size)
     target = min(limits.gaussians if most is None else most, limits.gaussians)
     target = max(gaussians, min(target, int(photos.count * pixels / policy.pixels_per_gaussian)))
-    spare = photos.count * pixels <= policy.opacity_pixels * target
     most_passes = min(policy.most_passes, limits.passes * max(1.0, size / photos.working) ** 2)
     if photos.count <= TTO_POLICY.few_views:
         most_passes = min(most_passes, TTO_POLICY.passes)
@@ -92,7 +91,6 @@ def plan_full_size(
             seconds=None if seconds is None else seconds * part,
             keep_cover=1 < photos.count <= TTO_POLICY.few_views,
             densify_after=policy.splits,
-            opacity=policy.opacity if spare else 0.0,
         )
         stages.append(FullSizeStage(round(size * share), settings, more))
         expected += steps * cost

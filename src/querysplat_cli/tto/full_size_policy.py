@@ -57,13 +57,6 @@ class FullSizePolicy:
     those of 480 pixels instead of 448 cost 0.2 dB."""
     splits: tuple[float, ...] = (0.05, 0.2, 0.35, 0.5)
     """Shares of the steps of a stage after which Gaussians are split. The other steps adapt them."""
-    opacity: float = 0.15
-    """Weight of the mean opacity in the loss until the last split: Gaussians that no photo needs fade, instead of
-    fitting the noise of one. Held out, `standard` gains 0.13 dB and `high` 0.26 dB (docs/tried.md)."""
-    opacity_pixels: float = 55.0
-    """Where the photos together have more pixels than this for each Gaussian, opacity is free: there are too few to
-    spare. With 76 and 93 pixels each, two sets that nothing was tuned on lost 0.016 and 0.008 of SSIM at 1,600 pixels.
-    The sets that are tuned on have 11 to 35."""
     most_passes: int = 100
     """How often the plan shows each photo at most. Up to `TtoPolicy.few_views` photos have `TtoPolicy.passes`."""
     fewest_passes: float = 12.0

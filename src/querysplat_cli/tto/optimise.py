@@ -185,8 +185,6 @@ class _Run(Generic[V]):
         loss = self._target.value_and_gradient(gaussians, chosen)
         if self._coverage:
             loss = self._coverage.add_to(loss, gaussians, step)
-        if self._splits_left:
-            loss = loss.with_opacity(self._settings.opacity)
         loss.send_back(gaussians, self._target.cameras)
         return loss
 

@@ -54,7 +54,6 @@ class TtoSettings:
     keep_cover: whether what the scene covers between the views must stay covered.
     dropout: share of the Gaussians that is left out of a step at the end of the run; it rises from 0 along the way.
     densify_after: shares of the steps after which Gaussians are split, where they are.
-    opacity: weight of the mean opacity in the loss until the last split (3DGS-MCMC, Kheradmand et al. 2024).
     """
 
     steps: int
@@ -65,7 +64,6 @@ class TtoSettings:
     keep_cover: bool = False
     dropout: float = 0.0
     densify_after: tuple[float, ...] = TTO_POLICY.densify_after
-    opacity: float = 0.0
 
 
 @dataclass(frozen=True)

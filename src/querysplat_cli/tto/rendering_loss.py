@@ -35,11 +35,6 @@ class LossAndGradient:
     def loss(self) -> float:
         return sum(self.losses) / len(self.losses)
 
-    def with_opacity(self, weight: float) -> "LossAndGradient":
-        """The same with the gradient of `weight` times the mean opacity, which is not among the losses."""
-        slopes = self.gradient.opacities + weight / len(self.gradient)
-        return replace(self, gradient=replace(self.gradient, opacities=slopes))
-
     def send_back(self, gaussians: Gaussians, cameras: Cameras) -> None:
         """Propagate the gradient to what `gaussians` were made from, and `cameras` where they require it."""
         made, slopes = tensors(gaussians), tensors(self.gradient)
