@@ -1,11 +1,12 @@
 """A scene: a set of 3D Gaussians."""
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
+from torch.nn import functional as F
 
 from querysplat_cli.scene.tensor_dataclass import TensorDataclass
 
@@ -62,7 +63,9 @@ class Gaussians(TensorDataclass):
 
 
 def joined(*parts: Gaussians) -> Gaussians:
-    """All Gaussians of `parts`, which have SH of the same degree."""
+    """All Gaussians of `parts`, with as many SH bands as the part that has most."""
+    bands = max(part.sh.shape[1] for part in parts)
+    alike = [replace(part, sh=F.pad(part.sh, (0, 0, 0, bands - part.sh.shape[1]))) for part in parts]
     return Gaussians(
-        **{each.name: torch.cat([getattr(part, each.name) for part in parts]) for each in fields(Gaussians)}
+        **{each.name: torch.cat([getattr(part, each.name) for part in alike]) for each in fields(Gaussians)}
     )

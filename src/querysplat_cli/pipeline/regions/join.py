@@ -15,7 +15,6 @@ from querysplat_cli.pipeline.regions.colours import common_exposures, recoloured
 from querysplat_cli.pipeline.regions.groups import Group
 from querysplat_cli.pipeline.regions.merge import (
     merged_anchors,
-    merged_gaussians,
     merged_kept,
     merged_map,
     merged_memories,
@@ -30,7 +29,7 @@ from querysplat_cli.reporting.report import Report, tto_entries
 from querysplat_cli.reporting.view_scores import score
 from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.exposures import Exposures
-from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.gaussians import Gaussians, joined
 from querysplat_cli.scene.photo_files import photo_files
 from querysplat_cli.scene.views import PhotoSource
 from querysplat_cli.tto.adapt import Adapted
@@ -117,7 +116,7 @@ class _Joint:
         views = CoreViews.of([(cameras, each.depth) for cameras, each in zip(small, scenes, strict=True)])
         own = [owners(each.means, views) == number for number, each in enumerate(whole)]
         kept = [each[mine] for each, mine in zip(whole, own, strict=True)]
-        return cls(whole, own, merged_gaussians(kept), exposures)
+        return cls(whole, own, joined(*kept), exposures)
 
 
 def _seams(groups: Sequence[Group], joint: _Joint, posed: PosedViews) -> tuple[list[dict[str, Any]], tuple[str, ...]]:

@@ -14,18 +14,9 @@ from querysplat_cli.model.memories import Memories
 from querysplat_cli.pipeline.regions.groups import Group
 from querysplat_cli.pipeline.regions.scene import RegionScene
 from querysplat_cli.queries.prepare import MemoryMap
-from querysplat_cli.scene.gaussians import Gaussians, joined
 
 UNREAD = -1e4
 """Bias of a row that fills up the list of a query's neighbours: it gets no attention."""
-
-
-def merged_gaussians(parts: Sequence[Gaussians]) -> Gaussians:
-    """All Gaussians, with as many SH bands as the region that has most."""
-    bands = max(part.sh.shape[1] for part in parts)
-    padded = [F.pad(part.sh, (0, 0, 0, bands - part.sh.shape[1])) for part in parts]
-    same = [Gaussians(p.means, p.quats, p.scales, p.opacities, sh) for p, sh in zip(parts, padded, strict=True)]
-    return joined(*same)
 
 
 def merged_kept(scenes: Sequence[RegionScene], own: Sequence[Tensor]) -> Bool[Tensor, "n"] | None:

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from querysplat_cli.runtime.errors import MissingPart, QuerySplatError
+from querysplat_cli.runtime.errors import MissingPart
 from querysplat_cli.scene.files import atomic_path
-from querysplat_cli.scene.formats.ply import HIGHEST_OPACITY, NoGaussian, export_rows
+from querysplat_cli.scene.formats.ply import HIGHEST_OPACITY, NoGaussian, damage_named, export_rows, finite_gaussians
 from querysplat_cli.scene.gaussians import Gaussians
 
 SPZ_BITS = 24
@@ -28,11 +28,9 @@ def read_spz(path: Path) -> Gaussians:
     Raises MissingPart without gsply, QuerySplatError when the file is damaged.
     """
     gsply = _gsply()
-    try:
+    with damage_named(path, ".spz"):
         gaussians = _gaussians(gsply.read_spz(path))
-    except Exception as error:  # damage can raise anything in the decoder
-        raise QuerySplatError(f"{path}: damaged, or no .spz: {error}", "Export it again.") from error
-    return _finite(path, gaussians)
+    return finite_gaussians(path, gaussians)
 
 
 def write_spz(path: Path, gaussians: Gaussians, version: int = 3) -> int:
@@ -75,14 +73,6 @@ def _gsply() -> Any:
 
 def _missing(part: str) -> MissingPart:
     return MissingPart(f"this format needs {part}", "pip install 'querysplat[formats]'")
-
-
-def _finite(path: Path, gaussians: Gaussians) -> Gaussians:
-    """The Gaussians with finite numbers. Raises QuerySplatError where there is none."""
-    gaussians = gaussians[gaussians.finite]
-    if not len(gaussians):
-        raise NoGaussian(path)
-    return gaussians
 
 
 def _finite_rows(gaussians: Gaussians) -> np.ndarray:

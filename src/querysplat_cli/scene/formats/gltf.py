@@ -13,9 +13,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.files import atomic_path
-from querysplat_cli.scene.formats.ply import HIGHEST_OPACITY, LOWEST_OPACITY, NoGaussian
+from querysplat_cli.scene.formats.ply import HIGHEST_OPACITY, LOWEST_OPACITY, damage_named, finite_gaussians
 from querysplat_cli.scene.gaussians import Gaussians
 
 EXTENSION = "KHR_gaussian_splatting"
@@ -28,9 +27,7 @@ CHUNK = struct.Struct("<II")
 
 def write_glb(path: Path, gaussians: Gaussians) -> int:
     """Write the finite Gaussians; returns how many there are."""
-    finite = gaussians[gaussians.finite]
-    if not len(finite):
-        raise NoGaussian(path)
+    finite = finite_gaussians(path, gaussians)
     columns = {name: np.ascontiguousarray(values, "<f4") for name, values in _attributes(finite).items()}
     offsets = np.concatenate([[0], np.cumsum([values.nbytes for values in columns.values()])]).tolist()
     document = _document(columns, offsets)
@@ -47,16 +44,9 @@ def write_glb(path: Path, gaussians: Gaussians) -> int:
 
 def read_glb(path: Path) -> Gaussians:
     """The Gaussians of the first primitive of a .glb that has any. Raises QuerySplatError when it is damaged."""
-    try:
+    with damage_named(path, ".glb of Gaussians"):
         gaussians = _gaussians(*_chunks(path.read_bytes()))
-    except QuerySplatError:
-        raise
-    except Exception as error:  # damage can raise anything while the parts are put together
-        raise QuerySplatError(f"{path}: damaged, or no .glb of Gaussians: {error}", "Export it again.") from error
-    gaussians = gaussians[gaussians.finite]
-    if not len(gaussians):
-        raise NoGaussian(path)
-    return gaussians
+    return finite_gaussians(path, gaussians)
 
 
 def _attributes(gaussians: Gaussians) -> dict[str, np.ndarray]:

@@ -5,7 +5,8 @@ colour (all bands of red, of green, of blue), opacity as a logit, scale_0…2 as
 w x y z. Readers go by the properties' names.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +35,26 @@ class NoGaussian(QuerySplatError):
 
     def __init__(self, path: Path) -> None:
         super().__init__(f"{path}: no Gaussian with finite numbers", "Make or export the scene again.")
+
+
+def finite_gaussians(path: Path, gaussians: Gaussians) -> Gaussians:
+    """The Gaussians with finite numbers, of a file that is read or written. Raises NoGaussian where there is none."""
+    finite = gaussians[gaussians.finite]
+    if not len(finite):
+        raise NoGaussian(path)
+    return finite
+
+
+@contextmanager
+def damage_named(path: Path, what: str) -> Iterator[None]:
+    """Inside, any error but a QuerySplatError becomes one that says that the file at `path` is damaged, or no `what`:
+    damage can raise anything in a decoder."""
+    try:
+        yield
+    except QuerySplatError:
+        raise
+    except Exception as error:
+        raise QuerySplatError(f"{path}: damaged, or no {what}: {error}", "Export it again.") from error
 
 
 def write_ply(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = ()) -> int:
@@ -84,11 +105,7 @@ def read_ply(path: str | Path) -> Gaussians:
     if any(vertices.dtype[name].kind not in "fiu" for name in names):
         raise QuerySplatError(f"{path}: some properties of its Gaussians are lists", "Export it again.")
     rows = torch.from_numpy(np.stack([vertices[name] for name in names], 1).astype(np.float64))
-    gaussians = _gaussians(rows[~rows.isnan().any(1)])
-    gaussians = gaussians[gaussians.finite]
-    if not len(gaussians):
-        raise NoGaussian(path)
-    return gaussians
+    return finite_gaussians(path, _gaussians(rows[~rows.isnan().any(1)]))
 
 
 def columns(sh_degree: int) -> list[str]:

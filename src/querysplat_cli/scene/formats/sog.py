@@ -21,7 +21,7 @@ from PIL import Image
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.files import atomic_path
 from querysplat_cli.scene.formats.palettes import codebook, nearest, palette
-from querysplat_cli.scene.formats.ply import HIGHEST_OPACITY, NoGaussian
+from querysplat_cli.scene.formats.ply import HIGHEST_OPACITY, damage_named, finite_gaussians
 from querysplat_cli.scene.gaussians import Gaussians
 
 VERSION = 2
@@ -37,9 +37,7 @@ FIXED_TIME = (1980, 1, 1, 0, 0, 0)
 
 def write_sog(path: Path, gaussians: Gaussians) -> int:
     """Write the finite Gaussians, in their order; returns how many there are."""
-    finite = gaussians[gaussians.finite]
-    if not len(finite):
-        raise NoGaussian(path)
+    finite = finite_gaussians(path, gaussians)
     meta, pictures = encoded(finite)
     with atomic_path(path) as draft, zipfile.ZipFile(draft, "w") as archive:
         archive.writestr(zipfile.ZipInfo("meta.json", FIXED_TIME), json.dumps(meta))
@@ -50,20 +48,12 @@ def write_sog(path: Path, gaussians: Gaussians) -> int:
 
 def read_sog(path: Path) -> Gaussians:
     """The Gaussians of a .sog of version 2. Raises QuerySplatError when it is damaged, or of another version."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            meta = json.loads(archive.read("meta.json"))
-            if meta.get("version") != VERSION:
-                raise QuerySplatError(f"{path}: SOG version {meta.get('version', 1)} is not read", "Export version 2.")
-            gaussians = decoded(meta, lambda name: unpacked(archive.read(name)))
-    except QuerySplatError:
-        raise
-    except Exception as error:  # damage can raise anything in the decoders
-        raise QuerySplatError(f"{path}: damaged, or no .sog: {error}", "Export it again.") from error
-    gaussians = gaussians[gaussians.finite]
-    if not len(gaussians):
-        raise NoGaussian(path)
-    return gaussians
+    with damage_named(path, ".sog"), zipfile.ZipFile(path) as archive:
+        meta = json.loads(archive.read("meta.json"))
+        if meta.get("version") != VERSION:
+            raise QuerySplatError(f"{path}: SOG version {meta.get('version', 1)} is not read", "Export version 2.")
+        gaussians = decoded(meta, lambda name: unpacked(archive.read(name)))
+    return finite_gaussians(path, gaussians)
 
 
 def encoded(gaussians: Gaussians) -> tuple[dict[str, Any], dict[str, np.ndarray]]:

@@ -7,7 +7,7 @@ always shown, such as the backdrop, is the environment. Axes are those of the .p
 
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -20,7 +20,7 @@ from torch import Tensor
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.formats import sog
 from querysplat_cli.scene.formats.lod_tree import Division, extents, morton_codes, node
-from querysplat_cli.scene.formats.ply import NoGaussian
+from querysplat_cli.scene.formats.ply import damage_named, finite_gaussians
 from querysplat_cli.scene.formats.streamed_index import INDEX_NAME, INDEX_VERSION, StreamedIndex, read_index
 from querysplat_cli.scene.gaussians import Gaussians, joined
 
@@ -80,17 +80,9 @@ def read_streamed(path: Path, level: int = 0) -> Gaussians:
     index_path = path / INDEX_NAME if path.is_dir() else path
     if not index_path.is_file():
         raise QuerySplatError(f"{index_path}: no such file", f"Give a folder with a {INDEX_NAME}.")
-    try:
-        index = read_index(index_path)
-        gaussians = _read_level(index_path.parent, index, level)
-    except QuerySplatError:
-        raise
-    except Exception as error:  # damage can raise anything while the parts are put together
-        raise QuerySplatError(f"{index_path}: damaged, or no streamed SOG: {error}", "Export it again.") from error
-    gaussians = gaussians[gaussians.finite]
-    if not len(gaussians):
-        raise NoGaussian(path)
-    return gaussians
+    with damage_named(index_path, "streamed SOG"):
+        gaussians = _read_level(index_path.parent, read_index(index_path), level)
+    return finite_gaussians(path, gaussians)
 
 
 def level_counts(path: Path) -> tuple[int, ...]:
@@ -136,8 +128,7 @@ def _read_level(folder: Path, index: StreamedIndex, level: int) -> Gaussians:
                     raise ValueError(f"a Gaussian in {index.files[number]} lies outside the bound of its leaf")
     if index.environment is not None:
         parts.append(_chunk(folder, index.environment, _meta(folder, index.environment)))
-    bands = max(part.sh.shape[1] for part in parts)
-    return joined(*(replace(part, sh=_padded(part.sh, bands)) for part in parts))
+    return joined(*parts)
 
 
 def _meta(folder: Path, name: PurePosixPath) -> dict[str, Any]:
@@ -155,8 +146,3 @@ def _picture(folder: Path, name: str) -> np.ndarray:
     if PurePosixPath(name).name != name:
         raise ValueError(f"{name!r} is not a file in its folder")
     return sog.unpacked((folder / name).read_bytes())
-
-
-def _padded(sh: Tensor, bands: int) -> Tensor:
-    """With bands of zeros: chunks of other programs may have SH of different degrees."""
-    return torch.nn.functional.pad(sh, (0, 0, 0, bands - sh.shape[1]))
