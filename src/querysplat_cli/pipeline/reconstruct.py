@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
+import numpy as np
 import torch
 
 from querysplat_cli.encoders.base import CameraRequest, Encoder, PosedViews
@@ -78,6 +79,10 @@ class _Inputs:
         """Where the photos come from, by name."""
         return {photo.name: photo.source for photo in self.photos}
 
+    def forget_pixels(self) -> None:
+        """Free the memory of the photos. Files have them where they are needed again."""
+        self.photos[:] = [replace(photo, pixels=np.zeros((0, 0, 3), np.uint8), mask=None) for photo in self.photos]
+
 
 @dataclass(frozen=True)
 class _Scores:
@@ -128,10 +133,12 @@ def _made(inputs: _Inputs, settings: ReconstructSettings, stages: Stages, work: 
             "Use --encoder classical, or --quality standard.",
         )
     metres = metres_of(settings.metres_by, passes.chosen.inputs, inputs.photos, poses_known=inputs.known is not None)
+    inputs.forget_pixels()
     count = region_count(settings, len(passes.chosen.inputs.views), inputs.encoder)
     built = None
     if work and count > 1:
-        passes = replace(passes, other=None)  # a second scene would take as long again
+        # Not the other ones: a second scene would take as long again.
+        passes = replace(passes, chosen=work.put_away(passes.chosen), other=None)
         posed, engine = passes.chosen.inputs, find_engine(settings.cluster, say=stages.say)
         built = build_regions(posed, count, settings, inputs.sources, work, engine, stages)
         scene = built.scene
