@@ -71,7 +71,7 @@ def test_what_needs_queries_is_refused(
     """The optimisation over the seams undid what the queries decode to, so the scene has none."""
     verb, *more = command
     target = [] if verb == "tto" else ["-o", str(divided[0].parent / "figures")]
-    assert run([verb, str(divided[0]), *more, *target]) == ExitCode.ERROR
+    assert run([verb, str(divided[0]), *more, *target]) == ExitCode.BAD_INPUT
     said = " ".join(capsys.readouterr().err.split())
     assert "was joined from regions, and has no queries" in said
     assert way in said

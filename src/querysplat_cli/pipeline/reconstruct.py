@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-import numpy as np
 import torch
 
 from querysplat_cli.encoders.base import CameraRequest, Encoder, PosedViews
@@ -54,7 +53,7 @@ from querysplat_cli.scene.inputs import load_inputs
 from querysplat_cli.scene.lenses import pinhole_photos
 from querysplat_cli.scene.photo_files import photo_files
 from querysplat_cli.scene.photos import find_photos
-from querysplat_cli.scene.views import LeftOut, Photo, PhotoSource
+from querysplat_cli.scene.views import LeftOut, Photo, PhotoSource, forget_pixels
 
 BUILDING = "depth", "queries", "tto", "full size"
 """The stages of making a scene from photos with cameras."""
@@ -78,10 +77,6 @@ class _Inputs:
     def sources(self) -> dict[str, PhotoSource]:
         """Where the photos come from, by name."""
         return {photo.name: photo.source for photo in self.photos}
-
-    def forget_pixels(self) -> None:
-        """Free the memory of the photos. Files have them where they are needed again."""
-        self.photos[:] = [replace(photo, pixels=np.zeros((0, 0, 3), np.uint8), mask=None) for photo in self.photos]
 
 
 @dataclass(frozen=True)
@@ -133,7 +128,7 @@ def _made(inputs: _Inputs, settings: ReconstructSettings, stages: Stages, work: 
             "Use --encoder classical, or --quality standard.",
         )
     metres = metres_of(settings.metres_by, passes.chosen.inputs, inputs.photos, poses_known=inputs.known is not None)
-    inputs.forget_pixels()
+    forget_pixels(inputs.photos)
     count = region_count(settings, len(passes.chosen.inputs.views), inputs.encoder)
     built = None
     if work and count > 1:
