@@ -171,14 +171,15 @@ def test_max_uses_the_whole_photos_and_goes_on_in_rounds() -> None:
 
 
 def test_standard_shows_each_photo_often_enough_in_its_seconds() -> None:
-    """More photos become smaller, until they are as small as the working pictures."""
-    plans = [plan_full_size("standard", replace(LARGE, count=count), 40_000) for count in (6, 12, 24, 200)]
+    """Up to a number of photos all share the same seconds, and become smaller. More have seconds of their own."""
+    limits, counts = FULL_SIZE_POLICY.levels["standard"], (6, 12, 16, 24, 90)
+    plans = [plan_full_size("standard", replace(LARGE, count=count), 40_000) for count in counts]
     sizes = [plan.stages[-1].max_size for plan in plans]
     assert sizes == sorted(sizes, reverse=True)
-    assert sizes[0] <= FULL_SIZE_POLICY.levels["standard"].size
-    assert sizes[-1] == LARGE.working
-    assert all(plan.seconds <= FULL_SIZE_POLICY.levels["standard"].most_seconds for plan in plans)
-    for count, plan in zip((6, 12), plans, strict=False):
+    assert sizes[0] <= limits.size
+    assert sizes[-2] == sizes[-1] > 1.5 * LARGE.working
+    for count, plan in zip(counts, plans, strict=True):
+        assert plan.seconds <= max(limits.most_seconds, limits.seconds_per_photo * count)
         assert sum(each.settings.steps for each in plan.stages) >= FULL_SIZE_POLICY.fewest_passes * count
 
 

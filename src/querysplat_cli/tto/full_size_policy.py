@@ -18,10 +18,12 @@ class LevelPolicy:
     seconds: tuple[float, float]
     """What the plan may take, and for each million pixels of all photos together."""
     most_seconds: float
-    """However many photos there are."""
+    """However many pixels there are."""
     passes: float
     """How often each photo is shown at most that is no larger than the working pictures; larger ones more often, as
     their pixels are more."""
+    seconds_per_photo: float = 0.0
+    """The plan may take so long for each photo, where that is more than all of the above."""
     most_rounds: int = 0
     """Rounds after the stages at most; they end when the loss stops falling."""
 
@@ -36,14 +38,17 @@ class FullSizePolicy:
 
     levels: Mapping[FullSizeLevel, LevelPolicy] = field(
         default_factory=lambda: {
-            "standard": LevelPolicy(900, 70_000, (20.0, 0.0), 20.0, passes=14.0),
+            "standard": LevelPolicy(900, 70_000, (20.0, 0.0), 20.0, passes=20.0, seconds_per_photo=1.2),
             "high": LevelPolicy(1600, 200_000, (60.0, 10.0), 900.0, passes=50.0),
             "max": LevelPolicy(WHOLE, 500_000, (60.0, 10.0), float("inf"), passes=50.0, most_rounds=8),
         }
     )
     """50 passes with dropout, instead of 14 without, take three times the seconds. Held out on grey at 448 pixels they
     bring fortress from 30.35 to 30.70 dB, dtu106 from 28.53 to 28.63, fox from 23.59 to 23.67; SSIM gains 0.004 to
-    0.008.
+    0.008. 20 instead of 14 bring 0.09 dB (docs/quality.md).
+
+    With 44 photos of fox, 20 seconds give 31.44 dB on held-out ones, 39 seconds 32.06 and 56 seconds 32.39. Cameras and
+    depth take more than the seconds per photo of `standard`.
 
     The seconds of `high` are about 430 for 20 photos of 1,600 × 1,200, so that the whole command takes about ten
     minutes on two quiet cores."""
