@@ -1,13 +1,17 @@
 """One procedural street of N photos, reconstructed whole and in regions: held-out PSNR, seconds by stage, memory.
 
 The photos have true cameras; --poses gives them to the program, without it the cameras are estimated. Every tenth photo
-is held out.
+is held out. --places makes scenes of 30 photos of it as well, and compares them with the first large one on the same
+held-out photos.
 """
 
 import argparse
 import json
+import shutil
 import subprocess
 import sys
+import time
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -18,54 +22,86 @@ from common.street_photos import take_street
 
 STEP = 0.35
 """Metres from photo to photo."""
+PLACE = 30
+"""Photos of a place."""
 
 
-def measure(folder: Path, ply: Path, regions: int, more: list[str]) -> dict[str, Any]:
-    """The row of one reconstruction."""
-    command = [sys.executable, "-m", "querysplat_cli", "reconstruct", str(folder / "images"), "-o", str(ply)]
-    command += ["--regions", str(regions), "--holdout-every", "10", "--json", "-q", "--force", *more]
-    before = children_cpu_seconds()
+def measure(images: Path, ply: Path, more: list[str]) -> dict[str, Any]:
+    """The row of one reconstruction; `heldout` and `inputs` are the PSNR of photos by name."""
+    command = [sys.executable, "-m", "querysplat_cli", "reconstruct", str(images), "-o", str(ply)]
+    command += ["--holdout-every", "10", "--json", "-q", "--force", *more]
+    before, start = children_cpu_seconds(), time.perf_counter()
     done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode:
         raise SystemExit(done.stderr)
     report = json.loads(done.stdout)
     quality = report["quality"]
     return {
-        "regions": regions,
+        "photos": len(list(images.iterdir())),
+        "regions": max(1, len(report["regions"])),
         "cpu_seconds": children_cpu_seconds() - before,
+        "wall_seconds": time.perf_counter() - start,
         "seconds": report["seconds"],
         "gib": report["peak_memory_gib"],
         "gaussians": report["gaussians"],
-        "input": quality["input"]["psnr"],
-        "heldout": quality["heldout"]["psnr"] if quality["heldout"] else None,
+        **{name: _by_name(quality[name]) for name in ("input", "heldout")},
         "report": report["regions"],
+        "seams": report["seams"],
     }
+
+
+def _by_name(quality: dict[str, Any] | None) -> dict[str, float]:
+    return {name: row["psnr"] for name, row in quality["views"].items()} if quality else {}
+
+
+def _mean(scores: dict[str, float], names: Iterable[str] = ()) -> float | None:
+    """Of the photos with these names, or of all."""
+    found = [scores[name] for name in names or scores if name in scores]
+    return sum(found) / len(found) if found else None
+
+
+def photos_of(folder: Path, first: int) -> Path:
+    """A folder with the photos of one place, from photo `first` on."""
+    place = folder / f"place-{first}"
+    place.mkdir(exist_ok=True)
+    for photo in sorted((folder / "images").iterdir())[first : first + PLACE]:
+        shutil.copy(photo, place)
+    return place
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--photos", type=int, default=60)
     parser.add_argument("--size", type=int, default=224, help="longer side, in pixels")
-    parser.add_argument("--regions", type=int, nargs="*", default=(1, 2, 4))
+    parser.add_argument("--regions", nargs="*", default=["1", "2", "4"], help="numbers, or auto")
+    parser.add_argument("--places", type=int, nargs="*", default=(), help="first photos, multiples of 10")
     parser.add_argument("--quality", default="draft")
     parser.add_argument("--poses", action="store_true", help="give the true cameras")
     parser.add_argument("--keep", type=Path, help="keep photos and scenes in this folder")
     parser.add_argument("--json", type=Path, help="also write the results here")
     options = parser.parse_args()
-    table = Table(
-        {"regions": "", "held out, dB": ".2f", "inputs, dB": ".2f", "CPU s": ".0f", "GiB": ".2f", "Gaussians": ","}
-    )
+    table = Table({
+        "photos": "", "regions": "", "held out, dB": ".2f", "inputs, dB": ".2f", "same photos, dB": ".2f",
+        "CPU s": ".0f", "CPU s a photo": ".2f", "s": ".0f", "GiB": ".2f", "Gaussians": ",",
+    })  # fmt: skip
     with folder_or_scratch(options.keep) as folder:
         if not (folder / "images").is_dir():
             take_street(folder / "images", options.photos, length=STEP * (options.photos - 1), width=options.size)
         more = ["--quality", options.quality, "--max-size", str(options.size), "--holdout-cameras", "joint"]
         if options.poses:
             more += ["--poses", str(folder / "transforms.json")]
-        rows = []
-        for count in options.regions:
-            row = measure(folder, folder / f"street-{count}.ply", count, more)
-            table.add(row["regions"], row["heldout"], row["input"], row["cpu_seconds"], row["gib"], row["gaussians"])
+        runs = [(folder / "images", f"street-{count}", ["--regions", count]) for count in options.regions]
+        runs += [(photos_of(folder, first), f"scene-{first}", []) for first in options.places]
+        rows: list[dict[str, Any]] = []
+        for images, name, regions in runs:
+            row = measure(images, folder / f"{name}.ply", [*more, *regions])
             rows.append(row)
+            row["same"] = _mean(rows[0]["heldout"], row["heldout"]) if row["photos"] < rows[0]["photos"] else None
+            each = row["cpu_seconds"] / row["photos"]
+            table.add(
+                row["photos"], row["regions"], _mean(row["heldout"]), _mean(row["input"]), row["same"],
+                row["cpu_seconds"], each, row["wall_seconds"], row["gib"], row["gaussians"],
+            )  # fmt: skip
             write_json(options.json, rows=rows)
 
 

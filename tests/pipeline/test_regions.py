@@ -18,7 +18,7 @@ from querysplat_cli.pipeline.regions.owners import CoreViews, depth_maps, owners
 from querysplat_cli.pipeline.regions.scene import RegionScene
 from querysplat_cli.pipeline.regions.seams import Seam, disagreement, find_seams, verdict
 from querysplat_cli.pipeline.settings import ReconstructSettings
-from querysplat_cli.queries.prepare import MemoryMap
+from querysplat_cli.queries.prepare import MemoryMap, PreparedQueries
 from querysplat_cli.runtime.errors import ImpossibleScene, QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.exposures import Exposures
@@ -127,7 +127,8 @@ def region(matrices: torch.Tensor | None) -> RegionScene:
     memories = Memories(nothing, nothing, nothing, nothing)
     exposures = None if matrices is None else Exposures(matrices)
     where = MemoryMap(torch.zeros(0).int(), torch.zeros(0).int(), torch.ones(3).int(), torch.zeros(0, 0, 0))
-    return RegionScene(grey(), torch.zeros(1, 1, 1), memories, None, where, None, exposures, None, 1, {})
+    prepared = PreparedQueries(memories, None, None, where)
+    return RegionScene(grey(), torch.zeros(1, 1, 1), prepared, exposures, None, 1, {})
 
 
 def grey() -> Gaussians:

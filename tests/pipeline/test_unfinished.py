@@ -51,7 +51,17 @@ def goes_on(settings: ReconstructSettings, size: int = 64) -> tuple[bool, bool, 
 
 
 def test_the_same_settings_go_on(settings: ReconstructSettings) -> None:
-    assert goes_on(settings) == (True, True, "went on with the cameras and 1 regions of an unfinished run")
+    assert goes_on(settings) == (True, True, "went on with the cameras and 1 region of an unfinished run")
+
+
+@pytest.mark.parametrize(("more", "said"), [([], "cameras of an"), ([2], "cameras and 2 regions of an")])
+def test_what_is_done_is_said(settings: ReconstructSettings, more: list[int], said: str) -> None:
+    folder = settings.inputs[0] / ".scene.ply.unfinished"
+    for number in more:
+        (folder / f"region-{number}" / "scene.pt").write_bytes(b"a region")
+    if not more:
+        (folder / "region-1" / "scene.pt").unlink()
+    assert said in goes_on(settings)[2]
 
 
 def test_what_only_changes_the_files_goes_on(settings: ReconstructSettings) -> None:

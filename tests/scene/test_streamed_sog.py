@@ -16,7 +16,7 @@ from test_compressed import assert_close, cloud
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.formats import sog
 from querysplat_cli.scene.formats.lod_tree import divided, extents, morton_codes
-from querysplat_cli.scene.formats.streamed_sog import Level, level_counts, read_streamed, write_streamed
+from querysplat_cli.scene.formats.streamed_sog import Level, read_levels, read_streamed, write_streamed
 from querysplat_cli.scene.gaussians import Gaussians
 
 COUNT, LEAF, CHUNK = 300, 40, 100
@@ -73,7 +73,8 @@ def test_the_index_is_as_the_format_says(written: Path) -> None:
     assert (meta["version"], meta["lodLevels"], meta["environment"]) == (1, 2, "env/meta.json")
     assert meta["counts"] == [COUNT, COUNT // 2]
     assert meta["count"] == COUNT + COUNT // 2
-    assert level_counts(written) == (COUNT, COUNT // 2)
+    levels = [(count, len(gaussians)) for count, gaussians in read_levels(written)]
+    assert levels == [(count, count + len(BACKDROP)) for count in meta["counts"]]
     assert all((written / name).is_file() for name in meta["filenames"])
     folders = {path.name for path in written.iterdir() if path.is_dir()}
     assert folders == {"env", *(name.split("/")[0] for name in meta["filenames"])}
@@ -207,8 +208,11 @@ def test_what_is_no_index_and_what_is_cut_is_refused(written: Path, tmp_path: Pa
             read_streamed(tmp_path)
     with pytest.raises(QuerySplatError, match="no such file"):
         read_streamed(tmp_path / "nothing.lod")
-    with pytest.raises(QuerySplatError, match="no level 2"):
-        read_streamed(written, level=2)
+    bound = {"min": [0, 0, 0], "max": [1, 1, 1]}
+    empty = {"lodLevels": 0, "filenames": [], "tree": {"bound": bound, "children": []}}
+    (tmp_path / "lod-meta.json").write_text(json.dumps(empty))
+    with pytest.raises(QuerySplatError, match="it has no level"):
+        read_streamed(tmp_path)
     shutil.copytree(written, tmp_path / "cut")
     picture = tmp_path / "cut" / "0_0" / "means_l.webp"
     picture.write_bytes(picture.read_bytes()[:50])

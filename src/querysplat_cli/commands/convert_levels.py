@@ -11,7 +11,7 @@ from querysplat_cli.prune.merging import halved
 from querysplat_cli.prune.policy import PRUNE_POLICY
 from querysplat_cli.scene.formats.lod_tree import divided
 from querysplat_cli.scene.formats.ply import NoGaussian
-from querysplat_cli.scene.formats.streamed_sog import Level, level_counts, read_streamed, write_streamed
+from querysplat_cli.scene.formats.streamed_sog import Level, read_levels, write_streamed
 from querysplat_cli.scene.gaussians import Gaussians
 
 
@@ -48,8 +48,7 @@ def levels_entry(folder: Path, views: ComparedViews) -> dict[str, Any]:
     """What was written, as read back: the Gaussians of each level, and its PSNR (dB) on `views` of the result."""
     levels: list[dict[str, Any]] = []
     finest = 0
-    for number, count in enumerate(level_counts(folder)):
-        found = read_streamed(folder, number)
+    for count, found in read_levels(folder):
         finest = finest or len(found)
         levels.append({"gaussians": count, "psnr": round(views.psnr(views.here(found)), 3)})
     return {"gaussians": finest, "levels": levels}

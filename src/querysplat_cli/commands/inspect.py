@@ -13,7 +13,7 @@ from querysplat_cli.commands.query_figure import draw_query
 from querysplat_cli.commands.requests import InspectRequest
 from querysplat_cli.model.attention_maps import attention_of, valueless
 from querysplat_cli.pipeline.read_scene import read_scene
-from querysplat_cli.pipeline.resume import load_again
+from querysplat_cli.pipeline.resume import joined_of_regions, load_again
 from querysplat_cli.pipeline.scene_folder import StoredScene
 from querysplat_cli.queries.prepare import MemoryMap
 from querysplat_cli.runtime.errors import MAKE_AGAIN, QuerySplatError
@@ -64,6 +64,8 @@ def inspect_scene(request: InspectRequest, stages: Stages) -> Inspected:
     refuse_existing([output], force=request.force)
     with stages("read"):
         scene, report = read_scene(request.scene)
+        if scene.joined:
+            raise joined_of_regions(request.scene, "Make the scene again with --regions 1.")
         model = load_again(scene, report["settings"], request.weights, torch.device("cpu"))
         if scene.map is None:
             raise QuerySplatError(f"{request.scene} was made by an earlier version", MAKE_AGAIN)

@@ -12,7 +12,7 @@ from querysplat_cli.prune.far import drawn_in
 from querysplat_cli.prune.hiding import hiding
 from querysplat_cli.queries.backdrop import backdrop
 from querysplat_cli.reporting.report import quality_entry, tto_entries
-from querysplat_cli.reporting.view_scores import score
+from querysplat_cli.reporting.view_scores import Quality, score
 from querysplat_cli.runtime.device import to_device
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import StageProgress
@@ -26,6 +26,9 @@ from querysplat_cli.tto.full_size import FullSizeResult, optimise_full_size
 from querysplat_cli.tto.full_size_plan import FullSizePlan, FullSizeStage, Photos
 from querysplat_cli.tto.options import TtoStep
 from querysplat_cli.tto.plan import TtoRun
+
+AT_ONCE = 32
+"""Large photos that are in memory at a time where they are scored."""
 
 
 @dataclass(frozen=True)
@@ -61,8 +64,14 @@ class LargePhotos:
 
     def backdrop(self, gaussians: Gaussians) -> Gaussians:
         """What stands behind `gaussians` (`queries/backdrop.py`), in the scene's own colours."""
-        views = self.exposures.removed_from(self.views) if self.exposures else self.views
-        return backdrop(gaussians, views, self.cameras)
+        return backdrop(gaussians, self.views, self.cameras, self.exposures)
+
+    def some(self, rows: Sequence[int]) -> "LargePhotos":
+        """Those of these rows."""
+        return LargePhotos(
+            self.views[rows], self.cameras[rows], [self.files[row] for row in rows] if self.files else (),
+            self.exposures.map(lambda part: part[rows]) if self.exposures else None,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -131,8 +140,15 @@ def full_size_quality(
     """The entry `quality.full_size` of the report: PSNR and SSIM over grey, at a longer side of `size` pixels."""
     quality: dict[str, Any] = {"max_size": size, "background": MID_GREY}
     for name, photos in {"input": inputs, "heldout": heldout}.items():
-        quality[name] = photos and quality_entry(score(gaussians, *photos.at(size), MID_GREY))
+        quality[name] = photos and quality_entry(_scored(gaussians, size, photos))
     return quality
+
+
+def _scored(gaussians: Gaussians, size: int, photos: LargePhotos) -> Quality:
+    """Some photos at a time, because large ones take much memory."""
+    rows = list(range(len(photos.views)))
+    parts = [rows[start : start + AT_ONCE] for start in range(0, len(rows), AT_ONCE)]
+    return Quality.together([score(gaussians, *photos.some(part).at(size), MID_GREY) for part in parts])
 
 
 def stored_photos(scene: StoredScene) -> tuple[LargePhotos, LargePhotos | None]:

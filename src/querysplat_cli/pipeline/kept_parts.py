@@ -18,7 +18,7 @@ from querysplat_cli.model.anchors import Anchors, Neighbours
 from querysplat_cli.model.memories import Memories
 from querysplat_cli.pipeline.regions.scene import RegionScene, RegionTask
 from querysplat_cli.pipeline.settings import ReconstructSettings
-from querysplat_cli.queries.prepare import MemoryMap
+from querysplat_cli.queries.prepare import MemoryMap, PreparedQueries
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera
 from querysplat_cli.scene.exposures import Exposures
 from querysplat_cli.scene.files import atomic_path
@@ -28,7 +28,7 @@ from querysplat_cli.scene.views import LeftOut, PhotoSource, Views
 
 CLASSES: list[Any] = [
     *(Geometry, Matching, PosedViews, HoldoutCameras, PosedSplit, PoseDifference),
-    *(Anchors, Neighbours, Memories, MemoryMap, Gaussians, Exposures, Cameras, PhotoCamera),
+    *(Anchors, Neighbours, Memories, MemoryMap, PreparedQueries, Gaussians, Exposures, Cameras, PhotoCamera),
     *(Views, LeftOut, PhotoSource, PinholeView, RegionTask, RegionScene, ReconstructSettings),
     *(PosixPath, WindowsPath, np.ndarray, np.dtype, type(np.dtype(np.float64)), _reconstruct),
 ]

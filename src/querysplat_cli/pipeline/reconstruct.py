@@ -53,7 +53,7 @@ from querysplat_cli.scene.inputs import load_inputs
 from querysplat_cli.scene.lenses import pinhole_photos
 from querysplat_cli.scene.photo_files import photo_files
 from querysplat_cli.scene.photos import find_photos
-from querysplat_cli.scene.views import LeftOut, Photo, PhotoSource
+from querysplat_cli.scene.views import LeftOut, Photo, PhotoSource, forget_pixels
 
 BUILDING = "depth", "queries", "tto", "full size"
 """The stages of making a scene from photos with cameras."""
@@ -128,10 +128,12 @@ def _made(inputs: _Inputs, settings: ReconstructSettings, stages: Stages, work: 
             "Use --encoder classical, or --quality standard.",
         )
     metres = metres_of(settings.metres_by, passes.chosen.inputs, inputs.photos, poses_known=inputs.known is not None)
+    forget_pixels(inputs.photos)
     count = region_count(settings, len(passes.chosen.inputs.views), inputs.encoder)
     built = None
     if work and count > 1:
-        passes = replace(passes, other=None)  # a second scene would take as long again
+        # Not the other ones: a second scene would take as long again.
+        passes = replace(passes, chosen=work.put_away(passes.chosen), other=None)
         posed, engine = passes.chosen.inputs, find_engine(settings.cluster, say=stages.say)
         built = build_regions(posed, count, settings, inputs.sources, work, engine, stages)
         scene = built.scene

@@ -55,6 +55,8 @@ def optimise_scene(settings: ResumeSettings, stages: Stages | None = None) -> Re
         space = options.space or (spaces[-1] if spaces else "features")
         apart = "gaussians" in spaces
         count = before["gaussians"] - scene.backdrop
+        if scene.joined and space != "gaussians":
+            raise joined_of_regions(path, "Use --space gaussians, or make the scene again with --regions 1.")
         _check(path, options, space, count, apart=apart)
         gaussians = _without_backdrop(path, scene) if apart else None
     with stages("tto") as progress:
@@ -73,6 +75,11 @@ def optimise_scene(settings: ResumeSettings, stages: Stages | None = None) -> Re
     runs = tto_entries(adapted.runs)
     left_out = omissions.taken_further(before["left_out"], adapted, with_lpips=perceptual is not None)
     return _write_back(path, stored, gaussians, before, stages, tto=runs, left_out=left_out)
+
+
+def joined_of_regions(path: Path, hint: str) -> QuerySplatError:
+    """The error where a scene needs queries, and has none because it was joined from regions."""
+    return QuerySplatError(f"{path} was joined from regions, and has no queries", hint)
 
 
 def _at_full_size(settings: ResumeSettings, level: FullSizeLevel, stages: Stages) -> Report:

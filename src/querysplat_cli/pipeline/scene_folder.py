@@ -82,6 +82,11 @@ class StoredScene:
     points: SparsePoints | None = None
 
     @property
+    def joined(self) -> bool:
+        """Whether regions became this scene: there is nothing left that decodes to it."""
+        return not len(self.memories.geometry_keys)
+
+    @property
     def groups(self) -> dict[str, tuple[Views, Cameras]]:
         """The input views, and the held-out views if there are any."""
         inputs = {"input": (self.views, self.cameras)}
@@ -143,7 +148,7 @@ def _lost_by_kind(file: Path, scene: StoredScene, gaussians: Gaussians, report: 
 
 def write_images(folder: Path, views: Views) -> None:
     """Write the pictures, without their padding, under the names of `views`; lossless, or JPEG at its best quality."""
-    for image, name, (height, width) in zip(views.images, views.names, views.sizes, strict=True):
+    for row, (name, (height, width)) in enumerate(zip(views.names, views.sizes, strict=True)):
         path = folder / stored_name(name)
         settings = () if path.suffix.lower() in LOSSLESS_SUFFIXES else JPEG_SETTINGS
-        write_picture(path, eight_bit(image[:, :height, :width]), settings)
+        write_picture(path, eight_bit(views.images[row, :, :height, :width]), settings)

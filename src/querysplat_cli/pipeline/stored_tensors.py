@@ -24,7 +24,7 @@ class StoredTensors:
     """What memories.safetensors holds.
 
     `masks` are those of the input views, then those of the held-out views. `kept` marks the decoded Gaussians that
-    belong to the scene (None: all).
+    belong to the scene (None: all). Of a scene that was joined from regions, memories and anchors have no row.
     """
 
     masks: Bool[Tensor, "views height width"]
@@ -124,7 +124,7 @@ def _check_anchors(anchors: Anchors, memories: Memories) -> None:
     # Colours have no such limits: means of a white sky are 1 + 1e-7.
     if not ((anchors.opacities >= 0) & (anchors.opacities <= 1)).all():
         raise DamagedTensors("the tensor anchors.opacities has numbers outside 0 to 1")
-    if not len(anchors):
+    if not len(anchors) and len(memories.geometry_keys):
         raise DamagedTensors("there is no query")
 
 

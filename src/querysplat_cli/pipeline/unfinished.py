@@ -3,6 +3,7 @@
 .scene.ply.unfinished/
   made_of.json             what each stage was made of: photos and settings
   cameras.pt
+  inputs.views             their pictures, where there are several regions (`scene/filed_views.py`); heldout.views
   region-1/ …              `regions/task.py`
 
 The name is no draft's (`scene/drafts.py`), so no other run sweeps it. The same command goes on with it. A stage that
@@ -14,18 +15,20 @@ import os
 import shutil
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 import querysplat_cli
+from querysplat_cli.encoders.holdout import PosedSplit
 from querysplat_cli.pipeline.kept_parts import read_part, write_part
 from querysplat_cli.pipeline.policy import PIPELINE_POLICY
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.json_files import read_json
+from querysplat_cli.scene.filed_views import FiledViews
 from querysplat_cli.scene.files import atomic_path, sole_writer, without_steps
-from querysplat_cli.scene.views import Photo
+from querysplat_cli.scene.views import Photo, Views
 
 Part = TypeVar("Part")
 MADE_OF, CAMERAS, REGION = "made_of.json", "cameras.pt", "region-"
@@ -57,6 +60,18 @@ class Unfinished:
             found = find()
             write_part(self.folder / CAMERAS, found)
         return found
+
+    def put_away(self, cameras: PosedSplit) -> PosedSplit:
+        """The same cameras with pictures that are in memory only while they are looked at."""
+        inputs = replace(cameras.inputs, views=self.filed("inputs", cameras.inputs.views))
+        if cameras.heldout is None:
+            return replace(cameras, inputs=inputs)
+        views, theirs = cameras.heldout
+        return replace(cameras, inputs=inputs, heldout=(self.filed("heldout", views), theirs))
+
+    def filed(self, name: str, views: Views) -> FiledViews:
+        """`views` in a file of this name in the folder."""
+        return FiledViews(views, self.folder / f"{name}.views")
 
     def region(self, number: int) -> Path:
         """The folder of one region."""
@@ -121,7 +136,8 @@ def _notes(folder: Path, made_of: dict[str, dict[str, Any]]) -> tuple[str, ...]:
         return (f"an unfinished run had other values of {why}: its {what} are made again",)
     if not (folder / CAMERAS).is_file():
         return ()
-    return (f"went on with the cameras and {done} regions of an unfinished run",)
+    made = f" and {done} region{'s' if done > 1 else ''}" if done else ""
+    return (f"went on with the cameras{made} of an unfinished run",)
 
 
 def _changes(before: dict[str, Any], now: dict[str, Any]) -> list[str]:

@@ -18,6 +18,7 @@ from torch.nn import functional as F
 
 from querysplat_cli.queries.policy import QUERY_POLICY
 from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.exposures import Exposures
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
 from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.render import render
@@ -31,11 +32,12 @@ AT_ONCE = 500
 
 
 @torch.no_grad()
-def backdrop(gaussians: Gaussians, views: Views, cameras: Cameras) -> Gaussians:
+def backdrop(gaussians: Gaussians, views: Views, cameras: Cameras, exposures: Exposures | None = None) -> Gaussians:
     """Discs around the scene and its cameras, which face the cameras' centre.
 
     The colour in a direction is the mean of the blurred photos there, or at the nearest border where they end. Far
-    parts of a photo count more than near ones.
+    parts of a photo count more than near ones. `exposures` are the colour transforms of the photos, which are removed;
+    None where these show the scene's own colours.
     """
     policy = QUERY_POLICY
     centre = cameras.centres.mean(0)
@@ -46,7 +48,9 @@ def backdrop(gaussians: Gaussians, views: Views, cameras: Cameras) -> Gaussians:
     nearest = torch.full_like(points[:, 0], BEHIND)
     for view in range(len(views)):
         place, outside = _places(points, view, views.sizes[view], cameras)
-        blurred = _blurred(gaussians, view, views, cameras)
+        one = views[[view]]
+        one = exposures.map(lambda part, view=view: part[[view]]).removed_from(one) if exposures else one  # type: ignore[misc]
+        blurred = _blurred(gaussians, one, cameras[[view]])
         colour = F.grid_sample(blurred, place[None, None], padding_mode="border", align_corners=False)[0, :, 0].T
         # A photo that ends farther away counts only where no other is nearer.
         weight = ((-(outside / policy.backdrop_fade).square()).exp() + 1e-6) * (outside < BEHIND)
@@ -143,11 +147,11 @@ def _places(
     return place, torch.where(in_front, outside, BEHIND)
 
 
-def _blurred(gaussians: Gaussians, view: int, views: Views, cameras: Cameras) -> Float[Tensor, "1 3 rows columns"]:
-    """A photo in a few cells, each the mean of its pixels, in which the fourth power of the depth is the weight."""
-    height, width = views.sizes[view]
-    photo, mask = views.picture(view)[:, :height, :width], views.masks[view, :height, :width]
-    depth = render(gaussians, cameras[[view]]).depth[0, :height, :width]
+def _blurred(gaussians: Gaussians, view: Views, camera: Cameras) -> Float[Tensor, "1 3 rows columns"]:
+    """One photo in a few cells, each the mean of its pixels, in which the fourth power of the depth is the weight."""
+    ((height, width),) = view.sizes
+    photo, mask = view.picture(0)[:, :height, :width], view.masks[0, :height, :width]
+    depth = render(gaussians, camera).depth[0, :height, :width]
     relative = depth / depth.median().clamp_min(1e-6)
     weight = relative.clamp(*QUERY_POLICY.backdrop_depths) ** 4 * mask
     side = max(1, min(height, width) // QUERY_POLICY.backdrop_cells)

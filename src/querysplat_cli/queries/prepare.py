@@ -1,6 +1,7 @@
 """From the encoder's features to what the decoders read."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import torch
 from jaxtyping import Float, Int
@@ -47,6 +48,23 @@ class PreparedQueries:
     anchors: Anchors | None
     anchor_report: AnchorReport | None
     map: MemoryMap
+
+
+def without_rows(prepared: PreparedQueries, memories: Memories) -> PreparedQueries:
+    """Queries of the same model that have no row at all, with no memory to read."""
+    where = prepared.map
+    nothing = _no_rows(where.geometry_rows), _no_rows(where.appearance_rows)
+    layout = MemoryMap(*nothing, where.grid.clone(), torch.zeros(0, 0, 0))
+    return PreparedQueries(_no_rows(memories), _no_rows(prepared.anchors), None, layout)
+
+
+def _no_rows(part: Any) -> Any:
+    """`part` with no row of any tensor in it. A part that is no copy would keep the whole in memory and in files."""
+    if isinstance(part, Tensor):
+        return part[:0].detach().clone()
+    if part is None:
+        return None
+    return replace(part, **{field.name: _no_rows(getattr(part, field.name)) for field in fields(part)})
 
 
 @torch.no_grad()

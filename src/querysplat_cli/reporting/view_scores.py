@@ -1,5 +1,6 @@
 """PSNR and SSIM of renders against photos."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -39,6 +40,17 @@ class Quality:
     background: float
     views: dict[str, dict[str, float]]
 
+    @classmethod
+    def of_views(cls, rows: dict[str, dict[str, float]], background: float) -> "Quality":
+        """The scores of views by name."""
+        mean = {key: sum(row[key] for row in rows.values()) / len(rows) for key in DIGITS}
+        return cls(**mean, background=background, views=rows)
+
+    @classmethod
+    def together(cls, parts: Sequence["Quality"]) -> "Quality":
+        """The scores of all views of `parts`, which have one background."""
+        return cls.of_views({name: row for part in parts for name, row in part.views.items()}, parts[0].background)
+
     def summary(self) -> dict[str, float]:
         return {name: round(getattr(self, name), digits) for name, digits in DIGITS.items()}
 
@@ -62,8 +74,7 @@ def score(gaussians: Gaussians, views: Views, cameras: Cameras, background: floa
                 "psnr_grey": float(psnr(over[MID_GREY], photo, mask)),
                 **_corrected_scores(picture, photo, mask),
             }
-    mean = {key: sum(row[key] for row in rows.values()) / len(rows) for key in DIGITS}
-    return Quality(**mean, background=background, views=rows)
+    return Quality.of_views(rows, background)
 
 
 def _corrected_scores(

@@ -10,6 +10,7 @@ from uuid import uuid4
 
 from querysplat_cli.runtime.engine import Done, Engine, Handler, Heard, InProcess, reporting_to, unheard
 from querysplat_cli.runtime.errors import MissingPart, QuerySplatError
+from querysplat_cli.runtime.optional_parts import install_command
 from querysplat_cli.runtime.workers import THREAD_LIMITS, cores
 
 KINDS = "local:N, tcp://HOST:PORT or slurm:N"
@@ -42,7 +43,7 @@ def find_engine(
     if cluster is None:
         return otherwise or InProcess()
     if not find_spec("distributed"):
-        raise MissingPart(f"--cluster {cluster} needs Dask", "pip install 'querysplat[cluster]'")
+        raise MissingPart(f"--cluster {cluster} needs Dask", install_command("cluster"))
     return Dask(cluster, say)
 
 
@@ -156,7 +157,7 @@ def _local(workers: int) -> Any:
 def _slurm(jobs: int) -> Any:
     """Jobs of Slurm, each one worker, with the resources of ~/.config/dask/jobqueue.yaml."""
     if not find_spec("dask_jobqueue"):
-        raise MissingPart("--cluster slurm needs dask-jobqueue", "pip install 'querysplat[cluster]'")
+        raise MissingPart("--cluster slurm needs dask-jobqueue", install_command("cluster"))
     from dask_jobqueue import SLURMCluster
 
     cluster = SLURMCluster(processes=1)

@@ -15,7 +15,12 @@ class OptionalPart:
     @property
     def command(self) -> str:
         """The command that installs it."""
-        return f"pip install 'querysplat[{self.extra}]'"
+        return install_command(self.extra)
+
+
+def install_command(extra: str) -> str:
+    """The command that installs an extra of the package."""
+    return f"pip install 'querysplat[{extra}]'"
 
 
 OPTIONAL_PARTS = (

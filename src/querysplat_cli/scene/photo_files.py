@@ -168,5 +168,6 @@ def large_views(files: Sequence[PhotoFile], views: Views, cameras: Cameras, max_
         masks.append(one.masks[0, :rows, :columns])
         scales.append(torch.tensor([columns / width, rows / height, 1.0]))
     K = torch.stack(scales)[:, :, None] * cameras.K
-    large = on_canvas(pictures, views.names, masks)
+    sizes = tuple((mask.shape[0], mask.shape[1]) for mask in masks)
+    large = on_canvas(zip(pictures, masks, strict=True), views.names, sizes, torch.uint8)
     return large, Cameras(cameras.w2c, K, *large.masks.shape[1:])

@@ -1,6 +1,6 @@
 """Lens distortion removed: photos as a pinhole camera would take them, on one canvas."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 import cv2
 import numpy as np
@@ -23,37 +23,47 @@ def undistorted(photos: Sequence[Photo], cameras: Sequence[PhotoCamera], *, max_
     that fx and fy differ slightly for a strongly distorting lens. It lies in the canvas's top-left corner. Pictures
     are never enlarged.
     """
-    pictures, masks, matrices = [], [], []
-    for photo, camera in zip(photos, cameras, strict=True):
-        lens = rescaled(camera, photo.height, photo.width)
-        flat, K = _straightened(photo.pixels, lens)
-        scale = min(1.0, max_size / max(photo.height, photo.width))
-        height, width = max(1, round(photo.height * scale)), max(1, round(photo.width * scale))
-        if scale < 1:
-            # In float32: on 8 bits OpenCV rounds every mean, and halves always upwards.
-            flat = cv2.resize(flat.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA)
-        pictures.append(flat)
-        masks.append(_straight_mask(photo, lens, height, width))
-        matrices.append(np.diag([width / photo.width, height / photo.height, 1.0]) @ K)
-    tensors = [torch.from_numpy(picture).permute(2, 0, 1).float() / 255 for picture in pictures]
-    views = on_canvas(tensors, tuple(photo.name for photo in photos), masks)
+    matrices: list[np.ndarray] = []
+    sizes = tuple(_size_within(photo, max_size) for photo in photos)
+
+    def pictures() -> Iterator[tuple[Tensor, Tensor | None]]:
+        for photo, camera, (height, width) in zip(photos, cameras, sizes, strict=True):
+            lens = rescaled(camera, photo.height, photo.width)
+            flat, K = _straightened(photo.pixels, lens)
+            if (height, width) != (photo.height, photo.width):
+                # In float32: on 8 bits OpenCV rounds every mean, and halves always upwards.
+                flat = cv2.resize(flat.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA)
+            matrices.append(np.diag([width / photo.width, height / photo.height, 1.0]) @ K)
+            yield torch.from_numpy(flat).permute(2, 0, 1).float() / 255, _straight_mask(photo, lens, height, width)
+
+    views = on_canvas(pictures(), tuple(photo.name for photo in photos), sizes)
     w2c = torch.from_numpy(np.stack([camera.w2c for camera in cameras])).float()
     return views, Cameras(w2c, torch.from_numpy(np.stack(matrices)).float(), *views.masks.shape[1:])
 
 
-def on_canvas(pictures: Sequence[Tensor], names: tuple[str, ...], shown: Sequence[Tensor | None]) -> Views:
-    """Pictures [3, height, width] of one type, each in the top-left corner of a canvas that holds the largest sides.
+def on_canvas(
+    pictures: Iterable[tuple[Tensor, Tensor | None]],
+    names: tuple[str, ...],
+    sizes: tuple[tuple[int, int], ...],
+    kind: torch.dtype = torch.float32,
+) -> Views:
+    """Pictures [3, height, width] of type `kind`, each in the top-left corner of a canvas that holds the largest sides.
 
-    `shown` are masks [height, width] of the pictures; None where all of one takes part. The rest becomes black.
+    With each comes its mask [height, width]; None where all of it takes part. The rest becomes black. `sizes` are
+    (height, width). Pictures are taken one at a time.
     """
-    sizes = tuple((picture.shape[1], picture.shape[2]) for picture in pictures)
     height, width = (-(-max(side) // CANVAS_MULTIPLE) * CANVAS_MULTIPLE for side in zip(*sizes, strict=True))
-    images = torch.zeros(len(pictures), 3, height, width, dtype=pictures[0].dtype)
-    masks = torch.zeros(len(pictures), height, width, dtype=torch.bool)
-    for row, (picture, (rows, columns), part) in enumerate(zip(pictures, sizes, shown, strict=True)):
+    images = torch.zeros(len(sizes), 3, height, width, dtype=kind)
+    masks = torch.zeros(len(sizes), height, width, dtype=torch.bool)
+    for row, ((picture, part), (rows, columns)) in enumerate(zip(pictures, sizes, strict=True)):
         images[row, :, :rows, :columns] = picture if part is None else picture * part
         masks[row, :rows, :columns] = True if part is None else part
     return Views(images, masks, names, sizes)
+
+
+def _size_within(photo: Photo, max_size: int) -> tuple[int, int]:
+    scale = min(1.0, max_size / max(photo.height, photo.width))
+    return max(1, round(photo.height * scale)), max(1, round(photo.width * scale))
 
 
 def _straight_mask(photo: Photo, camera: PhotoCamera, height: int, width: int) -> Tensor | None:

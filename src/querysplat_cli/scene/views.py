@@ -62,6 +62,11 @@ class Photo:
         return int(self.pixels.shape[1])
 
 
+def forget_pixels(photos: list[Photo]) -> None:
+    """Free the memory of the photos in the list. What needs them again finds them by their `source`."""
+    photos[:] = [replace(photo, pixels=np.zeros((0, 0, 3), np.uint8), mask=None) for photo in photos]
+
+
 @dataclass(frozen=True)
 class Views:
     """Undistorted images on one canvas, each in its top-left corner.

@@ -12,7 +12,7 @@ from querysplat_cli.pipeline.kept_parts import read_part, write_part
 from querysplat_cli.pipeline.policy import PIPELINE_POLICY
 from querysplat_cli.pipeline.regions.groups import divide
 from querysplat_cli.pipeline.regions.join import BuiltRegions, join
-from querysplat_cli.pipeline.regions.scene import RegionScene
+from querysplat_cli.pipeline.regions.scene import KeptRegions, RegionScene
 from querysplat_cli.pipeline.regions.task import SCENE, TASK, region_maker, region_task
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.pipeline.unfinished import Unfinished
@@ -64,6 +64,8 @@ def build_regions(
     """
     with stages("regions"):
         posed, duplicates = (posed, ()) if settings.keep_everything else distinct_views(posed)
+        if duplicates:
+            posed = replace(posed, views=work.filed("distinct", posed.views))
         groups = divide(posed, count)
         folders = [work.region(number) for number in range(1, count + 1)]
         for folder, group in zip(folders, groups, strict=True):
@@ -77,9 +79,9 @@ def build_regions(
             f"stopped: {done} of {count} regions are done", "The same command goes on with the others.",
             signals.exit_code(),
         ) from None  # fmt: skip
-    scenes = [_read(folder / SCENE) for folder in folders]
+    kept = KeptRegions(lambda number: _read(folders[number] / SCENE))
     with stages("join") as progress:
-        joined = join(posed, groups, scenes, settings, sources, progress)
+        joined = join(posed, groups, kept, settings, sources, progress)
     return replace(joined, scene=replace(joined.scene, duplicates=duplicates))
 
 

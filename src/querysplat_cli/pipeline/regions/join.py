@@ -3,28 +3,22 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, cast
 
 import torch
 
 from querysplat_cli.encoders.base import Geometry, PosedViews
+from querysplat_cli.model.memories import Memories
 from querysplat_cli.pipeline.build import BuiltScene
 from querysplat_cli.pipeline.full_size import FullSize, LargePhotos
 from querysplat_cli.pipeline.policy import PIPELINE_POLICY
 from querysplat_cli.pipeline.regions.colours import common_exposures, recoloured
 from querysplat_cli.pipeline.regions.groups import Group
-from querysplat_cli.pipeline.regions.merge import (
-    merged_anchors,
-    merged_kept,
-    merged_map,
-    merged_memories,
-)
 from querysplat_cli.pipeline.regions.owners import CoreViews, owners, small_cameras
-from querysplat_cli.pipeline.regions.scene import RegionScene
-from querysplat_cli.pipeline.regions.seams import disagreement, find_seams, smoothed, verdict
+from querysplat_cli.pipeline.regions.scene import KeptRegions, RegionScene
+from querysplat_cli.pipeline.regions.seams import Seam, disagreement, find_seams, smoothed, verdict
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.queries.backdrop import shows_background
-from querysplat_cli.queries.prepare import PreparedQueries
 from querysplat_cli.reporting.report import Report, tto_entries
 from querysplat_cli.reporting.view_scores import score
 from querysplat_cli.runtime.progress import Progress
@@ -63,23 +57,25 @@ class BuiltRegions:
 def join(
     posed: PosedViews,
     groups: Sequence[Group],
-    scenes: Sequence[RegionScene],
+    kept: KeptRegions,
     settings: ReconstructSettings,
     sources: Mapping[str, PhotoSource],
     progress: Progress,
 ) -> BuiltRegions:
     """One scene of the regions of `groups`, optimised over their seams, with a backdrop behind it.
 
-    Raises ImpossibleScene where regions do not fit together.
+    The Gaussians of two regions and the photos of one or two are in memory at a time, beside the joint scene. Raises
+    ImpossibleScene where regions do not fit together.
     """
-    joint = _Joint.of(posed, groups, scenes)
+    joint = _Joint.of(posed, groups, kept)
+    scenes, seams = joint.scenes, find_seams(groups)
     files = photo_files(posed.views.names, posed.photo_cameras, sources)
     photos = LargePhotos(posed.views, posed.cameras, files, joint.exposures)
-    seams, warnings = _seams(groups, joint, posed)
+    entries, warnings = _compared(seams, joint, posed, kept)
     size = max(scene.size for scene in scenes)
-    gaussians, smoothing = _smoothed(groups, scenes, joint, photos, size, settings.seed, progress)
+    gaussians, smoothing = _smoothed(groups, seams, joint, photos, size, settings.seed, progress)
     runs = [*(entry for scene in scenes for entry in scene.entries["tto"]), *smoothing]
-    scene = _scene(posed, joint, scenes, groups)
+    scene = _scene(posed, joint)
     further = FullSize(gaussians, size, runs, _summary(scenes, len(gaussians)), False, joint.exposures)
     scene = replace(scene, files=files, full_size=further)
     if settings.backdrop and scene.prepared.anchors is not None and shows_background(posed.views):
@@ -89,66 +85,76 @@ def join(
         {
             "photos": len(group.core),
             "overlap": len(group.overlap),
-            "gaussians": int(own.sum()),
+            "gaussians": own,
             **_brief(each, posed, group, gaussians),
         }
         for group, own, each in zip(groups, joint.own, scenes, strict=True)
     ]
-    return BuiltRegions(scene, regions, seams, warnings, peak)
+    return BuiltRegions(scene, regions, entries, warnings, peak)
 
 
 @dataclass(frozen=True)
 class _Joint:
-    """Regions in common colours: whole, which of their Gaussians stay, and those as one scene."""
+    """Regions in common colours: what they have beside Gaussians, how many of these stay, and those as one scene.
 
-    whole: list[Gaussians]
-    own: list[torch.Tensor]
+    transforms: from the colours of each region to the common ones; none where these are the same.
+    """
+
+    scenes: list[RegionScene]
+    own: list[int]
     gaussians: Gaussians
     exposures: Exposures | None
+    transforms: list[torch.Tensor]
 
     @classmethod
-    def of(cls, posed: PosedViews, groups: Sequence[Group], scenes: Sequence[RegionScene]) -> "_Joint":
+    def of(cls, posed: PosedViews, groups: Sequence[Group], kept: KeptRegions) -> "_Joint":
+        scenes = [kept.without_gaussians(number) for number in range(len(groups))]
         exposures, transforms = common_exposures(groups, scenes, len(posed.views))
-        whole = [each.gaussians for each in scenes]
-        if exposures:
-            whole = [recoloured(each, transform) for each, transform in zip(whole, transforms, strict=True)]
+        empty = cls(scenes, [], scenes[0].gaussians, exposures, transforms if exposures else [])
         small = [small_cameras(posed.cameras[list(group.core)]) for group in groups]
         views = CoreViews.of([(cameras, each.depth) for cameras, each in zip(small, scenes, strict=True)])
-        own = [owners(each.means, views) == number for number, each in enumerate(whole)]
-        kept = [each[mine] for each, mine in zip(whole, own, strict=True)]
-        return cls(whole, own, joined(*kept), exposures)
+        own = []
+        for number in range(len(groups)):
+            whole = empty.whole(number, kept)
+            own.append(whole[owners(whole.means, views) == number])
+        return replace(empty, own=[len(each) for each in own], gaussians=joined(*own))
+
+    def whole(self, number: int, kept: KeptRegions) -> Gaussians:
+        """All Gaussians of a region."""
+        gaussians = kept[number].gaussians
+        return recoloured(gaussians, self.transforms[number]) if self.transforms else gaussians
 
 
-def _seams(groups: Sequence[Group], joint: _Joint, posed: PosedViews) -> tuple[list[dict[str, Any]], tuple[str, ...]]:
+def _compared(
+    seams: Sequence[Seam], joint: _Joint, posed: PosedViews, kept: KeptRegions
+) -> tuple[list[dict[str, Any]], tuple[str, ...]]:
     """The entry of every seam, and a warning for each bad one. Raises ImpossibleScene where one is too bad to join."""
     entries: list[dict[str, Any]] = []
     warnings: list[str] = []
-    for seam in find_seams(groups):
-        decibels = disagreement(seam, posed.cameras, joint.whole)
-        one, other = (number + 1 for number in seam.regions)
-        entries.append({"regions": [one, other], "photos": len(seam.photos), "psnr": round(decibels, 2)})
+    for seam in seams:
+        one, other = seam.regions
+        decibels = disagreement(seam, posed.cameras, (joint.whole(one, kept), joint.whole(other, kept)))
+        entries.append({"regions": [one + 1, other + 1], "photos": len(seam.photos), "psnr": round(decibels, 2)})
         warning = verdict(seam, decibels)
         warnings += [warning] if warning else []
     return entries, tuple(warnings)
 
 
-def _worse(
-    groups: Sequence[Group], scenes: Sequence[RegionScene], joint: _Joint, photos: LargePhotos
-) -> list[list[int]]:
+def _worse(groups: Sequence[Group], joint: _Joint, photos: LargePhotos) -> list[list[int]]:
     """Of each region, its own photos that the joint scene shows worse than the region alone: these see seams."""
     found = []
-    for group, scene in zip(groups, scenes, strict=True):
+    for group, scene in zip(groups, joint.scenes, strict=True):
         core = list(group.core)
         now = score(joint.gaussians, photos.views[core], photos.cameras[core]).views
         before = scene.entries["quality"]["views"]
-        lost = [before[name]["psnr_cc"] - now[name]["psnr_cc"] for name in photos.views[core].names]
+        lost = [before[name]["psnr_cc"] - row["psnr_cc"] for name, row in now.items()]
         found.append([row for row, each in zip(core, lost, strict=True) if each > PIPELINE_POLICY.seam_loss])
     return found
 
 
 def _smoothed(
     groups: Sequence[Group],
-    scenes: Sequence[RegionScene],
+    seams: Sequence[Seam],
     joint: _Joint,
     photos: LargePhotos,
     size: int,
@@ -156,8 +162,8 @@ def _smoothed(
     progress: Progress,
 ) -> tuple[Gaussians, list[dict[str, Any]]]:
     """The joint scene after the optimisation over every seam, and its entries in the report."""
-    seams, gaussians, runs = find_seams(groups), joint.gaussians, []
-    worse = _worse(groups, scenes, joint, photos)
+    gaussians, runs = joint.gaussians, []
+    worse = _worse(groups, joint, photos)
     for number, seam in enumerate(seams):
         part = partial(_part, progress, number / len(seams), 1 / len(seams))
         one, other = seam.regions
@@ -175,11 +181,12 @@ def _summary(scenes: Sequence[RegionScene], gaussians: int) -> dict[str, Any]:
     return {**found[0], **sums, "gaussians": gaussians} if found else {}
 
 
-def _scene(posed: PosedViews, joint: _Joint, scenes: Sequence[RegionScene], groups: Sequence[Group]) -> BuiltScene:
-    memories = merged_memories(scenes)
-    prepared = PreparedQueries(memories, merged_anchors(scenes), None, merged_map(groups, scenes, len(posed.views)))
-    kept = merged_kept(scenes, joint.own)
-    adapted = Adapted(memories, joint.gaussians, posed.cameras, (), kept, exposures=joint.exposures)
+def _scene(posed: PosedViews, joint: _Joint) -> BuiltScene:
+    """Nothing decodes to the Gaussians of a joint scene, so it has queries and memories without a row."""
+    scenes = joint.scenes
+    prepared = scenes[0].prepared
+    memories = cast(Memories, prepared.variables)
+    adapted = Adapted(memories, joint.gaussians, posed.cameras, (), exposures=joint.exposures)
     warnings = tuple(dict.fromkeys(line for each in scenes for line in each.entries["warnings"]))
     measured = [each.disagreement for each in scenes if each.disagreement is not None]
     same = joint.exposures or Exposures.identity(len(posed.views))

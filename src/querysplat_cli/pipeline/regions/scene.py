@@ -1,16 +1,16 @@
 """What a region is made of, and what becomes of it."""
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import Any
 
-from jaxtyping import Bool, Float
+import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from querysplat_cli.encoders.base import PosedViews
-from querysplat_cli.model.anchors import Anchors
-from querysplat_cli.model.memories import Memories
 from querysplat_cli.pipeline.settings import ReconstructSettings
-from querysplat_cli.queries.prepare import MemoryMap
+from querysplat_cli.queries.prepare import PreparedQueries
 from querysplat_cli.scene.exposures import Exposures
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.views import PhotoSource
@@ -37,7 +37,8 @@ class RegionScene:
 
     gaussians: without a backdrop.
     depth: what its core photos see, at the size of `owners.small_cameras`; infinite where they see nothing.
-    memories, anchors, map, kept: as in `StoredScene`.
+    prepared: its queries, without any row: the optimisation over the seams undoes what they decode to. What is left is
+        the shape of their tensors, which the files of a scene have.
     exposures: the colour transforms of its photos; None where they agree.
     disagreement: how far its photos differ in colour; None where that was not measured.
     size: the longer side of the pictures that it was optimised on last, in pixels.
@@ -46,11 +47,23 @@ class RegionScene:
 
     gaussians: Gaussians
     depth: Float[Tensor, "core height width"]
-    memories: Memories
-    anchors: Anchors | None
-    map: MemoryMap
-    kept: Bool[Tensor, "n"] | None
+    prepared: PreparedQueries
     exposures: Exposures | None
     disagreement: float | None
     size: int
     entries: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class KeptRegions:
+    """Regions by number, from 0, which are read from their files when they are asked for."""
+
+    read: Callable[[int], RegionScene]
+
+    def __getitem__(self, number: int) -> RegionScene:
+        return self.read(number)
+
+    def without_gaussians(self, number: int) -> RegionScene:
+        """A region and none of its Gaussians."""
+        found = self.read(number)
+        return replace(found, gaussians=found.gaussians[torch.zeros(0, dtype=torch.long)])

@@ -46,17 +46,18 @@ def find_seams(groups: Sequence[Group]) -> list[Seam]:
 
 
 @torch.no_grad()
-def disagreement(seam: Seam, cameras: Cameras, regions: Sequence[Gaussians]) -> float:
-    """The PSNR in dB between pictures of the two regions' whole scenes, from places halfway between their photos.
+def disagreement(seam: Seam, cameras: Cameras, scenes: Sequence[Gaussians]) -> float:
+    """The PSNR in dB between pictures of two regions, from places halfway between their common photos.
 
-    No photo was taken there, so both scenes have to be right to agree. Pixels that either leaves empty do not count.
+    `scenes` are those of the regions of `seam`, whole. No photo was taken there, so both have to be right to
+    agree. Pixels that either leaves empty do not count.
     """
     shared = cameras[list(seam.photos)]
     between = interpolate(shared, 2 * len(shared) - 1)[1::2] if len(shared) > 1 else shared
     some = evenly_spaced(range(len(between)), PIPELINE_POLICY.seam_views)
     errors, count = 0.0, 0
     for view in some:
-        drawn = [render(regions[number], between[[view]]) for number in seam.regions]
+        drawn = [render(each, between[[view]]) for each in scenes]
         covered = (drawn[0].alpha[0] > MID_GREY) & (drawn[1].alpha[0] > MID_GREY)
         one, other = (each.over(torch.full((3,), MID_GREY))[0].clamp(0, 1) for each in drawn)
         errors += float((one - other).square().mean(0)[covered].sum())

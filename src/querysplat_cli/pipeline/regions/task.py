@@ -19,6 +19,7 @@ from querysplat_cli.pipeline.regions.groups import Group
 from querysplat_cli.pipeline.regions.owners import depth_maps, small_cameras
 from querysplat_cli.pipeline.regions.scene import RegionScene, RegionTask
 from querysplat_cli.pipeline.settings import ReconstructSettings
+from querysplat_cli.queries.prepare import without_rows
 from querysplat_cli.reporting.report import quality_entry, seconds_entry, tto_entries
 from querysplat_cli.reporting.view_scores import score
 from querysplat_cli.runtime.compiler import SCENE_KERNELS, start_compiling
@@ -102,10 +103,7 @@ def _scene(task: RegionTask, scene: BuiltScene, stages: Stages) -> RegionScene:
     return RegionScene(
         gaussians=scene.gaussians.detach(),
         depth=depth_maps(scene.gaussians, small_cameras(scene.adapted.cameras[core])),
-        memories=scene.adapted.memories.map(torch.Tensor.detach),
-        anchors=scene.prepared.anchors,
-        map=scene.prepared.map,
-        kept=scene.adapted.kept,
+        prepared=without_rows(scene.prepared, scene.adapted.memories),
         exposures=scene.exposures,
         disagreement=scene.colours.disagreement if scene.colours else None,
         size=further.size if further else scene.inputs.working,

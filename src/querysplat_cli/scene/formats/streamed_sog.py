@@ -72,22 +72,35 @@ def write_streamed(
     (folder / INDEX_NAME).write_text(json.dumps(meta, separators=(",", ":")), encoding="utf-8")
 
 
-def read_streamed(path: Path, level: int = 0) -> Gaussians:
-    """The Gaussians of a level, the finest by default, and of the environment. `path` is the folder or its index.
+def read_streamed(path: Path) -> Gaussians:
+    """The Gaussians of the finest level and of the environment. `path` is the folder or its index.
 
-    Raises QuerySplatError when something is missing, damaged or of another version, and when there is no such level.
+    Raises QuerySplatError when something is missing, damaged or of another version.
     """
+    _, gaussians = next(read_levels(path))
+    return gaussians
+
+
+def read_levels(path: Path) -> Iterator[tuple[int, Gaussians]]:
+    """As `read_streamed` of each level, the finest first: its number of Gaussians, and these with the environment."""
     index_path = path / INDEX_NAME if path.is_dir() else path
     if not index_path.is_file():
         raise QuerySplatError(f"{index_path}: no such file", f"Give a folder with a {INDEX_NAME}.")
+    folder = index_path.parent
     with damage_named(index_path, "streamed SOG"):
-        gaussians = _read_level(index_path.parent, read_index(index_path), level)
-    return finite_gaussians(path, gaussians)
-
-
-def level_counts(path: Path) -> tuple[int, ...]:
-    """How many Gaussians each level of the streamed SOG in the folder `path` has, without the environment."""
-    return read_index(path / INDEX_NAME).counts
+        index = read_index(index_path)
+        if not index.counts:
+            raise ValueError("it has no level")
+        metas = [_meta(folder, name) for name in index.files]
+        for name, meta, size in zip(index.files, metas, index.sizes, strict=True):
+            if meta["count"] != size:
+                raise ValueError(f"{name} has {meta['count']} Gaussians, and its leaves have {size}")
+        around = None if index.environment is None else (index.environment, _meta(folder, index.environment))
+        environment = [_chunk(folder, *around)] if around else []
+    for level, count in enumerate(index.counts):
+        with damage_named(index_path, "streamed SOG"):
+            gaussians = joined(*_level(folder, index, metas, level), *environment)
+        yield count, finite_gaussians(path, gaussians)
 
 
 def _chunks(counts: Int[np.ndarray, "leaves"], most: int) -> Iterator[list[int]]:
@@ -111,24 +124,16 @@ def _write_chunk(folder: Path, gaussians: Gaussians) -> Gaussians:
     return sog.decoded(meta, pictures.__getitem__)
 
 
-def _read_level(folder: Path, index: StreamedIndex, level: int) -> Gaussians:
-    if level >= len(index.counts):
-        raise QuerySplatError(f"{folder}: there is no level {level}", f"Levels go to {len(index.counts) - 1}.")
-    metas = [_meta(folder, name) for name in index.files]
-    for name, meta, size in zip(index.files, metas, index.sizes, strict=True):
-        if meta["count"] != size:
-            raise ValueError(f"{name} has {meta['count']} Gaussians, and its leaves have {size}")
-    parts = []
+def _level(folder: Path, index: StreamedIndex, metas: Sequence[dict[str, Any]], level: int) -> Iterator[Gaussians]:
+    """The Gaussians of each chunk of a level."""
     for number in sorted({run.file for run in index.runs if run.level == level}):
-        parts.append(_chunk(folder, index.files[number], metas[number]))
+        part = _chunk(folder, index.files[number], metas[number])
         for run in index.runs:
             if run.file == number:
-                means = parts[-1].means[run.offset : run.offset + run.count].double().numpy()
+                means = part.means[run.offset : run.offset + run.count].double().numpy()
                 if (means < run.box[0] - index.slack).any() or (means > run.box[1] + index.slack).any():
                     raise ValueError(f"a Gaussian in {index.files[number]} lies outside the bound of its leaf")
-    if index.environment is not None:
-        parts.append(_chunk(folder, index.environment, _meta(folder, index.environment)))
-    return joined(*parts)
+        yield part
 
 
 def _meta(folder: Path, name: PurePosixPath) -> dict[str, Any]:
