@@ -13,6 +13,7 @@ from synthetic import arc, camera
 from querysplat_cli.encoders.classical.camera_warnings import camera_warnings, is_flat, median_angle
 from querysplat_cli.encoders.classical.encoder import ClassicalEncoder
 from querysplat_cli.encoders.classical.epipolar import epipolar_error, epipolar_support, median_epipolar_error, rays
+from querysplat_cli.encoders.classical.lens_prior import usual_focal
 from querysplat_cli.encoders.classical.matches import Matches, Pair
 from querysplat_cli.encoders.classical.sparse_model import SparseModel, in_first_camera_frame
 from querysplat_cli.encoders.registry import find_encoder
@@ -44,7 +45,8 @@ def scene(cameras: list[PhotoCamera], points: np.ndarray) -> tuple[SparseModel, 
     pairs = [Pair(i, j, pixels[i], pixels[j]) for i in range(len(cameras)) for j in range(i + 1, len(cameras))]
     sizes = tuple((photo_camera.height, photo_camera.width) for photo_camera in cameras)
     count = len(cameras)
-    matches = Matches(Path(), sizes, (None,) * count, (len(points),) * count, tuple(pairs))
+    usual = tuple(usual_focal(*size) for size in sizes)
+    matches = Matches(Path(), sizes, (None,) * count, usual, (len(points),) * count, tuple(pairs))
     return SparseModel(dict(enumerate(cameras)), points, seen), matches
 
 

@@ -1,5 +1,6 @@
 """Two photos: the lens keeps to its prior, and a plane is reconstructed as one."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +8,7 @@ import pytest
 from synthetic import camera
 
 from querysplat_cli.encoders.classical.camera_warnings import camera_warnings
+from querysplat_cli.encoders.classical.lens_prior import usual_focal
 from querysplat_cli.encoders.classical.matches import Matches
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
 from querysplat_cli.encoders.classical.sparse_model import SparseModel
@@ -32,19 +34,26 @@ def pixels(points: np.ndarray, one: PhotoCamera) -> np.ndarray:
 
 
 def matches(
-    points: np.ndarray, two: list[PhotoCamera], *, stated: float | None, wrong: int = 0, noise: float = 0.3
+    points: np.ndarray,
+    two: list[PhotoCamera],
+    *,
+    stated: float | None,
+    wrong: int = 0,
+    noise: float = 0.3,
+    whole: tuple[int, int] | None = None,
 ) -> Matches:
-    """Matches of the points with a scatter of `noise` pixels, and `wrong` ones anywhere."""
+    """Matches of the points with a scatter of `noise` pixels, and `wrong` ones anywhere, in photos cut from `whole`."""
     generator = np.random.default_rng(3)
     sides = [pixels(points, each) + noise * generator.standard_normal((len(points), 2)) for each in two]
     random = [generator.uniform(0, [SIZE[1], SIZE[0]], (wrong, 2)) for _ in two]
     first, second = (np.concatenate(parts) for parts in zip(sides, random, strict=True))
     features = (len(first),) * 2
-    return Matches(Path(), (SIZE,) * 2, (stated,) * 2, features, (Pair(0, 1, first, second),))
+    usual = (usual_focal(*(whole or SIZE)),) * 2
+    return Matches(Path(), (SIZE,) * 2, (stated,) * 2, usual, features, (Pair(0, 1, first, second),))
 
 
 def mapped(found: Matches) -> SparseModel | None:
-    two = map_two_photos(found.pairs[0], found.sizes, found.focals)
+    two = map_two_photos(found.pairs[0], found.sizes, found.focals, found.usual_focals)
     return two.model if two else None
 
 
@@ -104,11 +113,19 @@ def test_each_of_two_lenses_has_its_focal_length() -> None:
     """A wide and a narrow lens, whose EXIF states both."""
     one, two = cameras(480.0)[0], cameras(720.0)[1]
     found = matches(cloud(150), [one, two], stated=None)
-    both = Matches(found.folder, found.sizes, (480.0, 720.0), found.features, found.pairs)
+    both = replace(found, focals=(480.0, 720.0))
     model = mapped(both)
     assert model is not None
     assert [model.cameras[i].focal[0] for i in (0, 1)] == pytest.approx([480, 720], rel=0.04)
     assert turn_error(model.cameras, [one, two]) < 0.5
+
+
+def test_photos_that_were_cut_have_the_lens_of_the_whole() -> None:
+    """A plane does not determine a focal length, so it is that of the prior, here of photos four times as wide."""
+    found = matches(plane(150), cameras(600.0), stated=None, whole=(480, 2560))
+    model = mapped(found)
+    assert model is not None
+    assert model.cameras[0].focal[0] == pytest.approx(CAMERA_POLICY.usual_focal * 2560, rel=0.2)
 
 
 def test_too_few_matches_make_no_model() -> None:

@@ -51,6 +51,10 @@ def specks(points: np.ndarray, size: float = 0.004) -> Gaussians:
 def test_sizes(name: str, size: tuple[int, int], shown: tuple[int, int], scored: tuple[int, int]) -> None:
     rules, taken = Protocol(name), photo(*size)  # type: ignore[arg-type]
     assert rules.shown(taken).pixels.shape == (*shown, 3)
+    whole = rules.shown(taken).cut_from
+    assert whole
+    assert whole[0] / whole[1] == pytest.approx(size[0] / size[1], rel=0.01)
+    assert min(whole) == min(shown)
     assert rules.truth(taken).shape == (3, *scored)
     lens = rules.shown_camera(camera(*size), taken)
     assert (lens.height, lens.width) == shown

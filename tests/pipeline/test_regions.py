@@ -1,6 +1,7 @@
 """Photos are divided into groups, every place has one region, and regions get common colours."""
 
 import math
+import weakref
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,14 +15,16 @@ from querysplat_cli.pipeline.kept_parts import read_part, write_part
 from querysplat_cli.pipeline.regions.build import region_count
 from querysplat_cli.pipeline.regions.colours import common_exposures, recoloured
 from querysplat_cli.pipeline.regions.groups import Group, divide
-from querysplat_cli.pipeline.regions.owners import CoreViews, depth_maps, owners
-from querysplat_cli.pipeline.regions.scene import RegionScene
+from querysplat_cli.pipeline.regions.join import join
+from querysplat_cli.pipeline.regions.owners import CoreViews, depth_maps, owners, small_cameras
+from querysplat_cli.pipeline.regions.scene import KeptRegions, RegionScene
 from querysplat_cli.pipeline.regions.seams import Seam, disagreement, find_seams, verdict
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.queries.prepare import MemoryMap, PreparedQueries
 from querysplat_cli.runtime.errors import ImpossibleScene, QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.exposures import Exposures
+from querysplat_cli.scene.filed_views import FiledViews
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
 from querysplat_cli.scene.views import Views
 from querysplat_cli.training.streets import stroll
@@ -214,3 +217,35 @@ def test_parts_are_kept_and_damaged_ones_are_made_again(street: PosedViews, tmp_
     assert read_part(file) is None
     torch.save({"code": print}, file)
     assert read_part(file) is None
+
+
+def test_two_regions_are_in_memory_at_a_time(street: PosedViews, tmp_path: Path) -> None:
+    """Four regions of one wall along the walk are joined from what is read of them, again and again."""
+    street = replace(street, views=FiledViews(street.views, tmp_path / "inputs.views"))
+    groups = divide(street, 4)
+    x, z = torch.meshgrid(torch.linspace(-2, 14, 60), torch.linspace(0, 3, 12), indexing="xy")
+    means = torch.stack([x, torch.full_like(x, 4.0), z], -1).reshape(-1, 3)
+    size, turn = torch.full((len(means), 3), 0.1), torch.tensor([[1.0, 0, 0, 0]]).expand(len(means), 4)
+    alive: list[weakref.ref[torch.Tensor]] = []
+    most = 0
+
+    def read(number: int) -> RegionScene:
+        nonlocal most
+        wall = Gaussians(means.clone(), turn, size, torch.full((len(means),), 0.9), torch.zeros(len(means), 1, 3))
+        alive.append(weakref.ref(wall.means))
+        most = max(most, sum(each() is not None for each in alive))
+        core = street.cameras[list(groups[number].core)]
+        names = [street.views.names[row] for row in groups[number].core]
+        quality = {"views": {name: {"psnr_cc": 0.0} for name in names}}
+        entries = {"quality": quality, "tto": [], "full_size": None, "warnings": [], "process_peak_gib": float(number)}
+        alone = region(None)
+        return replace(alone, gaussians=wall, depth=depth_maps(wall, small_cameras(core)), size=40, entries=entries)
+
+    settings = ReconstructSettings((), Path(), backdrop=False)
+    built = join(street, groups, KeptRegions(read), settings, {}, lambda text, fraction: None)
+    assert most == 2
+    assert built.peak_gib == 3
+    assert len(built.scene.gaussians) == len(means)
+    assert sum(entry["gaussians"] for entry in built.regions) == len(means)
+    assert len(built.seams) == 3
+    assert all(entry["psnr"] == pytest.approx(100) for entry in built.seams)

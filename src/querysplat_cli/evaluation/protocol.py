@@ -37,7 +37,7 @@ class Protocol:
         return policy.release_input_side if self.name == "release" else policy.text_input_side
 
     def shown(self, photo: Photo) -> Photo:
-        """The photo as an input of a method."""
+        """The photo as an input of a method. Its lens is that of the whole photo, which it therefore mentions."""
         pixels = photo.pixels
         if self.name == "release":
             side = min(photo.height, photo.width)
@@ -48,7 +48,8 @@ class Protocol:
         if scale < 1:
             pixels = eight_bit(resized(_tensor(pixels), (height, width)))
         focal = photo.focal and photo.focal * scale
-        return replace(photo, pixels=np.ascontiguousarray(pixels), focal=focal)
+        whole = round(photo.height * scale), round(photo.width * scale)
+        return replace(photo, pixels=np.ascontiguousarray(pixels), focal=focal, cut_from=whole)
 
     def shown_camera(self, camera: PhotoCamera, photo: Photo) -> PhotoCamera:
         """The camera of `shown(photo)`, from that of the photo at any size.

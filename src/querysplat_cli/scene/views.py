@@ -34,7 +34,8 @@ class Photo:
     the focal length in pixels of `pixels` where EXIF gives it, None otherwise. `pts` is the presentation time stamp
     of a film's frame; None for a photo. `mask` [height, width] is True where the photo takes part; None: everywhere.
     `panorama` is whether the file says that it shows 360°, `gps` where it was taken. `view` is the part of a wide photo
-    that this one shows.
+    that this one shows. `cut_from` is the (height, width), in pixels of this photo, of the picture that it is
+    the middle of, where the program cut it.
     """
 
     name: str
@@ -46,6 +47,7 @@ class Photo:
     panorama: bool = False
     gps: Gps | None = None
     view: PinholeView | None = None
+    cut_from: tuple[int, int] | None = None
 
     @property
     def source(self) -> PhotoSource:

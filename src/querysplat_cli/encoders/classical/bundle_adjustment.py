@@ -19,21 +19,24 @@ from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
 from querysplat_cli.encoders.classical.sparse_model import SparseModel
 
 
-def bundle_adjusted(model: pycolmap.Reconstruction, stated: Sequence[float | None]) -> SparseModel:
+def bundle_adjusted(
+    model: pycolmap.Reconstruction, stated: Sequence[float | None], usual: Sequence[float]
+) -> SparseModel:
     """The model after a maximum a posteriori bundle adjustment.
 
-    `stated` holds EXIF's focal length of each photo in pixels, or None. Most features scatter by 0.2 px, but some are
-    wrong by pixels. Under a squared loss those would bend the focal length, which a handful of photos of a shallow
-    scene hardly determine. What the photos do not determine, the priors do: on the focal length, on the principal
-    point, and on the two distortion terms. Poses and lenses follow from the longest tracks of each photo; then all
-    points are placed.
+    `stated` holds EXIF's focal length of each photo in pixels, or None, and `usual` that of the prior without EXIF.
+    Most features scatter by 0.2 px, but some are wrong by pixels. Under a squared loss those would bend the focal
+    length, which a handful of photos of a shallow scene hardly determine. What the photos do not determine, the priors
+    do: on the focal length, on the principal point, and on the two distortion terms. Poses and lenses follow from the
+    longest tracks of each photo; then all points are placed.
     """
     policy = CAMERA_POLICY
     numbers = sorted(image - 1 for image in model.reg_image_ids())
     lens_numbers = sorted({model.images[photo + 1].camera_id for photo in numbers})
     bundle, seen = _bundle(model, numbers, lens_numbers)
     sizes = [(model.cameras[lens].height, model.cameras[lens].width) for lens in lens_numbers]
-    prior = lens_prior(sizes, _stated(model, numbers, lens_numbers, stated))
+    first = _first_photos(model, numbers, lens_numbers)
+    prior = lens_prior(sizes, [stated[photo] for photo in first], [usual[photo] for photo in first])
     chosen = _longest(seen, len(bundle.points))
     points, rows = np.unique(seen.point[chosen], return_inverse=True)
     thin = Observations(seen.pixels[chosen], seen.camera[chosen], rows)
@@ -72,11 +75,9 @@ def _lens(camera: pycolmap.Camera) -> list[float]:
     return [float(np.log(camera.focal_length)), camera.principal_point_x, camera.principal_point_y, k1, 0.0]
 
 
-def _stated(
-    model: pycolmap.Reconstruction, numbers: Sequence[int], lenses: Sequence[int], stated: Sequence[float | None]
-) -> list[float | None]:
-    """EXIF's focal length of each lens, from the first of its photos."""
-    first = {model.images[photo + 1].camera_id: stated[photo] for photo in reversed(numbers)}
+def _first_photos(model: pycolmap.Reconstruction, numbers: Sequence[int], lenses: Sequence[int]) -> list[int]:
+    """The first photo of each lens. Photos of one lens state the same of it."""
+    first = {model.images[photo + 1].camera_id: photo for photo in reversed(numbers)}
     return [first[lens] for lens in lenses]
 
 

@@ -10,15 +10,22 @@ from querysplat_cli.scene.cameras import PhotoCamera
 
 
 def lens_prior(
-    sizes: Sequence[tuple[int, int]], stated: Sequence[float | None], *, two_photos: bool = False
+    sizes: Sequence[tuple[int, int]],
+    stated: Sequence[float | None],
+    usual: Sequence[float],
+    *,
+    two_photos: bool = False,
 ) -> LensPrior:
-    """The prior of lenses whose photos have these (height, width), with EXIF's focal lengths in pixels, or None."""
+    """The prior of lenses whose photos have these (height, width).
+
+    Focal lengths in pixels: EXIF's or None, and `usual_focal` for the lenses without.
+    """
     policy = CAMERA_POLICY
     weight = policy.prior_weight_two if two_photos else policy.prior_weight
     mean, sigma = [], []
-    for (height, width), focal in zip(sizes, stated, strict=True):
+    for (height, width), focal, assumed in zip(sizes, stated, usual, strict=True):
         longer = max(height, width)
-        mean.append([np.log(focal or usual_focal(height, width)), width / 2, height / 2, 0.0, 0.0])
+        mean.append([np.log(focal or assumed), width / 2, height / 2, 0.0, 0.0])
         spread = policy.stated_focal_spread if focal else policy.usual_focal_spread
         shift = policy.principal_spread * longer
         sigma.append([spread, shift, shift, *policy.distortion_spread])
@@ -29,7 +36,7 @@ def usual_focal(height: int, width: int) -> float:
     """The prior's focal length in pixels, where EXIF states none.
 
     Sensors are 4:3 or longer. A photo that is nearer to a square was cut from one, so its focal length is measured in
-    sides of that.
+    sides of that. Of a photo that the program cut, the (height, width) of the whole is to be given.
     """
     return CAMERA_POLICY.usual_focal * max(height, width, 4 / 3 * min(height, width))
 

@@ -54,7 +54,7 @@ class Mapped:
             found = from_colmap(self_calibrated(self.reconstruction, fit_lens=self.fit_lens))
             if _keeps_stated_focals(found, matches):
                 return found
-        return bundle_adjusted(self.reconstruction, matches.focals)
+        return bundle_adjusted(self.reconstruction, matches.focals, matches.usual_focals)
 
 
 def _keeps_stated_focals(model: SparseModel, matches: Matches) -> bool:
@@ -71,7 +71,7 @@ def map_photos(matches: Matches, *, seed: int) -> Mapped | None:
     if len(matches.sizes) == 2:
         with pycolmap.Database.open(matches.database) as store:
             candidates = read_candidates(store, 0, 1)
-        two = map_two_photos(candidates, matches.sizes, matches.focals)
+        two = map_two_photos(candidates, matches.sizes, matches.focals, matches.usual_focals)
         return Mapped(two.model, (two.pair,)) if two else None
     connected = len(matches.largest_group())
     best: tuple[float, pycolmap.Reconstruction, bool] | None = None

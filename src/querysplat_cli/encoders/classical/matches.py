@@ -32,13 +32,15 @@ class Matches:
     """Verified matches of a set of photos.
 
     By photo number: `sizes` are the (height, width) at which features were searched, `focals` the focal lengths in
-    pixels of that size (from EXIF, or None), and `features` the numbers of features found. Pixels are of that size,
-    centres at +0.5. `folder` holds the same for COLMAP, whose image numbers are ours plus one.
+    pixels of that size (from EXIF, or None), `usual_focals` those that photos without EXIF have as a rule, and
+    `features` the numbers of features found. Pixels are of that size, centres at +0.5. `folder` holds the same for
+    COLMAP, whose image numbers are ours plus one.
     """
 
     folder: Path
     sizes: tuple[tuple[int, int], ...]
     focals: tuple[float | None, ...]
+    usual_focals: tuple[float, ...]
     features: tuple[int, ...]
     pairs: tuple[Pair, ...]
 
@@ -90,8 +92,12 @@ def matched(
             photo.focal * size[1] / photo.width if photo.focal else None
             for photo, size in zip(photos, sizes, strict=True)
         )
-        cameras = _known_cameras(known, sizes) if known else shared_cameras(sizes, focals)
-        matches = Matches(folder, sizes, focals, (), ())
+        usual = tuple(
+            usual_focal(*(photo.cut_from or (photo.height, photo.width))) * size[1] / photo.width
+            for photo, size in zip(photos, sizes, strict=True)
+        )
+        cameras = _known_cameras(known, sizes) if known else shared_cameras(sizes, focals, usual)
+        matches = Matches(folder, sizes, focals, usual, (), ())
         with pycolmap.Database.open(matches.database) as store:
             write_images(store, cameras)
         extract_features(matches.database, folder, effort)
@@ -119,17 +125,20 @@ def _naming_the_folder(folder: Path) -> Iterator[None]:
 
 
 def shared_cameras(
-    sizes: Sequence[tuple[int, int]], focals: Sequence[float | None]
+    sizes: Sequence[tuple[int, int]], focals: Sequence[float | None], usual: Sequence[float] | None = None
 ) -> list[tuple[Hashable, pycolmap.Camera]]:
-    """COLMAP's camera of each photo, with a key that is equal for photos of one lens."""
+    """COLMAP's camera of each photo, with a key that is equal for photos of one lens.
+
+    `usual` are the focal lengths without EXIF, by default those of whole photos of these sizes.
+    """
+    usual = usual or [usual_focal(*size) for size in sizes]
     keyed: list[tuple[Hashable, pycolmap.Camera]] = []
     few = len(sizes) <= CAMERA_POLICY.few_photos
-    for (height, width), focal in zip(sizes, focals, strict=True):
-        assumed = usual_focal(height, width) if few else CAMERA_POLICY.assumed_focal * max(height, width)
-        guess = focal or assumed
+    for (height, width), focal, often in zip(sizes, focals, usual, strict=True):
+        guess = focal or (often if few else CAMERA_POLICY.assumed_focal * max(height, width))
         camera = pycolmap.Camera.create_from_model_name(1, "SIMPLE_RADIAL", guess, width, height)
         camera.has_prior_focal_length = focal is not None or few
-        keyed.append(((height, width, focal and round(focal / width, 2)), camera))
+        keyed.append(((height, width, focal and round(focal / width, 2), round(often / width, 2)), camera))
     return keyed
 
 

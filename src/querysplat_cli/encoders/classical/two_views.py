@@ -38,18 +38,22 @@ class _Candidate:
     pixels: np.ndarray
 
 
-def map_two_photos(pair: Pair, sizes: Sequence[tuple[int, int]], focals: Sequence[float | None]) -> TwoViews | None:
+def map_two_photos(
+    pair: Pair, sizes: Sequence[tuple[int, int]], focals: Sequence[float | None], usual: Sequence[float]
+) -> TwoViews | None:
     """The cameras and points of two photos, or None where too few of their matches agree.
 
-    `pair` may hold wrong matches. `sizes` are (height, width), `focals` EXIF's focal lengths in pixels, or None.
+    `pair` may hold wrong matches. `sizes` are (height, width), `focals` EXIF's focal lengths in pixels, or None, and
+    `usual` those of the prior without EXIF.
     """
     policy = CAMERA_POLICY
     fewest = max(policy.fewest_two_view_points, policy.fewest_two_view_share * len(pair))
     if len(pair) < fewest:
         return None
-    shared = sizes[0] == sizes[1] and focals[0] == focals[1]
+    shared = all(some[0] == some[1] for some in (sizes, focals, usual))
     lenses = np.array([0, 0] if shared else [0, 1])
-    prior = lens_prior(sizes[: lenses.max() + 1], focals[: lenses.max() + 1], two_photos=True)
+    count = int(lenses.max()) + 1
+    prior = lens_prior(sizes[:count], focals[:count], usual[:count], two_photos=True)
     numbers = [0.0] if all(focals) else policy.tried_focals
     candidates = [
         _adjusted(pair, start, prior, lenses, sizes)
