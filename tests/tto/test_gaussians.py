@@ -7,12 +7,13 @@ import pytest
 import torch
 
 from querysplat_cli.scene.cameras import Cameras
-from querysplat_cli.scene.gaussians import SH_0, Gaussians
+from querysplat_cli.scene.gaussians import SH_0, Gaussians, joined
 from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.render import render
 from querysplat_cli.tto.gaussians import Changes, changed, optimise_gaussians
 from querysplat_cli.tto.options import Callbacks, TtoSettings
-from querysplat_cli.tto.rendering_loss import RenderingLoss
+from querysplat_cli.tto.rendering_loss import LossAndGradient, RenderingLoss
+from querysplat_cli.tto.variables import UndoableAdam
 
 SIZE = 40
 
@@ -47,6 +48,11 @@ def disturbed(gaussians: Gaussians) -> Gaussians:
         return torch.randn(part.shape, generator=random)
 
     return changed(gaussians, Changes.none(gaussians).map(lambda part: 0.3 * noise(part)))
+
+
+def behind(gaussians: Gaussians) -> Gaussians:
+    """The same things on the other side of the cameras."""
+    return replace(gaussians, means=gaussians.means * torch.tensor([-1.0, 1.0, -1.0]))
 
 
 def test_no_change_changes_nothing() -> None:
@@ -181,3 +187,37 @@ def test_random_backgrounds_follow_the_seed() -> None:
 
     assert torch.equal(run(1).means, run(1).means)
     assert not torch.equal(run(1).means, run(2).means)
+
+
+def test_harm_that_no_view_showed_at_once_is_undone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The last view alone shows half of the Gaussians, which lose their colours in a step that is not the last one."""
+    wanted = cloud()
+    both = joined(wanted, behind(wanted))
+    _, cameras = photos_of(wanted)
+    cameras.w2c[3] = torch.diag(torch.tensor([-1.0, 1.0, -1.0, 1.0]))
+    views = replace(photos_of(both)[0], images=render(both, cameras).colour.clamp(0, 1))
+    drawn: list[list[int]] = []
+    look, step, harmed = RenderingLoss.value_and_gradient, UndoableAdam.step, []
+
+    def looked(target: RenderingLoss, gaussians: Gaussians, chosen: list[int]) -> LossAndGradient:
+        drawn.append(chosen)
+        return look(target, gaussians, chosen)
+
+    def stepped(adam: UndoableAdam[Changes], share: float) -> None:
+        step(adam, share)
+        if len(drawn) > 20 and drawn[-2] == [3] and not harmed:
+            harmed.append(len(drawn))
+            adam._leaves.colours.data[len(wanted) :] += 5
+
+    monkeypatch.setattr(RenderingLoss, "value_and_gradient", looked)
+    monkeypatch.setattr(UndoableAdam, "step", stepped)
+    result = optimise_gaussians(
+        disturbed(both),
+        RenderingLoss(views, cameras),
+        TtoSettings(80, 0.03, views_per_step=1),
+        generator=torch.Generator().manual_seed(0),
+    )
+    assert harmed
+    assert drawn[harmed[0]] != [3]
+    assert result.undone == 2
+    assert result.loss_after < 0.5 * result.loss_before

@@ -46,3 +46,18 @@ def test_squared_gradients_that_overflowed_do_not_stop_the_rest() -> None:
     adam.undo()
     step(adam, 1.0)
     assert bool(adam.variables().moves.isfinite().all())
+
+
+def test_going_back_is_to_the_mark_before_the_last() -> None:
+    _, adam = started()
+    marked = []
+    for _ in range(3):
+        marked.append(adam.variables().moves.clone())
+        adam.mark()
+        step(adam, 1.0)
+        step(adam, 1.0)
+    adam.go_back()
+    assert adam.variables().moves.equal(marked[1])
+    step(adam, 1.0)
+    adam.go_back()
+    assert adam.variables().moves.equal(marked[1])

@@ -8,7 +8,6 @@ import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from itertools import islice
 from typing import Generic
 
 import torch
@@ -63,6 +62,7 @@ def optimise(
     """Adam (β 0.9, 0.999) on every tensor of the variables, at `settings.lr` times the tensor's own rate.
 
     A step after which the loss rises beyond its noise, or anything stops being finite, is undone and the rate halved.
+    Where the same views then show the harm of an earlier step, the run goes back to before they were last seen well.
     Pruning decides which Gaussians the rest of the run goes on with. `refine_cameras` corrects the cameras, too.
     Exposures of the target follow, and go back to where they were unless the scene becomes better. Ctrl-C ends the run,
     which keeps what was reached. Splitting takes the place of a step. It cannot go with pruning,
@@ -113,14 +113,19 @@ class _Run(Generic[V]):
         self._pruned: Pruned | None = None
         self._splits_left = settings.densify_after if start.densify else ()
         self._undone_in_a_row = 0
+        self._again: list[int] = []
         self._began = time.perf_counter()
 
     def take_steps(self, draws: Iterator[list[int]]) -> None:
-        for step, chosen in enumerate(islice(draws, self._settings.steps)):
+        views = len(self._target.views)
+        one_round = math.ceil(views / (self._settings.views_per_step or views))
+        for step in range(self._settings.steps):
             done = _done(step, time.perf_counter() - self._began, self._settings)
             if done >= 1:
                 break
-            self._take(step, chosen, done)
+            if step % one_round == 0:
+                self._adam.mark()
+            self._take(step, self._again or next(draws), done)
             if self._undone_in_a_row == TTO_POLICY.patience:
                 break
 
@@ -152,7 +157,7 @@ class _Run(Generic[V]):
         shown = without_some(gaussians, share, self._generator) if share else gaussians
         loss = self._send_back(shown, chosen, step)
         if loss is None or not self._adam.gradient_is_finite() or self._has_risen(loss, chosen):
-            self._undo()
+            self._undo(chosen)
             return
         self._note(loss, chosen, step, gaussians)
         if self._splits_left and done >= self._splits_left[0]:
@@ -193,15 +198,25 @@ class _Run(Generic[V]):
         # Written so that NaN counts as risen.
         return not loss.loss <= min(TTO_POLICY.rise * least, least + TTO_POLICY.largest_rise) + 1e-4
 
-    def _undo(self) -> None:
+    def _undo(self, chosen: list[int]) -> None:
+        """Take the last step back, and look at the same views again.
+
+        If they have still risen, the harm is older: one view a step shows it only when it comes up. These views were
+        seen well after the mark before the last one.
+        """
         self.undone += 1
         self._undone_in_a_row += 1
         if self._refined:
             self._refined.undo()
-        self._adam.undo()
+        if self._again:
+            self._adam.go_back()
+            self._forget_losses()
+        else:
+            self._adam.undo()
+        self._again = chosen
 
     def _note(self, loss: LossAndGradient, chosen: list[int], step: int, gaussians: Gaussians) -> None:
-        self._undone_in_a_row = 0
+        self._undone_in_a_row, self._again = 0, []
         for view, value in zip(chosen, loss.losses, strict=True):
             self._least_losses[view] = min(self._least_losses[view], value)
         seconds = time.perf_counter() - self._began

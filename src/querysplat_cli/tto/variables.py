@@ -59,9 +59,10 @@ class Parametrisation(Generic[V]):
 
 
 class UndoableAdam(Generic[V]):
-    """Variables under Adam (β 0.9, 0.999), and what they were before the last step."""
+    """Variables under Adam (β 0.9, 0.999), what they were before the last step, and at the last two marks."""
 
     def __init__(self, start: Parametrisation[V], lr: float) -> None:
+        self._marks: tuple[V, V]
         self._lr, self._rates = lr, start.rates
         self._start(start.variables, start.decode)
 
@@ -85,15 +86,27 @@ class UndoableAdam(Generic[V]):
         self._adam.step()
         self._adam.zero_grad(set_to_none=True)
 
+    def mark(self) -> None:
+        """Keep the variables as they are for `go_back`."""
+        self._marks = self._marks[1], self.variables().map(Tensor.clone)
+
     def undo(self) -> None:
         """The variables before the last step, at half the rate and without momentum.
 
         Squared gradients are kept: without them, Adam's next step would move every number by the whole rate, and be
         undone again.
         """
+        self._return_to(self._before)
+
+    def go_back(self) -> None:
+        """Like `undo`, to the variables at the mark before the last one, or when the rows were taken."""
+        self._return_to(self._marks[0])
+        self._marks = self._marks[0], self._marks[0]
+
+    def _return_to(self, earlier: V) -> None:
         self._lr /= 2
         with torch.no_grad():
-            for before, now in zip(tensors(self._before), tensors(self._leaves), strict=True):
+            for before, now in zip(tensors(earlier), tensors(self._leaves), strict=True):
                 now.copy_(before)
         for state in self._adam.state.values():
             state["exp_avg"].zero_()
@@ -117,6 +130,8 @@ class UndoableAdam(Generic[V]):
         # Both in one statement, since Ctrl-C may come between two, and they must fit each other.
         self._leaves, self._decode = leaves, decode
         self._before = variables.map(lambda tensor: tensor.detach().clone())
+        start = variables.map(lambda tensor: tensor.detach().clone())
+        self._marks = start, start
         named = {field.name: getattr(leaves, field.name) for field in fields(leaves)}
         groups = [{"params": [tensor], "rate": self._rates[name]} for name, tensor in named.items()]
         self._adam = torch.optim.Adam(groups, lr=self._lr, fused=True)
