@@ -177,10 +177,22 @@ def test_standard_shows_each_photo_often_enough_in_its_seconds() -> None:
     sizes = [plan.stages[-1].max_size for plan in plans]
     assert sizes == sorted(sizes, reverse=True)
     assert sizes[0] <= limits.size
-    assert sizes[-2] == sizes[-1] > 1.5 * LARGE.working
+    assert sizes[-1] > 1.5 * LARGE.working
     for count, plan in zip(counts, plans, strict=True):
         assert plan.seconds <= max(limits.most_seconds, limits.seconds_per_photo * count)
         assert sum(each.settings.steps for each in plan.stages) >= FULL_SIZE_POLICY.fewest_passes * count
+
+
+def test_many_photos_have_more_gaussians_up_to_a_number() -> None:
+    limits = FULL_SIZE_POLICY.levels["standard"]
+    plans = [plan_full_size("standard", replace(LARGE, count=count), 40_000) for count in (6, 25, 30, 90)]
+    found = [plan.stages[-1].gaussians for plan in plans]
+    assert found == [
+        limits.shared_gaussians,
+        limits.shared_gaussians,
+        30 * limits.gaussians_per_photo,
+        limits.gaussians,
+    ]
 
 
 def test_photos_hardly_larger_than_the_working_pictures_are_used_at_that_size() -> None:

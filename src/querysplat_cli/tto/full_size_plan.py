@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass, replace
 
 from querysplat_cli.runtime.choices import FullSizeLevel
-from querysplat_cli.tto.full_size_policy import FULL_SIZE_POLICY, LevelPolicy
+from querysplat_cli.tto.full_size_policy import FULL_SIZE_POLICY
 from querysplat_cli.tto.options import TtoSettings
 from querysplat_cli.tto.policy import TTO_POLICY
 
@@ -65,10 +65,12 @@ def plan_full_size(
     """
     policy, limits = FULL_SIZE_POLICY, FULL_SIZE_POLICY.levels[level]
     largest = min(max(photos.height, photos.width), limits.size)
-    allowed = _allowed_seconds(limits, photos, largest) if seconds is None else seconds
-    size = _size(photos, largest, max(gaussians, limits.gaussians), allowed)
+    megapixels = photos.count * photos.pixels(largest) / 1e6
+    allowed = limits.planned_seconds(photos.count, megapixels) if seconds is None else seconds
+    limit = limits.most_gaussians(photos.count)
+    size = _size(photos, largest, max(gaussians, limit), allowed)
     pixels = photos.pixels(size)
-    target = min(limits.gaussians if most is None else most, limits.gaussians)
+    target = limit if most is None else min(most, limit)
     target = max(gaussians, min(target, int(photos.count * pixels / policy.pixels_per_gaussian)))
     most_passes = min(policy.most_passes, limits.passes * max(1.0, size / photos.working) ** 2)
     if photos.count <= TTO_POLICY.few_views:
@@ -97,12 +99,6 @@ def plan_full_size(
     last = stages[-1].settings
     again = replace(last, steps=policy.round_passes * photos.count, lr=policy.learning_rate / 2)
     return FullSizePlan(tuple(stages), expected, FullSizeStage(size, again, target), limits.most_rounds, level)
-
-
-def _allowed_seconds(limits: LevelPolicy, photos: Photos, largest: int) -> float:
-    base, each_megapixel = limits.seconds
-    megapixels = photos.count * photos.pixels(largest) / 1e6
-    return max(min(base + each_megapixel * megapixels, limits.most_seconds), limits.seconds_per_photo * photos.count)
 
 
 def _size(photos: Photos, largest: int, gaussians: int, seconds: float) -> int:

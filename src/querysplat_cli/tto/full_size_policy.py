@@ -1,5 +1,6 @@
 """Defaults of the optimisation in Gaussian space that follows the one in feature space: sizes, Gaussians, time."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -24,8 +25,19 @@ class LevelPolicy:
     their pixels are more."""
     seconds_per_photo: float = 0.0
     """The plan may take so long for each photo, where that is more than all of the above."""
+    gaussians_per_photo: float = math.inf
+    """Splitting may reach so many for each photo, or `shared_gaussians` if that is more."""
+    shared_gaussians: int = 0
     most_rounds: int = 0
     """Rounds after the stages at most; they end when the loss stops falling."""
+
+    def planned_seconds(self, photos: int, megapixels: float) -> float:
+        """For so many photos, which have so many million pixels together at the size of this level."""
+        base, each_megapixel = self.seconds
+        return max(min(base + each_megapixel * megapixels, self.most_seconds), self.seconds_per_photo * photos)
+
+    def most_gaussians(self, photos: int) -> int:
+        return int(min(self.gaussians, max(self.shared_gaussians, self.gaussians_per_photo * photos)))
 
 
 @dataclass(frozen=True)
@@ -38,7 +50,16 @@ class FullSizePolicy:
 
     levels: Mapping[FullSizeLevel, LevelPolicy] = field(
         default_factory=lambda: {
-            "standard": LevelPolicy(900, 70_000, (20.0, 0.0), 20.0, passes=20.0, seconds_per_photo=1.2),
+            "standard": LevelPolicy(
+                900,
+                140_000,
+                (20.0, 0.0),
+                20.0,
+                passes=20.0,
+                seconds_per_photo=1.7,
+                gaussians_per_photo=2_800.0,
+                shared_gaussians=70_000,
+            ),
             "high": LevelPolicy(1600, 200_000, (60.0, 10.0), 900.0, passes=50.0),
             "max": LevelPolicy(WHOLE, 500_000, (60.0, 10.0), float("inf"), passes=50.0, most_rounds=8),
         }
@@ -47,8 +68,7 @@ class FullSizePolicy:
     bring fortress from 30.35 to 30.70 dB, dtu106 from 28.53 to 28.63, fox from 23.59 to 23.67; SSIM gains 0.004 to
     0.008. 20 instead of 14 bring 0.09 dB (docs/quality.md).
 
-    With 44 photos of fox, 20 seconds give 31.44 dB on held-out ones, 39 seconds 32.06 and 56 seconds 32.39. Cameras and
-    depth take more than the seconds per photo of `standard`.
+    What `standard` spends on each photo of many was chosen on fox (docs/quality.md). Cameras and depth take as long.
 
     The seconds of `high` are about 430 for 20 photos of 1,600 × 1,200, so that the whole command takes about ten
     minutes on two quiet cores."""
