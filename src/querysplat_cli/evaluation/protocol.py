@@ -37,7 +37,7 @@ class Protocol:
         return policy.release_input_side if self.name == "release" else policy.text_input_side
 
     def shown(self, photo: Photo) -> Photo:
-        """The photo as an input of a method. Its lens is that of the whole photo, which it therefore mentions."""
+        """The photo as an input of a method, with the size of the whole photo, whose lens it has."""
         pixels = photo.pixels
         if self.name == "release":
             side = min(photo.height, photo.width)

@@ -134,11 +134,11 @@ def shared_cameras(
     usual = usual or [usual_focal(*size) for size in sizes]
     keyed: list[tuple[Hashable, pycolmap.Camera]] = []
     few = len(sizes) <= CAMERA_POLICY.few_photos
-    for (height, width), focal, often in zip(sizes, focals, usual, strict=True):
-        guess = focal or (often if few else CAMERA_POLICY.assumed_focal * max(height, width))
+    for (height, width), focal, assumed in zip(sizes, focals, usual, strict=True):
+        guess = focal or (assumed if few else CAMERA_POLICY.assumed_focal * max(height, width))
         camera = pycolmap.Camera.create_from_model_name(1, "SIMPLE_RADIAL", guess, width, height)
         camera.has_prior_focal_length = focal is not None or few
-        keyed.append(((height, width, focal and round(focal / width, 2), round(often / width, 2)), camera))
+        keyed.append(((height, width, focal and round(focal / width, 2), round(assumed / width, 2)), camera))
     return keyed
 
 
