@@ -26,8 +26,9 @@ class LevelPolicy:
     seconds_per_photo: float = 0.0
     """The plan may take so long for each photo, where that is more than all of the above."""
     gaussians_per_photo: float = math.inf
-    """Splitting may reach so many for each photo, or `shared_gaussians` if that is more."""
+    """Splitting may reach so many for each photo,"""
     shared_gaussians: int = 0
+    """or so many, if that is more."""
     most_rounds: int = 0
     """Rounds after the stages at most; they end when the loss stops falling."""
 

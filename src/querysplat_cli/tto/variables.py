@@ -130,8 +130,7 @@ class UndoableAdam(Generic[V]):
         # Both in one statement, since Ctrl-C may come between two, and they must fit each other.
         self._leaves, self._decode = leaves, decode
         self._before = variables.map(lambda tensor: tensor.detach().clone())
-        start = variables.map(lambda tensor: tensor.detach().clone())
-        self._marks = start, start
+        self._marks = (variables.map(Tensor.detach),) * 2
         named = {field.name: getattr(leaves, field.name) for field in fields(leaves)}
         groups = [{"params": [tensor], "rate": self._rates[name]} for name, tensor in named.items()]
         self._adam = torch.optim.Adam(groups, lr=self._lr, fused=True)
