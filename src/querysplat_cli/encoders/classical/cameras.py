@@ -1,5 +1,6 @@
 """Cameras of photos by structure from motion, and what is done when that finds none."""
 
+import hashlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -79,7 +80,8 @@ def _without_copies(photos: Sequence[Photo]) -> tuple[list[Photo], list[LeftOut]
         raise ImpossibleScene("there is no photo to make a scene of", "Give at least two photos of one place.")
     originals, copies = dict[tuple[tuple[int, ...], bytes], Photo](), []
     for photo in photos:
-        first = originals.setdefault((photo.pixels.shape, photo.pixels.tobytes()), photo)
+        content = hashlib.sha256(np.ascontiguousarray(photo.pixels).data).digest()
+        first = originals.setdefault((photo.pixels.shape, content), photo)
         if first is not photo:
             copies.append(LeftOut(photo.name, f"it is the same picture as {first.name}"))
     return list(originals.values()), copies
