@@ -110,9 +110,9 @@ def page(found: dict[str, str]) -> str:
     """The whole page, of the verbs that were run so far."""
     head = (
         "# A tour of the verbs\n\nMade by\n\n    python benchmarks/tour.py --write docs/tour.md\n\n"
-        f"on {machine()}. Several other programs ran beside, so that times are several times those of a quiet machine "
-        "([which](speed.md)). Each section is one verb with its real output, on the room of `querysplat demo`; lines "
-        "of progress are left out.\n[The command line](cli.md) has every option.\n"
+        f"on {machine()}. Times are those of one run; other programs beside make them longer ([how much](speed.md)). "
+        "Each section is one verb with its real output, on the room of `querysplat demo`; lines of progress are left "
+        "out.\n[The command line](cli.md) has every option.\n"
     )
     return "\n".join([head, *(f"## {stop.verb}\n\n{found[stop.verb]}" for stop in STOPS if stop.verb in found)])
 
