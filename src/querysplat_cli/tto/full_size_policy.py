@@ -69,7 +69,7 @@ class FullSizePolicy:
     bring fortress from 30.35 to 30.70 dB, dtu106 from 28.53 to 28.63, fox from 23.59 to 23.67; SSIM gains 0.004 to
     0.008. 20 instead of 14 bring 0.09 dB (docs/quality.md).
 
-    What `standard` spends on each photo of many was chosen on fox (docs/quality.md). Cameras and depth take as long.
+    What `standard` spends on each photo of many was chosen on fox (docs/quality.md).
 
     The seconds of `high` are about 430 for 20 photos of 1,600 × 1,200, so that the whole command takes about ten
     minutes on two quiet cores."""
