@@ -70,7 +70,7 @@ class LargePhotos:
         """Those of these rows."""
         return LargePhotos(
             self.views[rows], self.cameras[rows], [self.files[row] for row in rows] if self.files else (),
-            self.exposures.map(lambda part: part[rows]) if self.exposures else None,
+            self.exposures and self.exposures[rows],
         )  # fmt: skip
 
 

@@ -49,7 +49,7 @@ def backdrop(gaussians: Gaussians, views: Views, cameras: Cameras, exposures: Ex
     for view in range(len(views)):
         place, outside = _places(points, view, views.sizes[view], cameras)
         one = views[[view]]
-        one = exposures.map(lambda part, view=view: part[[view]]).removed_from(one) if exposures else one  # type: ignore[misc]
+        one = exposures[[view]].removed_from(one) if exposures else one
         blurred = _blurred(gaussians, one, cameras[[view]])
         colour = F.grid_sample(blurred, place[None, None], padding_mode="border", align_corners=False)[0, :, 0].T
         # A photo that ends farther away counts only where no other is nearer.

@@ -12,6 +12,7 @@ import torch
 
 from querysplat_cli.runtime.errors import MissingPart, QuerySplatError
 from querysplat_cli.runtime.limits import free_memory
+from querysplat_cli.runtime.optional_parts import install_command
 
 Part = TypeVar("Part")
 
@@ -27,7 +28,7 @@ def find_device(name: str) -> torch.device:
     if not torch.cuda.is_available():
         lacking = "this machine, or this build of torch, has no CUDA device"
     elif not find_spec("gsplat"):
-        lacking = "rendering on a GPU needs gsplat (pip install 'querysplat[cuda]')"
+        lacking = f"rendering on a GPU needs gsplat ({install_command('cuda')})"
     if name == "cuda" and lacking:
         raise MissingPart(f"--device cuda: {lacking}", "Use --device cpu.")
     return torch.device("cpu" if name == "cpu" or lacking else "cuda")

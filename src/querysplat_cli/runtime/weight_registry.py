@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from querysplat_cli.runtime.errors import MissingPart
+from querysplat_cli.runtime.optional_parts import install_command
 
 NON_COMMERCIAL = "FAIR Noncommercial Research License: no commercial use, of what is made with it either"
 
@@ -95,7 +96,7 @@ def _cached(wanted: WeightFile) -> Path | None:
     except ImportError as error:
         raise MissingPart(
             f"the weights {wanted.file} are not given, and looking in the Hugging Face cache needs huggingface_hub",
-            "Run `pip install 'querysplat[weights]'`, or give the folder with --weights DIR.",
+            f"Run `{install_command('weights')}`, or give the folder with --weights DIR.",
         ) from error
     found = try_to_load_from_cache(wanted.repository, wanted.file)
     return Path(found) if isinstance(found, str) else None

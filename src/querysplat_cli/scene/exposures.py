@@ -32,6 +32,10 @@ class Exposures(TensorDataclass):
     def __len__(self) -> int:
         return len(self.matrices)
 
+    def __getitem__(self, rows: Sequence[int]) -> "Exposures":
+        """Those of some views."""
+        return Exposures(self.matrices[torch.as_tensor(rows, dtype=torch.long)])
+
     @classmethod
     def identity(cls, views: int) -> "Exposures":
         """Transforms that change nothing."""

@@ -13,6 +13,7 @@ import numpy as np
 from PIL import Image, ImageOps, UnidentifiedImageError
 
 from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.optional_parts import install_command
 from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.exif import Gps, focal_length, gps_place, says_panorama
 from querysplat_cli.scene.masks import BadMask, mask_file, read_mask, resized_mask
@@ -263,5 +264,5 @@ def _register_heif() -> None:
 
 def _why_not_a_picture(path: Path) -> str:
     if path.suffix.lower() in HEIF_SUFFIXES:
-        return "HEIC needs one more package: pip install 'querysplat[heic]'"
+        return f"HEIC needs one more package: {install_command('heic')}"
     return "not a picture that can be read"

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from querysplat_cli.runtime.errors import MissingPart
+from querysplat_cli.runtime.optional_parts import install_command
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.splat.conventions import RenderSettings
@@ -40,7 +41,7 @@ def _gsplat() -> Any:
     try:
         from gsplat import rasterization
     except ImportError as error:
-        raise MissingPart("rendering on a GPU needs gsplat", "Run `pip install 'querysplat[cuda]'`.") from error
+        raise MissingPart("rendering on a GPU needs gsplat", f"Run `{install_command('cuda')}`.") from error
     if not torch.cuda.is_available():
         raise MissingPart("gsplat needs a CUDA device, and there is none", "Use --device cpu.")
     return rasterization

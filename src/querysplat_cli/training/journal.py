@@ -10,6 +10,7 @@ import numpy as np
 
 from querysplat_cli.runtime.errors import MissingPart
 from querysplat_cli.runtime.figures import new_figure
+from querysplat_cli.runtime.optional_parts import install_command
 from querysplat_cli.scene.files import atomic_path
 
 CURVE_WINDOW = 25
@@ -76,7 +77,7 @@ def _parsed(line: str) -> dict[str, Any] | None:
 def check_tensorboard() -> None:
     """Raises MissingPart where the package is not installed."""
     if not find_spec("tensorboard"):
-        raise MissingPart("--tensorboard needs the package tensorboard", "pip install 'querysplat[tensorboard]'")
+        raise MissingPart("--tensorboard needs the package tensorboard", install_command("tensorboard"))
 
 
 def _tensorboard(folder: Path) -> Callable[[dict[str, Any]], None]:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import combinations
 
 import torch
@@ -87,15 +87,11 @@ def smoothed(
     Only the Gaussians that these photos show change.
     """
     rows = list(seam.photos)
-    exposures = photos.exposures.map(lambda part: part[rows]) if photos.exposures else None
-    some = replace(
-        photos, views=photos.views[rows], cameras=photos.cameras[rows],
-        files=[photos.files[row] for row in rows] if photos.files else (), exposures=exposures,
-    )  # fmt: skip
+    some = photos.some(rows)
     shown = blending_weights(gaussians, some.cameras) > 0
     views, cameras = some.at(size)
-    if exposures:
-        views = exposures.removed_from(views)
+    if some.exposures:
+        views = some.exposures.removed_from(views)
     settings = TtoSettings(
         PIPELINE_POLICY.seam_passes * len(rows),
         PIPELINE_POLICY.seam_rate * FULL_SIZE_POLICY.learning_rate,

@@ -13,6 +13,7 @@ import numpy as np
 import torch
 
 from querysplat_cli.runtime.errors import MissingPart
+from querysplat_cli.runtime.optional_parts import install_command
 from querysplat_cli.scene.files import atomic_path
 from querysplat_cli.scene.formats.ply import HIGHEST_OPACITY, NoGaussian, damage_named, export_rows, finite_gaussians
 from querysplat_cli.scene.gaussians import Gaussians
@@ -72,7 +73,7 @@ def _gsply() -> Any:
 
 
 def _missing(part: str) -> MissingPart:
-    return MissingPart(f"this format needs {part}", "pip install 'querysplat[formats]'")
+    return MissingPart(f"this format needs {part}", install_command("formats"))
 
 
 def _finite_rows(gaussians: Gaussians) -> np.ndarray:
