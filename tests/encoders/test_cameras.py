@@ -198,12 +198,29 @@ def test_pure_rotation_is_recognised(focal: float) -> None:
     assert "did not move" in found.warnings[0]
 
 
-def test_no_overlap() -> None:
+def test_two_strangers_make_a_scene_of_one() -> None:
     strangers = [photographs(room(100 + 10 * i), arc(1), str(i))[0] for i in range(2)]
-    with pytest.raises(ImpossibleScene, match="no two of the 2 photos") as error:
+    found = place(strangers)
+    (used,), (left_out,) = found.views.names, found.left_out
+    assert {used, left_out.name} == {photo.name for photo in strangers}
+    assert left_out.why == f"nothing places it beside {used}"
+    assert found.warnings[0].startswith(f"no two of the 2 photos show the same thing, so only {used} is used")
+    assert "no parallax" in found.warnings[1]
+
+
+def test_many_strangers_are_refused() -> None:
+    strangers = [photographs(room(100 + 10 * i), arc(1), str(i))[0] for i in range(5)]
+    with pytest.raises(ImpossibleScene, match="no two of the 5 photos") as error:
         place(strangers)
     assert error.value.code == ExitCode.IMPOSSIBLE
     assert "overlap" in error.value.hint
+
+
+def test_blank_photos_are_refused() -> None:
+    blank = [replace(photo, pixels=np.full_like(photo.pixels, 99)) for photo in photographs(room(), arc(2))]
+    blank[1].pixels[:] = 100
+    with pytest.raises(ImpossibleScene, match="no two of the 2 photos"):
+        place(blank)
 
 
 def test_no_photo() -> None:

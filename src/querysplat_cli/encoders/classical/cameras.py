@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -13,7 +13,7 @@ from querysplat_cli.encoders.classical.epipolar import median_epipolar_error
 from querysplat_cli.encoders.classical.matches import Matches, matched
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
 from querysplat_cli.encoders.classical.pure_rotation import placed_alone, placed_by_rotation
-from querysplat_cli.encoders.classical.search import AUTOMATIC, MatcherChoice, search
+from querysplat_cli.encoders.classical.search import AUTOMATIC, Found, MatcherChoice, search
 from querysplat_cli.encoders.classical.sparse_model import SparseModel, in_first_camera_frame
 from querysplat_cli.encoders.classical.triangulation import triangulated
 from querysplat_cli.runtime.errors import ImpossibleScene
@@ -46,7 +46,8 @@ def estimate_cameras(
     The camera of the first photo used is the origin. The median depth of the points, over all views that observe
     them, is 1. Known cameras keep their poses up to this origin and unit. Where the camera turned without moving,
     all cameras stand at one place and there are no points. A single photo gets EXIF's field of view, or else 45°.
-    `choice` of the matcher counts where cameras are unknown. Raises ImpossibleScene when no two photos can be related.
+    `choice` of the matcher counts where cameras are unknown. Of two to four photos of which no two can be related, one is
+    used; raises ImpossibleScene where there are more.
     """
     originals, copies = _without_copies(photos)
     if request.known is not None:
@@ -90,21 +91,13 @@ def _without_copies(photos: Sequence[Photo]) -> tuple[list[Photo], list[LeftOut]
 def _place(photos: Sequence[Photo], choice: MatcherChoice, *, seed: int, progress: Progress) -> Placement:
     found = search(photos, choice, seed=seed, progress=progress)
     matches, model = found.matches, found.model
-    if not matches.pairs:
-        raise ImpossibleScene(
-            f"no two of the {len(photos)} photos show the same thing",
-            "Take photos that overlap by at least half, from places a step apart.",
-        )
     # Tested first: with a wrong focal length, structure from motion explains a turning camera as a moving one.
     turned = placed_by_rotation(matches)
     if turned:
         sentence = "the camera turned but did not move, so distances cannot be measured"
         return Placement(turned, _left_out(photos, matches, turned), (sentence,))
     if model is None:
-        raise ImpossibleScene(
-            f"the {len(photos)} photos overlap too little to find their cameras",
-            "Add photos between those that are far apart, so that neighbours overlap by at least half.",
-        )
+        return _place_clearest(photos, found)
     return Placement(
         model,
         _left_out(photos, matches, model),
@@ -114,13 +107,31 @@ def _place(photos: Sequence[Photo], choice: MatcherChoice, *, seed: int, progres
     )
 
 
-def _place_alone(photo: Photo) -> Placement:
+def _place_clearest(photos: Sequence[Photo], found: Found) -> Placement:
+    """Of a few photos that nothing relates, the one with the most detail, alone. More photos are refused."""
+    matches = found.matches
+    count, hint = len(photos), "photos that overlap by at least half, from places a step apart, make one scene"
+    if matches.pairs:
+        why = f"the {count} photos overlap too little to find their cameras"
+    else:
+        why = f"no two of the {count} photos show the same thing"
+    if count > CAMERA_POLICY.few_photos or not any(matches.features):
+        raise ImpossibleScene(why, f"{hint[0].upper()}{hint[1:]}.")
+    clearest = int(np.argmax(matches.features))
+    name = photos[clearest].name
+    alone = _place_alone(photos[clearest], clearest)
+    left_out = tuple(LeftOut(photo.name, f"nothing places it beside {name}") for photo in photos if photo.name != name)
+    warnings = f"{why}, so only {name} is used: {hint}", *alone.warnings
+    return replace(alone, left_out=left_out, warnings=warnings, matching=found.matching)
+
+
+def _place_alone(photo: Photo, number: int = 0) -> Placement:
     longer = max(photo.height, photo.width)
     focal = photo.focal or CAMERA_POLICY.assumed_focal * longer
     field = np.degrees(2 * np.arctan(longer / focal / 2))
     source = "taken from EXIF" if photo.focal else "assumed"
-    sentence = f"one photo has no parallax: depth is a guess, and the field of view ({field:.0f}°) is {source}"
-    return Placement(placed_alone(focal, (photo.height, photo.width)), (), (sentence,))
+    sentence = f"one photo has no parallax, and its field of view ({field:.0f}°) is {source}"
+    return Placement(placed_alone(focal, (photo.height, photo.width), number), (), (sentence,))
 
 
 def _place_known(
