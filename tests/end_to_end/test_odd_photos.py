@@ -105,15 +105,26 @@ def test_two_places_in_one_folder(room: Path, tmp_path: Path, capsys: pytest.Cap
     assert {photo["name"] for photo in report["views"]["left_out"]} == {file.name for file in others}
 
 
-def test_photos_without_overlap(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    folder = tmp_path / "none"
+def strangers(folder: Path, count: int) -> Path:
     folder.mkdir()
-    for seed in range(3):
+    for seed in range(count):
         noise = np.random.default_rng(seed).integers(0, 255, (34, 45, 3), dtype=np.uint8)
         cv2.imwrite(str(folder / f"{seed}.png"), cv2.resize(noise, (448, 336), interpolation=cv2.INTER_CUBIC))
+    return folder
+
+
+def test_photos_without_overlap(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = strangers(tmp_path / "none", 5)
     assert run(["reconstruct", str(folder), "-o", str(tmp_path / "a.ply"), *SMALL]) == ExitCode.IMPOSSIBLE
     assert capsys.readouterr().err.count("error: ") == 1
     assert [path.name for path in tmp_path.iterdir()] == ["none"]
+
+
+def test_two_photos_without_overlap_make_a_scene_of_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = strangers(tmp_path / "two", 2)
+    assert run(["reconstruct", str(folder), "-o", str(tmp_path / "a.ply"), "--json", *SMALL]) == 0
+    views = json.loads(capsys.readouterr().out)["views"]
+    assert [len(views["used"]), len(views["left_out"])] == [1, 1]
 
 
 def test_a_scene_of_one_photo_warns_that_depth_is_a_guess(

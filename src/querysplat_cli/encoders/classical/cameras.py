@@ -46,7 +46,7 @@ def estimate_cameras(
     The camera of the first photo used is the origin. The median depth of the points, over all views that observe
     them, is 1. Known cameras keep their poses up to this origin and unit. Where the camera turned without moving,
     all cameras stand at one place and there are no points. A single photo gets EXIF's field of view, or else 45°.
-    `choice` of the matcher counts where cameras are unknown. Of two to four photos of which no two can be related, one is
+    `choice` of the matcher counts where cameras are unknown. Where no two photos can be related, one of two to four is
     used; raises ImpossibleScene where there are more.
     """
     originals, copies = _without_copies(photos)
