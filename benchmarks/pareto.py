@@ -6,13 +6,15 @@
 DATA is the folder of the photo sets, by default $QUERYSPLAT_DATA. Every 4th photo is held out, with joint cameras. Each
 scene is one run of the command in a process of its own. Scores are of held-out photos: at the working size, and at
 1,600 pixels over black, over mid-grey (a scene that is see-through scores less) and colour-corrected. Scenes that
---json has already are not made again, so that a run can be stopped and repeated. Without a set it only draws.
+--json has already are not made again, so that a run can be stopped and repeated. Without a set it only draws. Where
+photos are smaller than the pictures of two settings, one scene stands for both.
 """
 
 import json
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict
+from itertools import product
 from pathlib import Path
 from statistics import fmean
 from typing import Any
@@ -22,18 +24,26 @@ from common.arguments import PhotoParser, folder_or_scratch
 from common.output import Table, write_json
 from common.photo_sets import PHOTO_SETS
 from querysplat_cli.runtime.figures import new_figure, save_figure
+from querysplat_cli.scene.photos import longer_side
 
 SETTINGS: dict[str, tuple[str, ...]] = {
     "default": (),
     "feed-forward": ("--quality", "draft", "--tto", "0"),
     "20 steps": ("--quality", "draft", "--tto", "20"),
     "50 steps": ("--quality", "draft", "--tto", "50"),
-    **{f"quality {name}": ("--quality", name) for name in ("draft", "high", "max")},
-    **{f"{size} px": ("--max-size", str(size)) for size in (224, 448, 896, 1600)},
+    **{f"quality {name}": ("--quality", name) for name in ("draft", "high")},
+    **{f"{size} px": ("--max-size", str(size)) for size in (224, 896, 1600)},
     **{f"budget {seconds} s": ("--budget", str(seconds)) for seconds in (15, 30, 60, 120, 300)},
 }
 """Options of `querysplat reconstruct` by the name of the point. `draft` with `auto` steps is "quality draft"."""
+SIZES = {"default": 448, "896 px": 896, "1600 px": 1600}
+"""The longer side of working pictures at most, where photos have the pixels."""
 COLOURS = {"tuned on": "#0072b2", "only reported": "#d55e00"}
+
+
+def same_scene(setting: str, longer: int) -> str | None:
+    """The setting with smaller pictures that makes the same scene of photos whose longer side has `longer` pixels."""
+    return next((other for other, size in SIZES.items() if longer <= size < SIZES.get(setting, 0)), None)
 
 
 def frontier(points: Sequence[tuple[float, float]]) -> list[int]:
@@ -73,9 +83,10 @@ def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
     for use, colour in COLOURS.items():
         points = means(rows, use)
         places = list(points.values())
-        for name, (seconds, quality) in points.items():
-            axis.plot(seconds, quality, "o", color=colour, ms=4)
-            axis.annotate(name, (seconds, quality), xytext=(4, 3), textcoords="offset points", fontsize=7)
+        for place in dict.fromkeys(places):
+            names = ", ".join(name for name, point in points.items() if point == place)
+            axis.plot(*place, "o", color=colour, ms=4)
+            axis.annotate(names, place, xytext=(4, 3), textcoords="offset points", fontsize=7)
         best = [places[i] for i in frontier(places)]
         if best:
             sets = len({row["set"] for row in rows if row["use"] == use})
@@ -95,22 +106,28 @@ def main() -> None:
     parser.add_argument("--keep", type=Path, help="keep the scenes in this folder")
     options = parser.parse()
     rows = json.loads(options.json.read_text())["rows"] if options.json and options.json.is_file() else []
-    done = {(row["set"], row["quality"]) for row in rows}
+    done = {(row["set"], row["quality"]): row for row in rows}
     scores = dict.fromkeys(("black, dB", "grey, dB", "grey at 1,600 px, dB", "cc, dB"), ".2f")
     table = Table({"set": "", "use": "", "setting": "", **scores, "s": ".0f", "CPU s": ".0f", "GiB": ".2f"})
     with folder_or_scratch(options.keep) as folder:
-        for name in options.sets:
-            for setting in options.settings:
-                if (name, setting) in done:
-                    continue
-                row = fullscreen.measure(PHOTO_SETS[name], setting, options.data, folder, None, SETTINGS[setting])
-                if row is None:
+        for setting, name in product(options.settings, options.sets):
+            photo_set = PHOTO_SETS[name]
+            if (name, setting) in done:
+                continue
+            same = same_scene(setting, longer_side(photo_set.files(options.data)[0], default=0))
+            if (name, same) in done:
+                row = done[name, same] | {"quality": setting}
+            else:
+                found = fullscreen.measure(photo_set, setting, options.data, folder, None, SETTINGS[setting])
+                if found is None:
                     print(f"{name}, {setting}: no scene, so no score", file=sys.stderr)
                     continue
-                rows.append(asdict(row))
-                quality = row.working.black, row.working.grey, row.full.grey, row.full.corrected
-                table.add(row.set, row.use, setting, *quality, row.seconds, row.cpu_seconds, row.gib)
-                write_json(options.json, rows=rows)
+                row = asdict(found)
+            rows.append(row)
+            done[name, setting] = row
+            quality = row["working"]["black"], row["working"]["grey"], row["full"]["grey"], row["full"]["corrected"]
+            table.add(name, row["use"], setting, *quality, row["seconds"], row["cpu_seconds"], row["gib"])
+            write_json(options.json, rows=rows)
     if options.figure:
         draw(rows, options.figure)
 

@@ -37,6 +37,13 @@ def test_settings_are_options_of_reconstruct() -> None:
     assert pareto.SETTINGS["default"] == ()
 
 
+def test_small_photos_make_the_same_scene_with_larger_pictures() -> None:
+    assert [pareto.same_scene("896 px", longer) for longer in (448, 449)] == ["default", None]
+    assert [pareto.same_scene("1600 px", longer) for longer in (300, 897)] == ["default", None]
+    assert pareto.same_scene("1600 px", 768) == "896 px"
+    assert pareto.same_scene("224 px", 200) is None
+
+
 @pytest.mark.parametrize("count", views.VIEWS)
 def test_inputs_surround_the_held_out_photos(count: int) -> None:
     places = views.chosen(count, 50)
