@@ -34,6 +34,7 @@ from querysplat_cli.reporting.report import (
     matching_entry,
     quality_entry,
     seconds_entry,
+    settings_entry,
     tto_entries,
     views_entry,
 )
@@ -263,9 +264,7 @@ def _report(
         left_out=[asdict(omission) for omission in omissions_of(settings, scene, inputs.finest)],
         warnings=[*passes.warnings, *scene.geometry.warnings],
         tto=[*tto_entries(scene.adapted.runs), *(further.runs if further else [])],
-        settings={
-            key: value if isinstance(value, int | None) else str(value) for key, value in asdict(settings).items()
-        },
+        settings=settings_entry(asdict(settings)),
         peak_memory_gib=round(peak_gib(), 2),
         machine=machine(),
         memory_estimate_gib=expected and round(expected / 2**30, 2),

@@ -3,7 +3,7 @@
 import json
 import os
 import platform
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -88,6 +88,17 @@ def views_entry(used: Sequence[str], left_out: Sequence[LeftOut]) -> dict[str, A
 def seconds_entry(seconds: dict[str, float]) -> dict[str, float]:
     rounded = {stage: round(spent, 3) for stage, spent in seconds.items()}
     return {**rounded, "total": round(sum(seconds.values()), 3)}
+
+
+def settings_entry(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings as JSON has them: files and places as text."""
+    return {name: _plain(value) for name, value in settings.items()}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, tuple | list):
+        return [_plain(part) for part in value]
+    return value if isinstance(value, int | float | str | None) else str(value)
 
 
 def quality_entry(quality: Quality) -> dict[str, Any]:
