@@ -118,7 +118,8 @@ def repair(
 ) -> list[Stage]:
     """All stages. `options` are further ones of `querysplat reconstruct`. Raises QuerySplatError where one fails."""
     out.mkdir(parents=True, exist_ok=True)
-    whole, damaged, masks, restored = (out / name for name in ("whole", "damaged", "masks", "restored"))
+    # Not "masks": `reconstruct` takes a folder of this name for masks of the photos beside it.
+    whole, damaged, masks, restored = (out / name for name in ("whole", "damaged", "holes", "restored"))
     write_ply(out / "damaged.ply", cut(read_ply(scene), box))
     _querysplat("render", str(scene), "-o", str(whole), "--cameras", cameras)
     path = ("--cameras", str(whole / "cameras.json"))

@@ -74,7 +74,7 @@ def test_the_region_goes_and_comes_back(scene: Path, tmp_path: Path, monkeypatch
     damaged, restored, repaired = repair.repair(scene, BOX, tmp_path / "out", repair.inpaint)
     assert [verb for verb, *_ in seen] == ["render", "render", "reconstruct", "render"]
     assert len(read_ply(scene)) - len(read_ply(tmp_path / "out" / "damaged.ply")) == 8
-    mask = cv2.imread(str(tmp_path / "out" / "masks" / "b.png"), 0)
+    mask = cv2.imread(str(tmp_path / "out" / "holes" / "b.png"), 0)
     assert mask[SIZE[0] // 2, SIZE[1] // 2] == 255
     assert mask[:5].max() == 0
     assert 0.01 < (mask > 0).mean() < 0.4
@@ -84,6 +84,12 @@ def test_the_region_goes_and_comes_back(scene: Path, tmp_path: Path, monkeypatch
     assert repaired.outside > 20
     names = [file.name for file in sorted((tmp_path / "out" / "restored").iterdir())]
     assert names == ["a.png", "b.png", "c.png", "cameras.json"]
+
+
+def test_the_restored_pictures_become_a_scene(scene: Path, tmp_path: Path) -> None:
+    """Through `reconstruct` itself: its scene lies in the old frame, and shows all of the pictures."""
+    *_, repaired = repair.repair(scene, BOX, tmp_path / "out", repair.inpaint, options="--quality draft --tto 20")
+    assert repaired.outside > 20
 
 
 def test_any_command_restores(scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
