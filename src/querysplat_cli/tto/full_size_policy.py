@@ -18,11 +18,11 @@ class LevelPolicy:
     """The most that splitting reaches."""
     seconds: tuple[float, float]
     """What the plan may take, and for each million pixels of all photos together."""
-    most_seconds: float
-    """However many pixels there are."""
     passes: float
     """How often each photo is shown at most that is no larger than the working pictures; larger ones more often, as
     their pixels are more."""
+    most_seconds: float = math.inf
+    """However many pixels there are."""
     seconds_per_photo: float = 0.0
     """The plan may take so long for each photo, where that is more than all of the above."""
     gaussians_per_photo: float = math.inf
@@ -55,14 +55,13 @@ class FullSizePolicy:
                 900,
                 140_000,
                 (20.0, 0.0),
-                20.0,
                 passes=20.0,
                 seconds_per_photo=1.7,
                 gaussians_per_photo=2_800.0,
                 shared_gaussians=70_000,
             ),
-            "high": LevelPolicy(1600, 200_000, (60.0, 10.0), 900.0, passes=50.0),
-            "max": LevelPolicy(WHOLE, 500_000, (60.0, 10.0), float("inf"), passes=50.0, most_rounds=8),
+            "high": LevelPolicy(1600, 200_000, (60.0, 10.0), passes=50.0, most_seconds=900.0),
+            "max": LevelPolicy(WHOLE, 500_000, (60.0, 10.0), passes=50.0, most_rounds=8),
         }
     )
     """50 passes with dropout, instead of 14 without, take three times the seconds. Held out on grey at 448 pixels they
