@@ -1,24 +1,47 @@
-"""The documented table agrees with the stored summary."""
+"""The documented tables, set by set, of a folder of results."""
+
+import json
+from pathlib import Path
 
 import eval_table
 
+COMMON = {"views": 4, "scored": 3, "asked": 4, "cases": 1, "failed": 1, "gaussians_median": 12345.0}
+COMMON |= {"peak_memory_gib": None}
 
-def test_every_row_and_every_quote_has_a_line() -> None:
-    common = {"views": 4, "scored": 3, "asked": 4, "cases": 1, "failed": 1, "seconds_median": 1.26}
-    common |= {"gaussians_median": 12345.0, "peak_memory_gib": None}
+
+def test_every_row_has_a_line() -> None:
     averages = [
-        {**common, "row": "free_tto=0", "group": "input", "psnr": 20.126, "ssim": 0.5},
-        {**common, "row": "free_tto=0", "group": "interp", "psnr": None, "ssim": None},
+        {**COMMON, "row": "free_tto=0", "group": "input", "psnr": 20.126, "ssim": 0.5},
+        {**COMMON, "row": "free_tto=0", "group": "interp", "psnr": None, "ssim": None},
+        {**COMMON, "row": "free_depth", "group": "input", "psnr": 1.0, "ssim": 0.1},
     ]
-    own = {"views": 4, "method": "QuerySplat"}
-    quoted = [{**own, "group": group, "psnr": psnr, "ssim": None} for group, psnr in (("interp", 24.58), ("input", 9))]
-    quoted += [{"views": 4, "method": "Rival", "group": "input", "psnr": 1, "ssim": 1}, {"views": 12}]
-    lines = eval_table.table({"averages": averages, "quoted": {"rows": quoted}}).splitlines()
-    assert lines[2] == "| 4 | free_tto=0 | 20.13 / 0.500 |  |  | 6 of 8 | 1 of 2 | 1.3 | 12,345 |  |"
-    assert lines[3].startswith("| 4 | *quoted: QuerySplat* | 9.00 | 24.58 |  |")
-    assert len(lines) == 4
-    assert {line.count("|") for line in lines} == {11}
+    lines = eval_table.table(averages, ["tto=0"]).splitlines()
+    assert lines[2:] == ["| 4 | free_tto=0 | 20.13 / 0.500 |  |  | 6 of 8 | 1 of 2 | 12,345 |  |"]
+    assert len(eval_table.table(averages).splitlines()) == 4
+    assert {line.count("|") for line in lines} == {10}
 
 
-def test_the_use_of_each_set_is_said() -> None:
-    assert eval_table.uses(["fox", "elsewhere"]) == "Photo sets: fox (tuned on), elsewhere (only reported)."
+def test_only_the_papers_own_method_is_quoted() -> None:
+    rows = [{"views": 4, "method": "QuerySplat", "group": group, "psnr": 24.58, "ssim": None} for group in ("interp",)]
+    rows.append({"views": 4, "method": "Rival", "group": "input", "psnr": 1, "ssim": 1})
+    assert eval_table.quoted(rows).splitlines()[2:] == ["| 4 | QuerySplat |  | 24.58 |  |"]
+
+
+def test_each_set_has_its_own_figures(tmp_path: Path) -> None:
+    folder = tmp_path / "free_depth" / "2views_small"
+    split = {"num_input_views": 2, "scale": "small"}
+    config = {"split": split, "protocol": "release", "lpips": {"missing": "vgg"}, "machine": "here"}
+    folder.mkdir(parents=True)
+    (folder / "run_config.json").write_text(json.dumps(config))
+    for case, psnr in (("fox_000", 20.0), ("fox_001", 22.0), ("two_words_002", 30.0)):
+        (folder / case).mkdir()
+        view = {"psnr": psnr, "ssim": 0.5}
+        metrics = {"per_view": {"input": [view]}, "missing": {}, "frames": {"input": [{"name": "a.png"}]}}
+        (folder / case / "metrics.json").write_text(json.dumps(metrics))
+        timing = {"seconds": {"total": 1.0}, "gaussians": 5, "peak_memory_gib": 1.0}
+        (folder / case / "timing.json").write_text(json.dumps(timing))
+    assert eval_table.sets_of(tmp_path) == ["fox", "two_words"]
+    for name, psnr in (("fox", 21.0), ("two_words", 30.0)):
+        summary = eval_table.summary_of(tmp_path, name, tmp_path / "tables")
+        assert [cell["psnr"] for cell in summary["averages"] if cell["group"] == "input"] == [psnr]
+        assert (tmp_path / "tables" / f"eval_{name}.csv").is_file()
