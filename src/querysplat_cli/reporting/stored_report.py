@@ -145,7 +145,7 @@ class _Report:
     quality: dict[str, Any]
     left_out: tuple[_Omission, ...]
     tto: tuple[_Run, ...]
-    settings: dict[str, bool | int | float | str | None]
+    settings: dict[str, bool | int | float | str | list[str] | None]
     peak_memory_gib: float
     machine: str
     memory_estimate_gib: float | None
