@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from querysplat_cli.encoders.base import PosedViews
 from querysplat_cli.encoders.holdout import estimate_holdout_cameras, split_photos
-from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.errors import ImpossibleScene, QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.sim3 import Sim3
 from querysplat_cli.scene.views import Photo, Views
@@ -101,6 +101,23 @@ def test_no_held_out_pixel_is_an_input() -> None:
     seen = {int(value * 255 + 0.5) for value in passes.chosen.inputs.views.images.unique()}
     assert seen == {1, 2, 4, 5}
     assert passes.other is None
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_a_pass_that_places_held_out_photos_only(known: bool) -> None:
+    """The joint protocol has nothing to make a scene of; the isolated one has no held-out camera."""
+
+    def estimate_cameras(chosen: Sequence[Photo]) -> PosedViews:
+        return place(chosen[:1], 9, Sim3.identity())
+
+    with pytest.raises(ImpossibleScene, match="only held-out photos have a camera"):
+        estimate_holdout_cameras(photos(9), 4, "joint", estimate_cameras, poses_known=known)
+    if not known:
+        passes = estimate_holdout_cameras(photos(9), 4, "isolated", estimate_cameras, poses_known=False)
+        assert passes.chosen.inputs.views.names == ("1.png",)
+        assert passes.chosen.heldout is None
+        assert passes.other is None
+        assert "cannot be scored" in passes.warnings[0]
 
 
 def test_the_difference_of_the_passes_is_measured() -> None:

@@ -14,7 +14,7 @@ import torch
 
 from querysplat_cli.encoders.base import PosedViews
 from querysplat_cli.runtime.choices import HoldoutProtocol
-from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.errors import ImpossibleScene, QuerySplatError
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera, project_points
 from querysplat_cli.scene.rotations import rotation_angles
 from querysplat_cli.scene.sim3 import DegenerateAlignment, align_cameras
@@ -92,7 +92,7 @@ def estimate_holdout_cameras(
 
     `estimate_cameras(photos)` is one pass. Known poses need one pass, since both protocols are then the same. With
     `own_frame` (see `Encoder`) a scene fits the cameras of its own pass only, so there is no joint protocol: raises
-    QuerySplatError when it is chosen.
+    QuerySplatError when it is chosen. Raises ImpossibleScene when the chosen pass places held-out photos only.
     """
     if own_frame and protocol == "joint" and every is not None:
         raise QuerySplatError(
@@ -106,6 +106,12 @@ def estimate_holdout_cameras(
         return HoldoutCameras(PosedSplit("isolated", posed, None), None, None, posed.left_out, posed.warnings)
     everything = estimate_cameras(photos)
     joint = _joint_split(everything, names)
+    empty = not joint.inputs.views.names
+    if empty and (poses_known or protocol == "joint"):
+        raise ImpossibleScene(
+            "only held-out photos have a camera, so nothing is left to make a scene of",
+            "Leave out --holdout-every, or choose another number.",
+        )
     if poses_known:
         return HoldoutCameras(joint, None, None, everything.left_out, everything.warnings)
     # The inputs come last: a learned encoder keeps its last pass for depth and features.
@@ -114,7 +120,7 @@ def estimate_holdout_cameras(
     chosen, other = (isolated, joint) if protocol == "isolated" else (joint, isolated)
     return HoldoutCameras(
         chosen,
-        None if own_frame else other,
+        None if own_frame or empty else other,
         difference,
         left_out=tuple(dict.fromkeys((*own.left_out, *everything.left_out))),
         warnings=tuple(dict.fromkeys((*own.warnings, *everything.warnings, *warnings))),

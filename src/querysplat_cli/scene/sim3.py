@@ -111,8 +111,7 @@ def _align_all(a: Float[Tensor, "n 4 4"], b: Float[Tensor, "n 4 4"]) -> Sim3:
     rotation = u @ sign @ vt
     around_a, around_b = centres_a - centres_a.mean(0), centres_b - centres_b.mean(0)
     spread = around_a.square().sum()
-    size = centres_a.abs().max().clamp_min(1e-30)
-    if len(a) < 2 or spread.sqrt() <= 1e-9 * size:
+    if len(a) < 2 or spread.sqrt() <= 1e-9 * centres_a.abs().max().clamp_min(1e-30):
         raise DegenerateAlignment(
             f"{len(a)} cameras at one place do not fix the scale between two reconstructions",
             "Use photos taken from at least two places.",

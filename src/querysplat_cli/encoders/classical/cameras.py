@@ -116,7 +116,7 @@ def _place_clearest(photos: Sequence[Photo], found: Found) -> Placement:
     else:
         why = f"no two of the {count} photos show the same thing"
     if count > CAMERA_POLICY.few_photos or not any(matches.features):
-        raise ImpossibleScene(why, f"{hint[0].upper()}{hint[1:]}.")
+        raise ImpossibleScene(why, f"{hint.capitalize()}.")
     clearest = int(np.argmax(matches.features))
     name = photos[clearest].name
     alone = _place_alone(photos[clearest], clearest)
