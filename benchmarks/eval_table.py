@@ -41,8 +41,7 @@ def summary_of(results: Path, name: str, csv: Path | None = None) -> dict[str, A
 
     with TemporaryDirectory() as scratch:
         for row in row_folders(results):
-            if any(set_of(case) == name for case in row.path.iterdir() if case.is_dir()):
-                shutil.copytree(row.path, Path(scratch) / row.row / row.split, ignore=others)
+            shutil.copytree(row.path, Path(scratch) / row.row / row.split, ignore=others)
         summary = summarise(Path(scratch))
         if csv:
             csv.mkdir(parents=True, exist_ok=True)

@@ -26,17 +26,19 @@ from common.photo_sets import PHOTO_SETS
 from querysplat_cli.runtime.figures import new_figure, save_figure
 from querysplat_cli.scene.photos import longer_side
 
+PIXELS = (224, 896, 1600)
+"""Longer sides of the working pictures beside the default's 448."""
 SETTINGS: dict[str, tuple[str, ...]] = {
     "default": (),
     "feed-forward": ("--quality", "draft", "--tto", "0"),
     "20 steps": ("--quality", "draft", "--tto", "20"),
     "50 steps": ("--quality", "draft", "--tto", "50"),
     **{f"quality {name}": ("--quality", name) for name in ("draft", "high")},
-    **{f"{size} px": ("--max-size", str(size)) for size in (224, 896, 1600)},
+    **{f"{size} px": ("--max-size", str(size)) for size in PIXELS},
     **{f"budget {seconds} s": ("--budget", str(seconds)) for seconds in (15, 30, 60, 120, 300)},
 }
 """Options of `querysplat reconstruct` by the name of the point. `draft` with `auto` steps is "quality draft"."""
-SIZES = {"default": 448, "896 px": 896, "1600 px": 1600}
+SIZES = {"default": 448, **{f"{size} px": size for size in PIXELS}}
 """The longer side of working pictures at most, where photos have the pixels."""
 COLOURS = {"tuned on": "#0072b2", "only reported": "#d55e00"}
 

@@ -9,13 +9,12 @@ take part in the splits that they can fill, in turn. Rows are the encoder's dept
 (`tto=auto`), with free and with the dataset's cameras. A run that was stopped goes on when it is repeated.
 """
 
-import argparse
-import os
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+from common.arguments import PhotoParser
 from common.photo_sets import PHOTO_SETS
 from querysplat_cli.evaluation.generate import INTERVALS, SCALES
 
@@ -54,13 +53,10 @@ def write_splits(scenes: list[Path], folder: Path) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("data", nargs="?", type=Path, default=os.environ.get("QUERYSPLAT_DATA"))
+    parser = PhotoParser(__doc__, json=False, sets=False, passes=False)
     parser.add_argument("-o", "--output", type=Path, required=True)
     parser.add_argument("--workers", default="2", help="as for `querysplat eval`")
-    options = parser.parse_args()
-    if options.data is None:
-        parser.error("name the folder of the photo sets, or set QUERYSPLAT_DATA")
+    options = parser.parse()
     options.output.mkdir(parents=True, exist_ok=True)
     scenes = scene_folders(options.data, options.output)
     write_splits(scenes, options.output / "splits")

@@ -11,12 +11,13 @@ from common.photo_sets import PHOTO_SETS, USUAL
 
 
 class PhotoParser(argparse.ArgumentParser):
-    """A parser for the folder of the photo sets and `--json`, and for `--sets` and `--passes` where they are wanted."""
+    """A parser for the folder of the photo sets, and for `--json`, `--sets` and `--passes` where they are wanted."""
 
-    def __init__(self, doc: str | None, *, sets: bool = True, passes: bool = True) -> None:
+    def __init__(self, doc: str | None, *, json: bool = True, sets: bool = True, passes: bool = True) -> None:
         super().__init__(description=(doc or "").splitlines()[0])
         self.add_argument("data", type=Path, nargs="?", help=f"folder of the photo sets; default: ${PHOTOS}")
-        self.add_argument("--json", type=Path, help="also write the results here")
+        if json:
+            self.add_argument("--json", type=Path, help="also write the results here")
         if sets:
             self.add_argument("--sets", nargs="*", choices=PHOTO_SETS, default=USUAL, metavar="SET")
         if passes:

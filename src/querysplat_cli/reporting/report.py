@@ -96,7 +96,7 @@ def settings_entry(settings: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    if isinstance(value, tuple | list):
+    if isinstance(value, tuple):
         return [_plain(part) for part in value]
     return value if isinstance(value, int | float | str | None) else str(value)
 
