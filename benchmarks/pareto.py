@@ -60,7 +60,10 @@ def frontier(points: Sequence[tuple[float, float]]) -> list[int]:
 
 
 def means(rows: Sequence[dict[str, Any]], use: str) -> dict[str, tuple[float, float]]:
-    """CPU seconds and held-out dB of each setting, as means over the sets of this use that have every setting."""
+    """Seconds and held-out dB of each setting, as means over the sets of this use that have every setting.
+
+    The dB are those at full screen over grey: pictures of the working size differ from setting to setting.
+    """
     chosen = [row for row in rows if row["use"] == use]
     settings = list(dict.fromkeys(row["quality"] for row in chosen))
     by_set: dict[str, dict[str, dict[str, Any]]] = {}
@@ -71,15 +74,15 @@ def means(rows: Sequence[dict[str, Any]], use: str) -> dict[str, tuple[float, fl
         return {}
     return {
         name: (
-            fmean(found[name]["cpu_seconds"] for found in whole),
-            fmean(found[name]["working"]["grey"] for found in whole),
+            fmean(found[name]["seconds"] for found in whole),
+            fmean(found[name]["full"]["grey"] for found in whole),
         )
         for name in settings
     }
 
 
 def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
-    """Mean held-out PSNR against mean CPU seconds, one colour for sets that were tuned on and one for the others."""
+    """Mean held-out PSNR against mean seconds, one colour for sets that were tuned on and one for the others."""
     figure = new_figure(7.0, 4.2)
     axis = figure.subplots()
     for use, colour in COLOURS.items():
@@ -94,8 +97,8 @@ def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
             sets = len({row["set"] for row in rows if row["use"] == use})
             axis.plot(*zip(*best, strict=True), color=colour, lw=1.2, label=f"{sets} sets, {use}")
     axis.set_xscale("log")
-    axis.set_xlabel("CPU seconds of the command")
-    axis.set_ylabel("held-out PSNR on grey, dB")
+    axis.set_xlabel("seconds of the command, two cores")
+    axis.set_ylabel("held-out PSNR at full screen on grey, dB")
     axis.grid(alpha=0.3)
     axis.legend(fontsize=8)
     save_figure(figure, path)

@@ -3,9 +3,10 @@
     python benchmarks/reconstruct.py [DATA] [--sets fortress kermit] [--json results.json] [--keep DIR]
 
 DATA is the folder of the photo sets, by default $QUERYSPLAT_DATA. Every 4th photo is held out. Each row is one run of
-the command in a process of its own, so that seconds and memory are what a user sees. The splatted depth is scored on
-the same cameras and with the same renderer. Scores are over black, but for "on grey" and "on white", which must agree
-with them: where they are lower, one can see through the scene.
+the command with joint cameras in a process of its own, so that seconds and memory are what a user sees. Another run has
+isolated cameras, for its score alone. The splatted depth is scored on the joint cameras and with the same renderer.
+Scores are over black, but for "on grey" and "on white", which must agree with them: where they are lower, one can see
+through the scene.
 """
 
 import json
@@ -22,12 +23,15 @@ from common.samples import HOLDOUT_EVERY, joint_sample
 from querysplat_cli.evaluation.baseline import back_project
 from querysplat_cli.pipeline.read_scene import read_scene, read_scene_gaussians
 from querysplat_cli.reporting.view_scores import score
+from querysplat_cli.runtime.choices import HoldoutProtocol
+
+CAMERAS: tuple[HoldoutProtocol, HoldoutProtocol] = ("joint", "isolated")
 
 
-def reconstruct(photos: list[Path], folder: Path, options: list[str]) -> dict[str, Any]:
+def reconstruct(photos: list[Path], cameras: HoldoutProtocol, folder: Path, options: list[str]) -> dict[str, Any]:
     """The JSON object of the command and its seconds as `wall`; or `error` and the exit code."""
-    command = ["querysplat", "reconstruct", *map(str, photos), "-o", str(folder / "joint.ply")]
-    command += ["--holdout-every", str(HOLDOUT_EVERY), "--holdout-cameras", "joint"]
+    command = ["querysplat", "reconstruct", *map(str, photos), "-o", str(folder / f"{cameras}.ply")]
+    command += ["--holdout-every", str(HOLDOUT_EVERY), "--holdout-cameras", cameras]
     command += ["--json", "--quiet", "--force", *options]
     start = time.perf_counter()
     done = subprocess.run(command, capture_output=True, text=True)
@@ -56,17 +60,18 @@ def measure(photo_set: PhotoSet, data: Path, folder: Path, options: list[str]) -
     folder.mkdir(parents=True, exist_ok=True)
     photos = photo_set.photos(data)
     labels = {"set": photo_set.name, "use": photo_set.use}
-    run = reconstruct(photos, folder, options)
-    if "error" in run:
-        return {**labels, **run}
-    heldout = run["quality"]["heldout"]
+    run, alone = (reconstruct(photos, cameras, folder, options) for cameras in CAMERAS)
+    failed = next((one for one in (run, alone) if "error" in one), None)
+    if failed:
+        return {**labels, **failed}
+    isolated = alone["quality"]["heldout"]
     return {
         **labels,
         "splatted_depth_psnr": splatted_depth(photos),
-        "joint": heldout["joint"],
+        "joint": run["quality"]["heldout"],
         "joint_psnr_white": on_white(folder / "joint.ply"),
-        "isolated": heldout["isolated"],
-        "pose_difference": heldout["pose_difference"],
+        "isolated": isolated,
+        "pose_difference": isolated and isolated["pose_difference"],
         "seconds": run["wall"],
         "stages": run["seconds"],
         "peak_memory_gib": run["peak_memory_gib"],

@@ -12,7 +12,7 @@ from querysplat_cli.evaluation.axes import axes
 
 
 def row(name: str, use: str, setting: str, seconds: float, grey: float) -> dict[str, Any]:
-    return {"set": name, "use": use, "quality": setting, "cpu_seconds": seconds, "working": {"grey": grey}}
+    return {"set": name, "use": use, "quality": setting, "seconds": seconds, "full": {"grey": grey}}
 
 
 def test_the_front_holds_what_nothing_beats() -> None:

@@ -58,8 +58,7 @@ def test_what_is_reported(scene: tuple[Path, dict[str, Any]]) -> None:
     )
     heldout = report["quality"]["heldout"]
     assert heldout["cameras"] == "isolated"
-    assert heldout["isolated"]["psnr"] == heldout["psnr"]
-    assert heldout["joint"]["psnr"] > 18
+    assert heldout["psnr"] > 17
     assert 0 < heldout["pose_difference"]["degrees"] < 1
     assert 0 < heldout["pose_difference"]["pixels"] < 5
     assert report["quality"]["input"]["psnr"] > 22

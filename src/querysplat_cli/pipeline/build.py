@@ -9,7 +9,7 @@ from querysplat_cli.encoders.base import Encoder, Geometry, PosedViews
 from querysplat_cli.encoders.holdout import PosedSplit, select_views
 from querysplat_cli.model.memories import Features
 from querysplat_cli.model.querysplat import QuerySplat
-from querysplat_cli.pipeline.budget import BudgetShare, OptimisingTime
+from querysplat_cli.pipeline.budget import Budget, OptimisingTime
 from querysplat_cli.pipeline.full_size import FullSize, LargePhotos, take_to_full_size
 from querysplat_cli.pipeline.optimise import optimise_start
 from querysplat_cli.pipeline.perceptual import optimisation_lpips
@@ -47,7 +47,6 @@ class BuiltScene:
     full_size: after those on the photos; None where there were none.
     backdrop: Gaussians behind everything (`queries/backdrop.py`); None where there are none.
     duplicates: views that were left out of the scene.
-    time_for_more: whether the budget has room for another scene.
     colours: how far the photos agree in colour; None where that was not measured.
     """
 
@@ -59,7 +58,6 @@ class BuiltScene:
     full_size: FullSize | None = None
     backdrop: Gaussians | None = None
     duplicates: tuple[LeftOut, ...] = ()
-    time_for_more: bool = True
     colours: PhotoColours | None = None
 
     @property
@@ -92,16 +90,14 @@ class BuiltScene:
 
 @dataclass(frozen=True)
 class Allowance:
-    """What the making of one scene may use.
+    """What the making of a scene may use.
 
-    share: its time; None sets no limit.
+    budget: its time; None sets no limit.
     sources: where the photos come from, by name, for an optimisation on larger pictures than the working ones.
-    last: the encoder cannot be used any more afterwards: its weights make room for the decoders.
     """
 
-    share: BudgetShare | None = None
+    budget: Budget | None = None
     sources: Mapping[str, PhotoSource] = field(default_factory=dict)
-    last: bool = False
 
 
 def encode_and_build(
@@ -112,12 +108,14 @@ def encode_and_build(
     stages: Stages,
     allowance: Allowance = Allowance(),
 ) -> BuiltScene:
-    """`build_scene` without near-duplicate views, with the geometry that the encoder estimates."""
+    """`build_scene` without near-duplicate views, with the geometry that the encoder estimates.
+
+    The encoder is freed then: its weights make room for the decoders.
+    """
     posed, duplicates = (posed, ()) if settings.keep_everything else distinct_views(posed)
     with stages("depth") as progress:
         geometry = encoder.estimate_geometry(posed, seed=settings.seed, progress=progress)
-    if allowance.last:
-        encoder.free()
+    encoder.free()
     prepared, colours = _prepared(posed, geometry, model, settings, stages)
     geometry = replace(geometry, features=())  # they are large, and optimisation needs the memory
     scene = _finished(posed, geometry, prepared, colours, model, settings, stages, allowance)
@@ -170,10 +168,9 @@ def _finished(
     allowance: Allowance,
 ) -> BuiltScene:
     """The scene after its optimisation."""
-    adapted, time = _optimised(posed, prepared, model, settings, stages, allowance.share, _transforms(colours))
+    adapted, time = _optimised(posed, prepared, model, settings, stages, allowance.budget, _transforms(colours))
     files = photo_files(posed.views.names, posed.photo_cameras, allowance.sources) if allowance.sources else ()
-    more = time is None or time.for_more
-    scene = BuiltScene(posed, geometry, prepared, adapted, files, colours=colours, time_for_more=more)
+    scene = BuiltScene(posed, geometry, prepared, adapted, files, colours=colours)
     scene = _taken_further(scene, next(model.parameters()).device, settings, stages, time)
     if not settings.backdrop or prepared.anchors is None or not shows_background(posed.views):
         return scene
@@ -200,18 +197,15 @@ def _optimised(
     model: QuerySplat,
     settings: ReconstructSettings,
     stages: Stages,
-    share: BudgetShare | None,
+    budget: Budget | None,
     exposures: Exposures | None,
 ) -> tuple[Adapted, OptimisingTime | None]:
-    """The optimised scene, and the time that the budget has for it.
-
-    The optimisation takes as much of the time `share` as leaves enough for the other scenes of the same budget.
-    """
+    """The optimised scene, and the time that the budget had for it."""
     with stages("tto") as progress:
         perceptual = optimisation_lpips(settings.lpips, official=prepared.anchors is None)
         options = replace(_options(settings, posed), perceptual=perceptual)
         count = _gaussian_count(prepared, model)
-        time = share.optimising(count) if share else None
+        time = budget.optimising(count) if budget else None
         plan = _plan(prepared, count, posed.cameras, options, time.seconds if time else None)
         optimised = any(run.settings.steps for run in plan)
         variables = prepared.variables.map(torch.Tensor.float) if optimised else prepared.variables
@@ -235,7 +229,7 @@ def _taken_further(
     level, seconds = settings.full_size, time.full_size_seconds() if time else None
     if scene.interrupted or level is None or (time and seconds is None):
         return scene
-    if scene.prepared.anchors is None and not settings.one_scene:
+    if scene.prepared.anchors is None and not settings.asks_large:
         return scene
     if time and level == "standard":
         level = "high"  # the time decides, not the level

@@ -20,8 +20,4 @@ def omissions_of(settings: ReconstructSettings, scene: BuiltScene, finest: Blurr
         found.append(omissions.resolution(finest))
     if settings.poses:
         found.append(omissions.sfm(settings.poses))
-    if settings.one_scene and settings.holdout_every:
-        found.append(omissions.second_score(settings.quality))
-    elif not scene.time_for_more:
-        found.append(omissions.SECOND_SCORE)
     return found

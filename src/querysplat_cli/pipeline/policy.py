@@ -30,8 +30,6 @@ class PipelinePolicy:
     """What they take for each Gaussian."""
     encoding_share: float = 0.4
     """Share of the time that cameras, depth and queries may take. Working pictures become smaller to stay within it."""
-    optimising_share: float = 0.3
-    """Share of the time left that optimisation must get before a second scene is made, only to be scored."""
     full_size_share: float = 0.8
     """Share of the time left after the optimisation on working pictures that steps on large photos may take. The rest
     is for reading and scoring the photos at that size."""

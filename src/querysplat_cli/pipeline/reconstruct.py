@@ -40,13 +40,12 @@ from querysplat_cli.reporting.report import (
 )
 from querysplat_cli.reporting.unseen import Unseen, unseen
 from querysplat_cli.reporting.view_scores import Quality, score
-from querysplat_cli.runtime.choices import HoldoutProtocol
 from querysplat_cli.runtime.cluster import find_engine
 from querysplat_cli.runtime.compiler import SCENE_KERNELS, start_compiling
 from querysplat_cli.runtime.device import find_device, free_bytes, peak_gib
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.precision import check_precision, matrix_products
-from querysplat_cli.runtime.progress import Stages, stages_within
+from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.files import check_writable, refuse_existing, refuse_replacing
 from querysplat_cli.scene.formats.known import read_known_cameras
@@ -55,9 +54,6 @@ from querysplat_cli.scene.lenses import pinhole_photos
 from querysplat_cli.scene.photo_files import photo_files
 from querysplat_cli.scene.photos import find_photos
 from querysplat_cli.scene.views import LeftOut, Photo, PhotoSource, forget_pixels
-
-BUILDING = "depth", "queries", "tto", "full size"
-"""The stages of making a scene from photos with cameras."""
 
 
 @dataclass(frozen=True)
@@ -82,13 +78,13 @@ class _Inputs:
 
 @dataclass(frozen=True)
 class _Scores:
-    """Of the inputs, of the held-out views by the source of their cameras (None: not scored), and what no photo saw.
+    """Of the inputs, of the held-out views (None without any), and what no photo saw.
 
     large: at the size of the large photos, if there were any.
     """
 
     inputs: Quality
-    heldout: dict[HoldoutProtocol, Quality | None]
+    heldout: Quality | None
     large: dict[str, Any] | None
     unseen: Unseen | None
 
@@ -123,27 +119,24 @@ def _made(inputs: _Inputs, settings: ReconstructSettings, stages: Stages, work: 
         return _find_cameras(inputs, settings, stages)
 
     passes = work.cameras(find) if work else find()
-    if settings.one_scene and passes.chosen.inputs.photo_cameras is None:
+    if settings.asks_large and passes.split.inputs.photo_cameras is None:
         raise QuerySplatError(
             f"--quality {settings.quality}: this encoder cuts the photos, and large ones would not fit its cameras",
             "Use --encoder classical, or --quality standard.",
         )
-    metres = metres_of(settings.metres_by, passes.chosen.inputs, inputs.photos, poses_known=inputs.known is not None)
+    metres = metres_of(settings.metres_by, passes.split.inputs, inputs.photos, poses_known=inputs.known is not None)
     forget_pixels(inputs.photos)
-    count = region_count(settings, len(passes.chosen.inputs.views), inputs.encoder)
+    count = region_count(settings, len(passes.split.inputs.views), inputs.encoder)
     built = None
     if work and count > 1:
-        # Not the other ones: a second scene would take as long again.
-        passes = replace(passes, chosen=work.put_away(passes.chosen), other=None)
-        posed, engine = passes.chosen.inputs, find_engine(settings.cluster, say=stages.say)
+        passes = replace(passes, split=work.put_away(passes.split))
+        posed, engine = passes.split.inputs, find_engine(settings.cluster, say=stages.say)
         built = build_regions(posed, count, settings, inputs.sources, work, engine, stages)
         scene = built.scene
     else:
-        scenes = 2 if passes.other and passes.other.heldout and not settings.one_scene else 1
-        share = inputs.budget.share(scenes) if inputs.budget else None
-        allowance = Allowance(share, inputs.sources, last=passes.other is None or settings.one_scene)
-        scene = encode_and_build(passes.chosen.inputs, inputs.encoder, inputs.model, settings, stages, allowance)
-    scores = _score(inputs, passes, scene, settings, stages)
+        allowance = Allowance(inputs.budget, inputs.sources)
+        scene = encode_and_build(passes.split.inputs, inputs.encoder, inputs.model, settings, stages, allowance)
+    scores = _score(inputs, passes.split, scene, stages)
     with stages("write"):
         report = _report(inputs, passes, scene, scores, settings, stages)
         report = replace(report, resumed=list(work.notes) if work else [])
@@ -174,8 +167,8 @@ def _read_inputs(settings: ReconstructSettings, device: torch.device, stages: St
         size = finest.size if finest else size
         if budget and adjustable:
             largest = max(photos, key=lambda photo: photo.height * photo.width)
-            scenes = 1 if settings.holdout_every is None or known else 2
-            size = working_size(budget, len(photos), scenes, (largest.height, largest.width), size)
+            twice = settings.holdout_every and settings.holdout_cameras == "isolated" and not known
+            size = working_size(budget, len(photos), 2 if twice else 1, (largest.height, largest.width), size)
         needs = MemoryNeeds(encoder, model, size, optimising=bool(settings.tto))
         photos, too_many, expected = within_memory(photos, needs, free, settings.max_views)
         if expected:
@@ -199,30 +192,13 @@ def _find_cameras(inputs: _Inputs, settings: ReconstructSettings, stages: Stages
     )
 
 
-def _score(
-    inputs: _Inputs, passes: HoldoutCameras, scene: BuiltScene, settings: ReconstructSettings, stages: Stages
-) -> _Scores:
-    """Scores of the scene, and of a second one with the other pass's cameras where there is time for it."""
+def _score(inputs: _Inputs, split: PosedSplit, scene: BuiltScene, stages: Stages) -> _Scores:
     with stages("score"):
         quality = score(scene.gaussians, scene.posed.views, scene.adapted.cameras)
+        heldout = scene.heldout(split)
+        scored = score(scene.gaussians, *heldout) if heldout else None
         film = unseen(scene.gaussians, scene.adapted.cameras)
-        heldout = {passes.chosen.protocol: _score_heldout(scene, passes.chosen)}
-    large = _score_large(inputs, passes.chosen, scene, stages)
-    other = passes.other
-    if other and other.heldout and not settings.one_scene and scene.time_for_more and not scene.interrupted:
-        with stages(f"{other.protocol} score") as progress:
-            like_the_first = {name: stages.seconds[name] for name in BUILDING if name in stages.seconds}
-            rest = Allowance(inputs.budget.share() if inputs.budget else None, inputs.sources)
-            inner = stages_within(progress, like_the_first)
-            second = encode_and_build(other.inputs, inputs.encoder, inputs.model, settings, inner, rest)
-            if not second.interrupted:
-                heldout[other.protocol] = _score_heldout(second, other)
-    return _Scores(quality, heldout, large, film)
-
-
-def _score_heldout(scene: BuiltScene, cameras: PosedSplit) -> Quality | None:
-    heldout = scene.heldout(cameras)
-    return score(scene.gaussians, *heldout) if heldout else None
+    return _Scores(quality, scored, _score_large(inputs, split, scene, stages), film)
 
 
 def _score_large(inputs: _Inputs, cameras: PosedSplit, scene: BuiltScene, stages: Stages) -> dict[str, Any] | None:
@@ -258,7 +234,7 @@ def _report(
         seconds=seconds_entry(stages.seconds),
         quality={
             "input": quality_entry(scores.inputs),
-            "heldout": heldout_entry(passes.chosen.protocol, scores.heldout, passes.difference),
+            "heldout": heldout_entry(passes.split.protocol, scores.heldout, passes.difference),
             **({"full_size": scores.large} if scores.large else {}),
         },
         left_out=[asdict(omission) for omission in omissions_of(settings, scene, inputs.finest)],
@@ -272,12 +248,12 @@ def _report(
         exposure=exposure_entry(scene.colours),
         unseen=scores.unseen.entry() if scores.unseen else None,
         backdrop=len(scene.backdrop) if scene.backdrop else 0,
-        matching=matching_entry(passes.chosen.inputs.matching),
+        matching=matching_entry(passes.split.inputs.matching),
     )
 
 
 def _stored(inputs: _Inputs, passes: HoldoutCameras, scene: BuiltScene, settings: ReconstructSettings) -> StoredScene:
-    heldout = _heldout_photos(inputs, passes.chosen, scene)
+    heldout = _heldout_photos(inputs, passes.split, scene)
     files = [*scene.files, *(heldout.files if heldout else ())]
     return StoredScene(
         scene.posed.views,
@@ -289,7 +265,7 @@ def _stored(inputs: _Inputs, passes: HoldoutCameras, scene: BuiltScene, settings
         scene.prepared.map,
         scene.adapted.kept,
         {file.name: file for file in files},
-        given_frame(passes.chosen.inputs, inputs.known)
+        given_frame(passes.split.inputs, inputs.known)
         or first_sight(scene.gaussians, scene.adapted.cameras, settings.frame),
         len(scene.backdrop) if scene.backdrop else 0,
         scene.exposures,

@@ -241,6 +241,6 @@ class ReconstructSettings:
         return self.quality
 
     @property
-    def one_scene(self) -> bool:
-        """Whether the quality takes so long that no second scene is made only to be scored."""
+    def asks_large(self) -> bool:
+        """Whether the quality names large photos, so that an encoder that cannot use them is refused."""
         return self.quality in ("high", "max")

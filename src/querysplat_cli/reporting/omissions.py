@@ -34,7 +34,6 @@ class Omission:
 
 PRUNED_GAUSSIANS, IDLE_BANDS = "Gaussians", "SH bands"
 LPIPS, PRECISION = "LPIPS loss", "precision"
-SECOND_SCORE = Omission("the other cameras' score", "--budget leaves no time for a second scene", "a second scene")
 UNUSED_DEPTH = Omission("depth", "learned queries do not need it", "the depth head")
 
 
@@ -51,10 +50,6 @@ def without_lpips(*, stepped: bool, used: bool, further: bool) -> list[Omission]
     if used or not (stepped or further):
         return []
     return [Omission(LPIPS, "its weights are not part of this package; --lpips DIR uses them", saved)]
-
-
-def second_score(quality: str) -> Omission:
-    return Omission(SECOND_SCORE.what, f"--quality {quality} makes one scene", SECOND_SCORE.saved)
 
 
 def sfm(poses: object) -> Omission:

@@ -107,18 +107,16 @@ def quality_entry(quality: Quality) -> dict[str, Any]:
 
 
 def heldout_entry(
-    chosen: HoldoutProtocol, scores: dict[HoldoutProtocol, Quality | None], difference: PoseDifference | None
+    protocol: HoldoutProtocol, quality: Quality | None, difference: PoseDifference | None
 ) -> dict[str, Any] | None:
-    """The score of the kept scene, the scores of both protocols, and the distance between their cameras."""
-    kept = scores.get(chosen)
-    if kept is None:
+    """The held-out score, whose cameras its views have, and the distance between the cameras of two passes."""
+    if quality is None:
         return None
-    brief: dict[str, Any] = {name: quality and quality.summary() for name, quality in scores.items()}
     apart = difference and {
         "degrees": round(difference.degrees, 4),
         "pixels": None if difference.pixels is None else round(difference.pixels, 3),
     }
-    return {**quality_entry(kept), "cameras": chosen, **brief, "pose_difference": apart}
+    return {**quality_entry(quality), "cameras": protocol, "pose_difference": apart}
 
 
 def exposure_entry(colours: PhotoColours | None) -> dict[str, Any] | None:

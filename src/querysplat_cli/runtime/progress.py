@@ -1,7 +1,7 @@
 """The stages of a command: their progress, and the seconds that each took."""
 
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, Protocol, runtime_checkable
 
@@ -84,18 +84,3 @@ class Stages:
         self._listener(stage, text, fraction)
         if self._watcher:
             self._watcher.listen(stage, text, fraction)
-
-
-def stages_within(progress: Progress, seconds: Mapping[str, float]) -> Stages:
-    """Stages that are one stage to those who watch, and that report as its `progress`.
-
-    `seconds` is what each of them is expected to take, in their order. Other stages report nothing.
-    """
-    total = sum(seconds.values())
-
-    def listen(stage: str, text: str, fraction: float) -> None:
-        if seconds.get(stage):
-            before = sum(list(seconds.values())[: list(seconds).index(stage)])
-            progress(f"{stage} {text}".rstrip(), (before + fraction * seconds[stage]) / total)
-
-    return Stages(listen)
