@@ -1,4 +1,6 @@
-"""Far Gaussians come nearer without looking different from the cameras' middle."""
+"""Far Gaussians come nearer without looking different from the cameras' middle, and giants become smaller."""
+
+from dataclasses import replace
 
 import torch
 
@@ -51,6 +53,28 @@ def test_the_near_ones_stay_and_a_second_time_changes_nothing() -> None:
     for name in ("means", "scales", "quats", "opacities", "sh"):
         assert torch.equal(getattr(before, name)[near], getattr(after, name)[near])
     assert drawn_in(after, cameras(0.0)) is after
+
+
+def test_giants_become_smaller_and_the_others_do_not() -> None:
+    plain = scene(())
+    scales = plain.scales.clone()
+    scales[3], scales[7, 1] = 9.0, 4.0
+    after = drawn_in(replace(plain, scales=scales), cameras(0.0))
+    near = plain.means.norm(dim=1).sort().values[round(PRUNE_POLICY.near_share * COUNT) - 1]
+    reach = plain.means.norm(dim=1) + 2 * after.scales.amax(1)
+    assert (reach <= PRUNE_POLICY.reach * near * 1.001).all()
+    torch.testing.assert_close(reach[[3, 7]], (PRUNE_POLICY.reach * near).repeat(2))
+    torch.testing.assert_close(after.scales[7, [0, 2]], plain.scales[7, [0, 2]])
+    others = [i for i in range(COUNT) if i not in (3, 7)]
+    assert torch.equal(after.scales[others], plain.scales[others])
+    assert torch.equal(after.means, plain.means)
+    assert drawn_in(after, cameras(0.0)) is after
+
+
+def test_a_scene_in_one_point_stays_as_it_is() -> None:
+    point = scene(())[:5]
+    point = replace(point, means=torch.zeros_like(point.means))
+    assert drawn_in(point, cameras(0.0)) is point
 
 
 def test_a_scene_without_far_gaussians_stays_as_it_is() -> None:

@@ -1,8 +1,13 @@
-"""Far Gaussians are drawn in, so that a few of them do not decide how large a scene is."""
+"""Far and giant Gaussians are drawn in, so that a few of them do not decide how large a scene is.
+
+Viewers frame the box of all Gaussians, with some standard deviations around each.
+"""
 
 from dataclasses import replace
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from querysplat_cli.prune.policy import PRUNE_POLICY
 from querysplat_cli.scene.cameras import Cameras
@@ -12,14 +17,22 @@ from querysplat_cli.scene.gaussians import Gaussians
 def drawn_in(gaussians: Gaussians, cameras: Cameras) -> Gaussians:
     """The farthest Gaussians, moved towards the middle of the cameras and made smaller by the same factor.
 
-    From there they look as before, and their order in depth stays. The others, a share of `PrunePolicy.near_share`, do
-    not change. None is then farther away than `PrunePolicy.farthest` times the farthest of these. A second time
-    changes nothing.
+    From there they look as before, and their order in depth stays. The others, a share of `PrunePolicy.near_share`,
+    stay where they are. None is then farther away than `PrunePolicy.farthest` times the farthest of these. Giants,
+    which reach beyond `PrunePolicy.reach` times that distance with two standard deviations, become smaller. A second
+    time changes nothing.
     """
     centre = cameras.centres.mean(0)
+    distance = (gaussians.means - centre).norm(dim=1)
+    near = distance.kthvalue(max(1, round(PRUNE_POLICY.near_share * len(distance)))).values
+    if near == 0:
+        return gaussians
+    return _without_giants(_nearer(gaussians, centre, near), centre, near)
+
+
+def _nearer(gaussians: Gaussians, centre: Float[Tensor, "3"], near: Float[Tensor, ""]) -> Gaussians:
     arms = gaussians.means - centre
     distance = arms.norm(dim=1)
-    near = distance.kthvalue(max(1, round(PRUNE_POLICY.near_share * len(distance)))).values
     room = (PRUNE_POLICY.farthest - 1) * near
     beyond = (distance - near).clamp_min(0)
     excess = beyond.max() - room
@@ -33,3 +46,11 @@ def drawn_in(gaussians: Gaussians, cameras: Cameras) -> Gaussians:
         means=torch.where(beyond[:, None] > 0, centre + factor * arms, gaussians.means),
         scales=factor * gaussians.scales,
     )
+
+
+def _without_giants(gaussians: Gaussians, centre: Float[Tensor, "3"], near: Float[Tensor, ""]) -> Gaussians:
+    distance = (gaussians.means - centre).norm(dim=1, keepdim=True)
+    largest = (PRUNE_POLICY.reach * near - distance) / 2
+    if bool((gaussians.scales <= largest * (1 + 1e-4)).all()):
+        return gaussians
+    return replace(gaussians, scales=torch.minimum(gaussians.scales, largest))

@@ -56,10 +56,13 @@ class PrunePolicy:
     duplicate_overlap: float = 0.5
     """Share of a view's points that another view must see for the two to count as the same."""
     near_share: float = 0.99
-    """Share of the Gaussians, the nearest ones, that stay where they are. This and the next were chosen on fortress,
-    kermit and fox."""
-    farthest: float = 2.0
+    """Share of the Gaussians, the nearest ones, that stay where they are. This and the next two were chosen on
+    fortress, dtu106, kermit and fox."""
+    farthest: float = 1.3
     """The others are drawn in to at most this many times the distance of those."""
+    reach: float = 1.6
+    """So many times this distance is as far as two standard deviations of any Gaussian reach. It is more than
+    `farthest`, so that none vanishes."""
     clean_influence: float = 0.01
     """`importance` of a Gaussian below which cleaning removes it. These fields were chosen on fortress, kermit and
     fox."""
