@@ -4,15 +4,16 @@
     python benchmarks/pareto.py --json pareto.json --figure docs/images/pareto.svg --sets
 
 DATA is the folder of the photo sets, by default $QUERYSPLAT_DATA. Every 4th photo is held out, with joint cameras. Each
-scene is one run of the command in a process of its own. Scores are of held-out photos: at the working size, and at
-1,600 pixels over black, over mid-grey (a scene that is see-through scores less) and colour-corrected. Scenes that
---json has already are not made again, so that a run can be stopped and repeated. Without a set it only draws. Where
-photos are smaller than the pictures of two settings, one scene stands for both.
+scene is one run of the command in a process of its own. Scores are of held-out photos: at the working size over black
+and over mid-grey (a scene that is see-through scores less), and over grey at 1,600 pixels or the photos' own size.
+Scenes that --json has already are not made again, so that a run can be stopped and repeated. Where photos are smaller
+than the pictures of two settings, one scene stands for both. At the end come the means of the sets that were tuned on,
+and of the others. Without a set there is nothing else.
 """
 
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from itertools import product
 from pathlib import Path
@@ -40,6 +41,21 @@ SETTINGS: dict[str, tuple[str, ...]] = {
 """Options of `querysplat reconstruct` by the name of the point. `draft` with `auto` steps is "quality draft"."""
 SIZES = {"default": 448, **{f"{size} px": size for size in PIXELS}}
 """The longer side of working pictures at most, where photos have the pixels."""
+Row = dict[str, Any]
+SCORE, COST = "grey, full screen, dB", "CPU s"
+COLUMNS: dict[str, tuple[Callable[[Row], float], str]] = {
+    "black, dB": (lambda row: row["working"]["black"], ".2f"),
+    "grey, dB": (lambda row: row["working"]["grey"], ".2f"),
+    SCORE: (lambda row: row["full"]["grey"], ".2f"),
+    "cc there, dB": (lambda row: row["full"]["corrected"], ".2f"),
+    "SSIM there": (lambda row: row["full"]["ssim"], ".3f"),
+    COST: (lambda row: row["cpu_seconds"], ".0f"),
+    "s": (lambda row: row["seconds"], ".0f"),
+    "GiB": (lambda row: row["gib"], ".2f"),
+    "Gaussians": (lambda row: row["gaussians"], ",.0f"),
+}
+"""What means are taken of, and how it is printed. The first two are at the size of the working pictures, which some
+settings change, so the picture shows the third."""
 COLOURS = {"tuned on": "#0072b2", "only reported": "#d55e00"}
 
 
@@ -59,45 +75,57 @@ def frontier(points: Sequence[tuple[float, float]]) -> list[int]:
     return found
 
 
-def means(rows: Sequence[dict[str, Any]], use: str) -> dict[str, tuple[float, float]]:
-    """Seconds and held-out dB of each setting, as means over the sets of this use that have every setting.
-
-    The dB are those at full screen over grey: pictures of the working size differ from setting to setting.
-    """
+def means(rows: Sequence[Row], use: str) -> dict[str, Row]:
+    """Means of each setting over the sets of this use that have every setting; by `COLUMNS`."""
     chosen = [row for row in rows if row["use"] == use]
     settings = list(dict.fromkeys(row["quality"] for row in chosen))
-    by_set: dict[str, dict[str, dict[str, Any]]] = {}
+    by_set: dict[str, dict[str, Row]] = {}
     for row in chosen:
         by_set.setdefault(row["set"], {})[row["quality"]] = row
     whole = [found for found in by_set.values() if len(found) == len(settings)]
     if not whole:
         return {}
     return {
-        name: (
-            fmean(found[name]["seconds"] for found in whole),
-            fmean(found[name]["full"]["grey"] for found in whole),
-        )
+        name: {what: fmean(read(found[name]) for found in whole) for what, (read, _) in COLUMNS.items()}
         for name in settings
     }
 
 
-def draw(rows: Sequence[dict[str, Any]], path: Path) -> None:
-    """Mean held-out PSNR against mean seconds, one colour for sets that were tuned on and one for the others."""
+def best(points: dict[str, Row]) -> list[str]:
+    """Settings that no other one beats in both CPU seconds and PSNR at full screen, by CPU seconds."""
+    names = list(points)
+    return [names[i] for i in frontier([(points[name][COST], points[name][SCORE]) for name in names])]
+
+
+def summarise(rows: Sequence[Row]) -> None:
+    """Print the means of each use as a table; settings that no other one beats are bold."""
+    for use in COLOURS:
+        points = means(rows, use)
+        if points:
+            front = best(points)
+            print(f"\n{use}, {len({row['set'] for row in rows if row['use'] == use})} sets\n")
+            table = Table({"setting": ""} | {what: form for what, (_, form) in COLUMNS.items()})
+            for name, found in points.items():
+                table.add(f"**{name}**" if name in front else name, *found.values())
+
+
+def draw(rows: Sequence[Row], path: Path) -> None:
+    """Mean held-out PSNR against mean CPU seconds, one colour for sets that were tuned on and one for the others."""
     figure = new_figure(7.0, 4.2)
     axis = figure.subplots()
     for use, colour in COLOURS.items():
         points = means(rows, use)
-        places = list(points.values())
-        for place in dict.fromkeys(places):
-            names = ", ".join(name for name, point in points.items() if point == place)
+        places = {name: (found[COST], found[SCORE]) for name, found in points.items()}
+        for place in dict.fromkeys(places.values()):
+            names = ", ".join(name for name in places if places[name] == place)
             axis.plot(*place, "o", color=colour, ms=4)
             axis.annotate(names, place, xytext=(4, 3), textcoords="offset points", fontsize=7)
-        best = [places[i] for i in frontier(places)]
-        if best:
+        if points:
             sets = len({row["set"] for row in rows if row["use"] == use})
-            axis.plot(*zip(*best, strict=True), color=colour, lw=1.2, label=f"{sets} sets, {use}")
+            line = zip(*(places[name] for name in best(points)), strict=True)
+            axis.plot(*line, color=colour, lw=1.2, label=f"{sets} sets, {use}")
     axis.set_xscale("log")
-    axis.set_xlabel("seconds of the command, two cores")
+    axis.set_xlabel("CPU seconds of the command")
     axis.set_ylabel("held-out PSNR at full screen on grey, dB")
     axis.grid(alpha=0.3)
     axis.legend(fontsize=8)
@@ -133,6 +161,7 @@ def main() -> None:
             quality = row["working"]["black"], row["working"]["grey"], row["full"]["grey"], row["full"]["corrected"]
             table.add(name, row["use"], setting, *quality, row["seconds"], row["cpu_seconds"], row["gib"])
             write_json(options.json, rows=rows)
+    summarise(rows)
     if options.figure:
         draw(rows, options.figure)
 

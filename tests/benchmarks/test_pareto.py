@@ -12,7 +12,9 @@ from querysplat_cli.evaluation.axes import axes
 
 
 def row(name: str, use: str, setting: str, seconds: float, grey: float) -> dict[str, Any]:
-    return {"set": name, "use": use, "quality": setting, "seconds": seconds, "full": {"grey": grey}}
+    working, full = {"black": 0, "grey": 0}, {"grey": grey, "corrected": 0, "ssim": 0}
+    costs = {"cpu_seconds": seconds, "seconds": 0, "gib": 0, "gaussians": 0}
+    return {"set": name, "use": use, "quality": setting, "working": working, "full": full, **costs}
 
 
 def test_the_front_holds_what_nothing_beats() -> None:
@@ -20,11 +22,18 @@ def test_the_front_holds_what_nothing_beats() -> None:
     assert pareto.frontier([]) == []
 
 
-def test_means_are_over_sets_that_have_every_setting(tmp_path: Path) -> None:
+def test_means_are_over_sets_that_have_every_setting(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rows = [row("a", "tuned on", "default", 10, 20), row("b", "tuned on", "default", 30, 24)]
     rows += [row("a", "tuned on", "20 steps", 4, 18), row("c", "only reported", "default", 1, 1)]
-    assert pareto.means(rows, "tuned on") == {"default": (10, 20), "20 steps": (4, 18)}
-    assert pareto.means(rows, "only reported") == {"default": (1, 1)}
+    found = pareto.means(rows, "tuned on")
+    assert {name: (row[pareto.COST], row[pareto.SCORE]) for name, row in found.items()} == {
+        "default": (10, 20),
+        "20 steps": (4, 18),
+    }
+    assert list(pareto.means(rows, "only reported")) == ["default"]
+    assert pareto.best(found) == ["20 steps", "default"]
+    pareto.summarise(rows)
+    assert "| **20 steps** | 0.00 | 0.00 | 18.00 |" in capsys.readouterr().out
     pareto.draw(rows, tmp_path / "front.svg")
     assert "feed-forward" not in (tmp_path / "front.svg").read_text()
     assert (tmp_path / "front.svg").stat().st_size > 5000
