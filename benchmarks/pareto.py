@@ -11,14 +11,18 @@ than the pictures of two settings, one scene stands for both. At the end come th
 and of the others. Without a set there is nothing else.
 """
 
+import argparse
 import json
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from itertools import product
 from pathlib import Path
 from statistics import fmean
 from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.transforms import Bbox
 
 import fullscreen
 from common.arguments import PhotoParser, folder_or_scratch
@@ -56,6 +60,7 @@ COLUMNS: dict[str, tuple[Callable[[Row], float], str]] = {
 }
 """What means are taken of, and how it is printed. The first two are at the size of the working pictures, which some
 settings change, so the picture shows the third."""
+TICKS = (20, 50, 100, 200)
 COLOURS = {"tuned on": "#0072b2", "only reported": "#d55e00"}
 
 
@@ -110,38 +115,46 @@ def summarise(rows: Sequence[Row]) -> None:
 
 
 def draw(rows: Sequence[Row], path: Path) -> None:
-    """Mean held-out PSNR against mean CPU seconds, one colour for sets that were tuned on and one for the others."""
-    figure = new_figure(7.0, 4.2)
-    axis = figure.subplots()
-    for use, colour in COLOURS.items():
-        points = means(rows, use)
+    """Mean held-out PSNR against mean CPU seconds: a panel for sets that were tuned on, and one for the others."""
+    by_use = {use: found for use in COLOURS if (found := means(rows, use))}
+    figure = new_figure(10.0, 4.0)
+    for axis, (use, points) in zip(figure.subplots(1, len(by_use), squeeze=False)[0], by_use.items(), strict=True):
         places = {name: (found[COST], found[SCORE]) for name, found in points.items()}
-        for place in dict.fromkeys(places.values()):
-            names = ", ".join(name for name in places if places[name] == place)
-            axis.plot(*place, "o", color=colour, ms=4)
-            axis.annotate(names, place, xytext=(4, 3), textcoords="offset points", fontsize=7)
-        if points:
-            sets = len({row["set"] for row in rows if row["use"] == use})
-            line = zip(*(places[name] for name in best(points)), strict=True)
-            axis.plot(*line, color=colour, lw=1.2, label=f"{sets} sets, {use}")
-    axis.set_xscale("log")
-    axis.set_xlabel("CPU seconds of the command")
-    axis.set_ylabel("held-out PSNR at full screen on grey, dB")
-    axis.grid(alpha=0.3)
-    axis.legend(fontsize=8)
+        axis.plot(*zip(*(places[name] for name in best(points)), strict=True), color=COLOURS[use], lw=1.2)
+        axis.plot(*zip(*places.values(), strict=True), "o", color=COLOURS[use], ms=4)
+        axis.set_xscale("log")
+        axis.set_xticks(TICKS, [str(tick) for tick in TICKS])
+        axis.minorticks_off()
+        axis.margins(0.2, 0.08)
+        axis.set_title(f"means of {len({row['set'] for row in rows if row['use'] == use})} sets, {use}", fontsize=9)
+        axis.set_xlabel("CPU seconds of the command")
+        axis.set_ylabel("held-out PSNR at full screen on grey, dB")
+        axis.grid(alpha=0.3)
+        label(axis, places)
     save_figure(figure, path)
 
 
-def main() -> None:
-    parser = PhotoParser(__doc__, passes=False)
-    parser.add_argument("--settings", nargs="*", choices=SETTINGS, default=tuple(SETTINGS), metavar="NAME")
-    parser.add_argument("--figure", type=Path, help="draw means over sets into this file")
-    parser.add_argument("--keep", type=Path, help="keep the scenes in this folder")
-    options = parser.parse()
-    rows = json.loads(options.json.read_text())["rows"] if options.json and options.json.is_file() else []
+def label(axis: Axes, places: Mapping[str, tuple[float, float]]) -> None:
+    """Names beside points, none on another; settings of one place share a text."""
+    figure = axis.get_figure()
+    assert figure is not None
+    figure.draw_without_rendering()
+    taken = [Bbox.from_bounds(*(axis.transData.transform(place) - 4), 8, 8) for place in places.values()]
+    for place in dict.fromkeys(places.values()):
+        names = ", ".join(name for name in places if places[name] == place)
+        text = axis.annotate(names, place, (0, 0), textcoords="offset points", fontsize=7)
+        for offset, side in product(((0, 5), (0, -12), (0, 14), (0, -21), (0, 23)), ("right", "left", "center")):
+            text.set(position=offset, horizontalalignment=side)
+            box = text.get_window_extent()
+            if not box.count_overlaps(taken):
+                break
+        taken.append(box)
+
+
+def measure(options: argparse.Namespace, rows: list[Row]) -> None:
+    """Add the rows that are missing, one after another, and keep them in the file of --json."""
     done = {(row["set"], row["quality"]): row for row in rows}
-    scores = dict.fromkeys(("black, dB", "grey, dB", "grey at 1,600 px, dB", "cc, dB"), ".2f")
-    table = Table({"set": "", "use": "", "setting": "", **scores, "s": ".0f", "CPU s": ".0f", "GiB": ".2f"})
+    table = Table({"set": "", "use": "", "setting": ""} | {what: form for what, (_, form) in COLUMNS.items()})
     with folder_or_scratch(options.keep) as folder:
         for setting, name in product(options.settings, options.sets):
             photo_set = PHOTO_SETS[name]
@@ -158,9 +171,19 @@ def main() -> None:
                 row = asdict(found)
             rows.append(row)
             done[name, setting] = row
-            quality = row["working"]["black"], row["working"]["grey"], row["full"]["grey"], row["full"]["corrected"]
-            table.add(name, row["use"], setting, *quality, row["seconds"], row["cpu_seconds"], row["gib"])
+            table.add(name, row["use"], setting, *(read(row) for read, _ in COLUMNS.values()))
             write_json(options.json, rows=rows)
+
+
+def main() -> None:
+    parser = PhotoParser(__doc__, passes=False)
+    parser.add_argument("--settings", nargs="*", choices=SETTINGS, default=tuple(SETTINGS), metavar="NAME")
+    parser.add_argument("--figure", type=Path, help="draw means over sets into this file")
+    parser.add_argument("--keep", type=Path, help="keep the scenes in this folder")
+    options = parser.parse()
+    rows = json.loads(options.json.read_text())["rows"] if options.json and options.json.is_file() else []
+    if options.sets:
+        measure(options, rows)
     summarise(rows)
     if options.figure:
         draw(rows, options.figure)
