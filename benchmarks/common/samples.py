@@ -32,7 +32,7 @@ def joint_pass(photos: list[Path], encoder: Encoder, size: int = SIZE) -> PosedS
         "joint",
         lambda some: encoder.estimate_cameras(some, CameraRequest(size, SEED), silent),
         poses_known=True,  # there is no second pass then
-    ).chosen
+    ).split
 
 
 def joint_sample(photos: list[Path], size: int = SIZE) -> Sample:
