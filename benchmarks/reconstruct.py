@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from common.arguments import PhotoParser, folder_or_scratch
+from common.clock import children_cpu_seconds
 from common.output import Table, write_json
 from common.photo_sets import PHOTO_SETS, PhotoSet
 from common.samples import HOLDOUT_EVERY, joint_sample
@@ -29,15 +30,16 @@ CAMERAS: tuple[HoldoutProtocol, HoldoutProtocol] = ("joint", "isolated")
 
 
 def reconstruct(photos: list[Path], cameras: HoldoutProtocol, folder: Path, options: list[str]) -> dict[str, Any]:
-    """The JSON object of the command and its seconds as `wall`; or `error` and the exit code."""
+    """The JSON object of the command with its seconds by the clock, `wall`; or `error` and the exit code."""
     command = ["querysplat", "reconstruct", *map(str, photos), "-o", str(folder / f"{cameras}.ply")]
     command += ["--holdout-every", str(HOLDOUT_EVERY), "--holdout-cameras", cameras]
     command += ["--json", "--quiet", "--force", *options]
-    start = time.perf_counter()
+    before, start = children_cpu_seconds(), time.perf_counter()
     done = subprocess.run(command, capture_output=True, text=True)
     if done.returncode:
         return {"error": done.stderr.strip().splitlines()[0], "code": done.returncode}
-    return {**json.loads(done.stdout), "wall": time.perf_counter() - start}
+    took = {"wall": time.perf_counter() - start, "cpu_seconds": children_cpu_seconds() - before}
+    return {**json.loads(done.stdout), **took}
 
 
 def splatted_depth(photos: list[Path]) -> float:
@@ -73,6 +75,7 @@ def measure(photo_set: PhotoSet, data: Path, folder: Path, options: list[str]) -
         "isolated": isolated,
         "pose_difference": isolated and isolated["pose_difference"],
         "seconds": run["wall"],
+        "cpu_seconds": run["cpu_seconds"],
         "stages": run["seconds"],
         "peak_memory_gib": run["peak_memory_gib"],
         "gaussians": run["gaussians"],
@@ -85,7 +88,7 @@ def show(table: Table, row: dict[str, Any]) -> None:
         return
     isolated = row["isolated"] and row["isolated"]["psnr"]
     joint = row["joint"]["psnr"], row["joint"]["psnr_grey"], row["joint_psnr_white"]
-    costs = row["seconds"], row["peak_memory_gib"], row["gaussians"]
+    costs = row["seconds"], row["cpu_seconds"], row["peak_memory_gib"], row["gaussians"]
     table.add(row["set"], row["use"], row["splatted_depth_psnr"], *joint, isolated, *costs)
 
 
@@ -96,7 +99,7 @@ def main() -> None:
     options = parser.parse()
     rows = []
     scores = dict.fromkeys(("depth, dB", "joint, dB", "on grey, dB", "on white, dB", "isolated, dB"), ".2f")
-    table = Table({"set": "", "use": "", **scores, "s": ".1f", "GiB": ".2f", "Gaussians": ","})
+    table = Table({"set": "", "use": "", **scores, "s": ".0f", "CPU s": ".0f", "GiB": ".2f", "Gaussians": ","})
     with folder_or_scratch(options.keep) as folder:
         for photo_set in (PHOTO_SETS[name] for name in options.sets):
             rows.append(measure(photo_set, options.data, folder / photo_set.name, options.options.split()))
