@@ -80,19 +80,21 @@ def frontier(points: Sequence[tuple[float, float]]) -> list[int]:
     return found
 
 
-def means(rows: Sequence[Row], use: str) -> dict[str, Row]:
-    """Means of each setting over the sets of this use that have every setting; by `COLUMNS`."""
+def whole_sets(rows: Sequence[Row], use: str) -> list[dict[str, Row]]:
+    """The rows, by setting, of each set of this use that has every setting."""
     chosen = [row for row in rows if row["use"] == use]
-    settings = list(dict.fromkeys(row["quality"] for row in chosen))
+    settings = {row["quality"] for row in chosen}
     by_set: dict[str, dict[str, Row]] = {}
     for row in chosen:
         by_set.setdefault(row["set"], {})[row["quality"]] = row
-    whole = [found for found in by_set.values() if len(found) == len(settings)]
-    if not whole:
-        return {}
+    return [found for found in by_set.values() if len(found) == len(settings)]
+
+
+def means(sets: Sequence[dict[str, Row]]) -> dict[str, Row]:
+    """Means of each setting over sets that have the same ones; by `COLUMNS`."""
     return {
-        name: {what: fmean(read(found[name]) for found in whole) for what, (read, _) in COLUMNS.items()}
-        for name in settings
+        name: {what: fmean(read(found[name]) for found in sets) for what, (read, _) in COLUMNS.items()}
+        for name in sets[0]
     }
 
 
@@ -105,10 +107,10 @@ def best(points: dict[str, Row]) -> list[str]:
 def summarise(rows: Sequence[Row]) -> None:
     """Print the means of each use as a table; settings that no other one beats are bold."""
     for use in COLOURS:
-        points = means(rows, use)
-        if points:
+        if sets := whole_sets(rows, use):
+            points = means(sets)
             front = best(points)
-            print(f"\n{use}, {len({row['set'] for row in rows if row['use'] == use})} sets\n")
+            print(f"\n{use}, {len(sets)} sets\n")
             table = Table({"setting": ""} | {what: form for what, (_, form) in COLUMNS.items()})
             for name, found in points.items():
                 table.add(f"**{name}**" if name in front else name, *found.values())
@@ -116,9 +118,10 @@ def summarise(rows: Sequence[Row]) -> None:
 
 def draw(rows: Sequence[Row], path: Path) -> None:
     """Mean held-out PSNR against mean CPU seconds: a panel for sets that were tuned on, and one for the others."""
-    by_use = {use: found for use in COLOURS if (found := means(rows, use))}
+    by_use = {use: found for use in COLOURS if (found := whole_sets(rows, use))}
     figure = new_figure(10.0, 4.0)
-    for axis, (use, points) in zip(figure.subplots(1, len(by_use), squeeze=False)[0], by_use.items(), strict=True):
+    for axis, (use, sets) in zip(figure.subplots(1, len(by_use), squeeze=False)[0], by_use.items(), strict=True):
+        points = means(sets)
         places = {name: (found[COST], found[SCORE]) for name, found in points.items()}
         axis.plot(*zip(*(places[name] for name in best(points)), strict=True), color=COLOURS[use], lw=1.2)
         axis.plot(*zip(*places.values(), strict=True), "o", color=COLOURS[use], ms=4)
@@ -126,7 +129,7 @@ def draw(rows: Sequence[Row], path: Path) -> None:
         axis.set_xticks(TICKS, [str(tick) for tick in TICKS])
         axis.minorticks_off()
         axis.margins(0.2, 0.08)
-        axis.set_title(f"means of {len({row['set'] for row in rows if row['use'] == use})} sets, {use}", fontsize=9)
+        axis.set_title(f"means of {len(sets)} sets, {use}", fontsize=9)
         axis.set_xlabel("CPU seconds of the command")
         axis.set_ylabel("held-out PSNR at full screen on grey, dB")
         axis.grid(alpha=0.3)

@@ -25,15 +25,17 @@ def test_the_front_holds_what_nothing_beats() -> None:
 def test_means_are_over_sets_that_have_every_setting(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     rows = [row("a", "tuned on", "default", 10, 20), row("b", "tuned on", "default", 30, 24)]
     rows += [row("a", "tuned on", "20 steps", 4, 18), row("c", "only reported", "default", 1, 1)]
-    found = pareto.means(rows, "tuned on")
+    found = pareto.means(pareto.whole_sets(rows, "tuned on"))
     assert {name: (row[pareto.COST], row[pareto.SCORE]) for name, row in found.items()} == {
         "default": (10, 20),
         "20 steps": (4, 18),
     }
-    assert list(pareto.means(rows, "only reported")) == ["default"]
+    assert list(pareto.means(pareto.whole_sets(rows, "only reported"))) == ["default"]
     assert pareto.best(found) == ["20 steps", "default"]
     pareto.summarise(rows)
-    assert "| **20 steps** | 0.00 | 0.00 | 18.00 |" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "| **20 steps** | 0.00 | 0.00 | 18.00 |" in printed
+    assert "tuned on, 1 sets" in printed  # the other one lacks a setting
     pareto.draw(rows, tmp_path / "front.svg")
     assert "feed-forward" not in (tmp_path / "front.svg").read_text()
     assert (tmp_path / "front.svg").stat().st_size > 5000

@@ -119,6 +119,7 @@ def test_reconstruct_goes_on_to_the_large_photos(
     assert report["settings"]["quality"] == "high"
     assert report["quality"]["full_size"]["heldout"]["psnr"] > 15
     assert {"full size", "full size score"} <= report["seconds"].keys()
+    assert "joint" not in report["quality"]["heldout"]
     assert report["gaussians"] == len(read_ply(tmp_path / "a.ply"))
 
 

@@ -109,7 +109,7 @@ def quality_entry(quality: Quality) -> dict[str, Any]:
 def heldout_entry(
     protocol: HoldoutProtocol, quality: Quality | None, difference: PoseDifference | None
 ) -> dict[str, Any] | None:
-    """The held-out score, whose cameras its views have, and the distance between the cameras of two passes."""
+    """The held-out score, where its cameras come from, and how far the cameras of two passes lie apart."""
     if quality is None:
         return None
     apart = difference and {
