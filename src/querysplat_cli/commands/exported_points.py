@@ -21,8 +21,8 @@ def observed_points(listing: Path, cameras: Mapping[str, PhotoCamera]) -> Observ
     Their pixels are those of `cameras`. None where the scene has none. Raises QuerySplatError when they are damaged.
     """
     inputs, _, frame = read_working_cameras(listing)
-    points = read_sparse_points(listing.parent, len(inputs.names))
     files = read_photo_files(listing.parent / "photos.json")
+    points = read_sparse_points(listing.parent, inputs.names, files)
     if points is None or not all(name in files and name in cameras for name in inputs.names):
         return None
     places = (frame or Sim3.identity()).apply(points.places)

@@ -57,7 +57,7 @@ def read_scene(path: Path) -> tuple[StoredScene, dict[str, Any]]:
     except (OSError, DamagedTensors, cv2.error, Image.DecompressionBombError) as error:
         raise QuerySplatError(f"{folder} is damaged: {error}", MAKE_AGAIN) from error
     parts = stored.memories, stored.anchors, metadata["model"], stored.map, stored.kept
-    points = read_sparse_points(folder, len(inputs.names))
+    points = read_sparse_points(folder, inputs.names, photos)
     exposures = read_exposures(folder / "exposures.json", inputs.names)
     rest = photos, frame, report.get("backdrop", 0), exposures, points
     return StoredScene(views, inputs.cameras, held, *parts, *rest), report

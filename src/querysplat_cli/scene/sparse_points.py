@@ -3,16 +3,19 @@
 They are in points.safetensors of a scene folder, in the frame in which the scene was made.
 """
 
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 
 import torch
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
 from safetensors.torch import save
 from torch import Tensor
 
 from querysplat_cli.runtime.checkpoint_files import read_tensors
 from querysplat_cli.runtime.errors import MAKE_AGAIN, QuerySplatError
+from querysplat_cli.scene.photo_files import PhotoFile
 
 NAME = "points.safetensors"
 
@@ -41,23 +44,23 @@ def write_sparse_points(folder: Path, points: SparsePoints) -> None:
     (folder / NAME).write_bytes(save(tensors))
 
 
-def read_sparse_points(folder: Path, views: int) -> SparsePoints | None:
-    """Those of a scene folder with so many input views; None where it has none.
+def read_sparse_points(folder: Path, names: Sequence[str], photos: Mapping[str, PhotoFile]) -> SparsePoints | None:
+    """Those of a scene folder whose input views have these names; None where it has none.
 
-    Raises QuerySplatError when the file is damaged.
+    `photos` are those of photos.json. Raises QuerySplatError when the file is damaged.
     """
     file = folder / NAME
     if not file.is_file():
         return None
     tensors, _ = read_tensors(file)
-    fault = _fault(tensors, views)
+    fault = _fault(tensors, [photos.get(name) for name in names])
     if fault:
         raise QuerySplatError(f"{file} is damaged: {fault}", MAKE_AGAIN)
     return SparsePoints(**{field.name: tensors[field.name] for field in fields(SparsePoints)})
 
 
-def _fault(tensors: dict[str, Tensor], views: int) -> str:
-    """Why these are no points of a scene of so many input views, or ""."""
+def _fault(tensors: dict[str, Tensor], photos: Sequence[PhotoFile | None]) -> str:
+    """Why these are no points of a scene of these photos, or ""; None where photos.json does not list one."""
     if tensors.keys() != {field.name for field in fields(SparsePoints)}:
         return "it holds other tensors than those of points"
     n, m = len(tensors["places"]), len(tensors["view"])
@@ -70,10 +73,18 @@ def _fault(tensors: dict[str, Tensor], views: int) -> str:
     }.items():
         if tuple(tensors[name].shape) != shape or tensors[name].dtype != kind:
             return f"{name} has another shape or type"
-    for name, count in (("view", views), ("point", n)):
+    for name, count in (("view", len(photos)), ("point", n)):
         if m and not 0 <= int(tensors[name].min()) <= int(tensors[name].max()) < count:
             return f"{name} names a row that is not there"
     if not (tensors["places"].isfinite().all() and tensors["pixels"].isfinite().all()):
         return "a number is not finite"
+    if _outside(tensors["pixels"], tensors["view"], photos).any():
+        return "a pixel lies outside of its photo"
     pairs = tensors["view"].long() * n + tensors["point"]
     return "" if len(pairs.unique()) == m else "a view observes a point twice"
+
+
+def _outside(pixels: Tensor, view: Tensor, photos: Sequence[PhotoFile | None]) -> Bool[Tensor, "m"]:
+    """Which pixels lie more than one beyond the borders of their photo, where its size is known."""
+    sizes = [(photo.width, photo.height) if photo else (math.inf, math.inf) for photo in photos]
+    return ((pixels < -1) | (pixels > torch.tensor(sizes).reshape(-1, 2)[view] + 1)).any(1)
