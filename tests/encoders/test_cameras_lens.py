@@ -12,7 +12,7 @@ from querysplat_cli.encoders.classical.matches import matched
 def test_both_distortion_terms(distortion: tuple[float, float, float, float]) -> None:
     photos = photographs(room(), arc(6, distortion=distortion))
     with matched(photos, seed=0, progress=lambda text, fraction: None) as matches:
-        found = map_photos(matches, seed=0)
+        found = map_photos(matches, photos, seed=0)
         assert found is not None
         camera = found.refined(matches).cameras[0]
     assert camera.distortion == pytest.approx(distortion, abs=0.06)

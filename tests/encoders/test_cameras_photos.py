@@ -10,6 +10,11 @@ import torch
 
 from querysplat_cli.encoders.base import CameraRequest, PosedViews
 from querysplat_cli.encoders.classical.cameras import estimate_cameras
+from querysplat_cli.encoders.classical.search import MatcherChoice
+from querysplat_cli.evaluation.cameras import cameras_by_name
+from querysplat_cli.evaluation.poses import compare_cameras
+from querysplat_cli.runtime.progress import silent
+from querysplat_cli.scene.formats.known import read_known_cameras
 from querysplat_cli.scene.photos import find_photos, load_photos
 from querysplat_cli.scene.sim3 import align_cameras
 from querysplat_cli.scene.views import Photo
@@ -58,6 +63,16 @@ def test_fox_has_the_cameras_of_its_transforms(real_photos: Path, count: int, de
     centres = torch.from_numpy(c2w[:, :3, 3])
     assert float(torch.rad2deg(2 * torch.asin(turn.flatten(1).norm(dim=1) / 8**0.5)).max()) < degrees
     assert float(((cameras.centres - centres).norm(dim=1) / torch.pdist(centres).max()).max()) < extent
+
+
+def test_two_photos_whose_matches_leave_two_poses(real_photos: Path) -> None:
+    """Both poses explain the matches; the wrong one, 40° off, costs less."""
+    taken = photos(real_photos, "fox")
+    found = estimate_cameras([taken[15], taken[27]], CameraRequest(448, 42), silent, MatcherChoice("sift"))
+    known = read_known_cameras(real_photos / "dl3dv/fox/transforms.json")
+    errors = compare_cameras(cameras_by_name(found), {name: known[name] for name in found.views.names})
+    assert abs(float(errors.pair_rotation[0])) < 3
+    assert abs(float(errors.pair_translation[0])) < 3
 
 
 @pytest.mark.slow

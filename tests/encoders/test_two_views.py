@@ -1,13 +1,16 @@
 """Two photos: the lens keeps to its prior, and a plane is reconstructed as one."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
-from synthetic import camera
+from synthetic import arc, camera, photographs, room
 
 from querysplat_cli.encoders.classical.camera_warnings import camera_warnings
+from querysplat_cli.encoders.classical.dense_agreement import dense_agreement
 from querysplat_cli.encoders.classical.lens_prior import usual_focal
 from querysplat_cli.encoders.classical.matches import Matches
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
@@ -52,8 +55,8 @@ def matches(
     return Matches(Path(), (SIZE,) * 2, (stated,) * 2, usual, features, (Pair(0, 1, first, second),))
 
 
-def mapped(found: Matches) -> SparseModel | None:
-    two = map_two_photos(found.pairs[0], found.sizes, found.focals, found.usual_focals)
+def mapped(found: Matches, agreement: Callable[[SparseModel], float] = lambda model: 0.0) -> SparseModel | None:
+    two = map_two_photos(found.pairs[0], found.sizes, found.focals, found.usual_focals, agreement)
     return two.model if two else None
 
 
@@ -130,3 +133,46 @@ def test_photos_that_were_cut_have_the_lens_of_the_whole() -> None:
 
 def test_too_few_matches_make_no_model() -> None:
     assert mapped(matches(cloud(8), cameras(600.0), stated=600.0)) is None
+
+
+@pytest.mark.parametrize(("share", "taken"), [(0.2, True), (0.14, False)])
+def test_pixels_decide_between_both_poses_of_a_plane(share: float, taken: bool) -> None:
+    """The pose that costs more is taken where half as many pixels again agree with it, and not for less."""
+    truth = cameras(PRIOR_FOCAL)
+    found = matches(plane(25), truth, stated=PRIOR_FOCAL, noise=1.5)
+    cheapest = mapped(found)
+    assert cheapest is not None
+    asked: list[float] = []
+
+    def prefers_another(model: SparseModel) -> float:
+        asked.append(turn_error(model.cameras, [cheapest.cameras[0], cheapest.cameras[1]]))
+        return share if asked[-1] > 1 else 0.1
+
+    chosen = mapped(found, prefers_another)
+    assert chosen is not None
+    assert len(asked) > 1
+    assert asked[0] < 0.01
+    assert (turn_error(chosen.cameras, [cheapest.cameras[0], cheapest.cameras[1]]) > 1) is taken
+
+
+def test_pixels_are_not_asked_where_one_pose_explains_the_matches() -> None:
+    def never(model: SparseModel) -> float:
+        raise AssertionError("there was no doubt")
+
+    assert mapped(matches(cloud(120), cameras(610.0), stated=610.0), never) is not None
+
+
+def test_photos_agree_with_their_own_cameras() -> None:
+    """The two poses of the board that stands askew before a wall: matches on it alone would leave both."""
+    two = arc(5)[1:4:2]
+    photos = photographs(room(), two)
+    points = np.random.default_rng(4).uniform([-1.9, -0.8, 4.0], [-0.6, 0.8, 4.6], (60, 3))
+    rows = np.arange(len(points))
+    shares = []
+    for turn in (0.0, 0.1):
+        turned = two[1].w2c.copy()
+        turned[:3, :3] = cv2.Rodrigues(np.array([0.0, turn, 0.0]))[0] @ turned[:3, :3]
+        model = SparseModel({0: two[0], 1: replace(two[1], w2c=turned)}, points, {0: rows, 1: rows})
+        shares.append(dense_agreement(photos, model))
+    assert shares[0] > 0.4
+    assert shares[0] > CAMERA_POLICY.rival_agreement * shares[1]

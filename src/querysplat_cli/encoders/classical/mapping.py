@@ -1,8 +1,9 @@
 """Structure from motion: matches in, cameras and points out (COLMAP's incremental mapper)."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -11,6 +12,7 @@ import pycolmap
 
 from querysplat_cli.encoders.classical.bundle_adjustment import bundle_adjusted
 from querysplat_cli.encoders.classical.camera_warnings import has_ordinary_lens
+from querysplat_cli.encoders.classical.dense_agreement import dense_agreement
 from querysplat_cli.encoders.classical.epipolar import epipolar_support
 from querysplat_cli.encoders.classical.matches import Matches
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY, Attempt
@@ -19,6 +21,7 @@ from querysplat_cli.encoders.classical.sparse_model import SparseModel
 from querysplat_cli.encoders.classical.two_views import map_two_photos
 from querysplat_cli.encoders.classical.verified_pairs import Pair, read_candidates
 from querysplat_cli.scene.cameras import PhotoCamera
+from querysplat_cli.scene.views import Photo
 
 COLMAP_DISTORTION: dict[str, Callable[..., tuple[float, float, float, float]]] = {
     "SIMPLE_PINHOLE": lambda: (0.0, 0.0, 0.0, 0.0),
@@ -63,7 +66,7 @@ def _keeps_stated_focals(model: SparseModel, matches: Matches) -> bool:
     return all(abs(math.log(found / exif)) <= most for found, exif in stated if exif)
 
 
-def map_photos(matches: Matches, *, seed: int) -> Mapped | None:
+def map_photos(matches: Matches, photos: Sequence[Photo], *, seed: int) -> Mapped | None:
     """The model that explains most of the matches, or None when no two photos make one.
 
     The search ends with the first attempt whose model is sound and contains all photos that matches connect.
@@ -71,7 +74,8 @@ def map_photos(matches: Matches, *, seed: int) -> Mapped | None:
     if len(matches.sizes) == 2:
         with pycolmap.Database.open(matches.database) as store:
             candidates = read_candidates(store, 0, 1)
-        two = map_two_photos(candidates, matches.sizes, matches.focals, matches.usual_focals)
+        agreement = partial(dense_agreement, photos)
+        two = map_two_photos(candidates, matches.sizes, matches.focals, matches.usual_focals, agreement)
         return Mapped(two.model, (two.pair,)) if two else None
     connected = len(matches.largest_group())
     best: tuple[float, pycolmap.Reconstruction, bool] | None = None

@@ -137,8 +137,7 @@ class CameraPolicy:
     """Standard deviation of the logarithm of the focal length that EXIF states. Millimetres are rounded, and lenses
     breathe when they focus."""
     stated_focal_limit: float = 3.0
-    """More than four photos that put the focal length farther from EXIF's, in standard deviations, are adjusted again
-    with the prior."""
+    """More than four photos that differ from EXIF by so many standard deviations are adjusted again with the prior."""
     usual_focal: float = 0.75
     """Median focal length of photos without EXIF, in longer sides of a 4:3 frame around the photo."""
     usual_focal_spread: float = 0.35
@@ -155,6 +154,13 @@ class CameraPolicy:
     """Two photos need so many points."""
     fewest_two_view_share: float = 0.25
     """These points must be such a share of all matches of the two photos."""
+    rival_cost: float = 1.25
+    """A pose of two photos that costs up to so many times the lowest cost is a rival: a plane leaves two poses."""
+    rival_angle: float = 5.0
+    """A rival differs in its turn, or in the direction of its shift, by so many degrees."""
+    rival_agreement: float = 1.5
+    """A rival is taken where so many times as many pixels agree, in pictures of `agreement_size`."""
+    agreement_size: int = 160
     calibrated_tolerance: float = 0.004
     """Epipolar distance in longer sides up to which the prior's lens explains a match of so few photos."""
 

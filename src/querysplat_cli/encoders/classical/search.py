@@ -68,9 +68,9 @@ class _Trial:
     matching: Matching | None = None
 
     @staticmethod
-    def of(matches: Matches, seed: int) -> "_Trial":
+    def of(matches: Matches, photos: Sequence[Photo], seed: int) -> "_Trial":
         """The matches mapped; of two photos, those that the cameras explain."""
-        mapped = map_photos(matches, seed=seed)
+        mapped = map_photos(matches, photos, seed=seed)
         return _Trial(replace(matches, pairs=mapped.pairs) if mapped else matches, mapped)
 
     @property
@@ -90,24 +90,24 @@ def search(photos: Sequence[Photo], choice: MatcherChoice, *, seed: int, progres
     """
     with matched(photos, seed=seed, progress=progress) as matches:
         progress("placing cameras", 0.6)
-        trial = _Trial.of(matches, seed)
+        trial = _Trial.of(matches, photos, seed)
         if choice.matcher == "sift":
             return trial.refined()
         if trial.few and _wants_support(trial, choice.matcher):
             progress("matching again", 0.65)
-            trial = _better(trial, _Trial.of(with_supported_matches(trial.matches, photos, seed=seed), seed))
+            trial = _better(trial, _Trial.of(with_supported_matches(trial.matches, photos, seed=seed), photos, seed))
         if choice.matcher != "sift-affine":
             trial = _with_network(photos, trial, choice, seed, progress)
         affine = _for_affine(trial, choice.matcher, large=are_large(photos))
         if affine and are_large(photos):
             progress("matching again", 0.7)
-            more = _Trial.of(with_tilted_views(trial.matches, affine, seed=seed), seed)
+            more = _Trial.of(with_tilted_views(trial.matches, affine, seed=seed), photos, seed)
             return _better(trial, replace(more, matching=trial.matching)).refined()
         if not affine:
             return trial.refined()
     progress("matching again", 0.7)
     with matched(photos, seed=seed, progress=lambda *_: None, effort=CAMERA_POLICY.thorough) as again:
-        return _better(trial, replace(_Trial.of(again, seed), matching=trial.matching)).refined()
+        return _better(trial, replace(_Trial.of(again, photos, seed), matching=trial.matching)).refined()
 
 
 def _wants_support(trial: _Trial, matcher: Matcher) -> bool:
@@ -154,7 +154,7 @@ def _with_network(
     more = with_learned_matches(trial.matches, photos, pairs, matcher, seed=seed)
     seconds = time.monotonic() - start
     progress("placing cameras", 0.7)
-    second = _Trial.of(more, seed)
+    second = _Trial.of(more, photos, seed)
     kept = second if chosen and second.mapped else _better(trial, second)
     agreeing = _agreeing(trial.matches, pairs), _agreeing(second.matches, pairs)
     return replace(kept, matching=Matching(matcher.name, len(pairs), agreeing, round(seconds, 2), kept is second))

@@ -2,10 +2,10 @@
 
 Two photos rarely determine a focal length, and a plane leaves two poses for each. So candidates are made for several
 focal lengths, from the essential matrix and from the homography. Each is adjusted under the prior, and the one of the
-lowest cost is taken.
+lowest cost is taken. Between poses that cost about the same, the pixels around the matches decide.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -37,14 +37,23 @@ class _Candidate:
     points: np.ndarray
     pixels: np.ndarray
 
+    def model(self) -> SparseModel:
+        rows = np.arange(len(self.points))
+        return SparseModel(dict(enumerate(self.cameras)), self.points, {0: rows, 1: rows}, dict(enumerate(self.pixels)))
+
 
 def map_two_photos(
-    pair: Pair, sizes: Sequence[tuple[int, int]], focals: Sequence[float | None], usual: Sequence[float]
+    pair: Pair,
+    sizes: Sequence[tuple[int, int]],
+    focals: Sequence[float | None],
+    usual: Sequence[float],
+    agreement: Callable[[SparseModel], float],
 ) -> TwoViews | None:
     """The cameras and points of two photos, or None where too few of their matches agree.
 
     `pair` may hold wrong matches. `sizes` are (height, width), `focals` EXIF's focal lengths in pixels, or None, and
-    `usual` those of the prior without EXIF.
+    `usual` those of the prior without EXIF. `agreement` says how far the photos agree with a model, as a share; it is
+    asked only where several poses explain the matches about as well.
     """
     policy = CAMERA_POLICY
     fewest = max(policy.fewest_two_view_points, policy.fewest_two_view_share * len(pair))
@@ -60,14 +69,34 @@ def map_two_photos(
         for number in numbers
         for start in _starts(pair, sizes, np.exp(prior.mean[lenses, 0] + number * prior.sigma[lenses, 0]))
     ]
-    best = min((each for each in candidates if each), key=lambda each: each.cost, default=None)
+    best = _chosen([each for each in candidates if each], agreement)
     if best is None or len(best.points) < fewest:
         return None
-    rows = np.arange(len(best.points))
-    seen, pixels = {0: rows, 1: rows}, dict(enumerate(best.pixels))
-    model = SparseModel(dict(enumerate(best.cameras)), best.points, seen, pixels)
     agreeing = epipolar_error(pair, *best.cameras) < policy.epipolar_tolerance
-    return TwoViews(model, Pair(0, 1, pair.first_pixels[agreeing], pair.second_pixels[agreeing]))
+    return TwoViews(best.model(), Pair(0, 1, pair.first_pixels[agreeing], pair.second_pixels[agreeing]))
+
+
+def _chosen(candidates: Sequence[_Candidate], agreement: Callable[[SparseModel], float]) -> _Candidate | None:
+    """The candidate of the lowest cost, or a rival of another pose with which the photos agree far better."""
+    ordered = sorted(candidates, key=lambda each: each.cost)
+    rivals: list[_Candidate] = []
+    for each in ordered:
+        affordable = each.cost <= CAMERA_POLICY.rival_cost * ordered[0].cost
+        if affordable and all(_degrees_apart(each, other) > CAMERA_POLICY.rival_angle for other in rivals):
+            rivals.append(each)
+    if len(rivals) < 2:
+        return rivals[0] if rivals else None
+    shares = [agreement(each.model()) for each in rivals]
+    best = int(np.argmax(shares))
+    return rivals[best] if shares[best] > CAMERA_POLICY.rival_agreement * shares[0] else rivals[0]
+
+
+def _degrees_apart(one: _Candidate, two: _Candidate) -> float:
+    """The larger of the angles between their turns and between the directions of their shifts."""
+    first, second = (each.cameras[1].w2c @ np.linalg.inv(each.cameras[0].w2c) for each in (one, two))
+    shifts = [motion[:3, 3] / np.linalg.norm(motion[:3, 3]) for motion in (first, second)]
+    cosines = (np.trace(first[:3, :3] @ second[:3, :3].T) - 1) / 2, shifts[0] @ shifts[1]
+    return float(np.degrees(np.arccos(np.clip(cosines, -1, 1)).max()))
 
 
 def _starts(
