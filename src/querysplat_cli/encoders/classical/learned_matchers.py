@@ -133,7 +133,7 @@ def _lightglue(path: Path, **settings: Any) -> nn.Module:
         attention = kind in ("self_attn", "cross_attn")
         renamed[".".join(["transformers", number, kind, *rest]) if attention else name] = tensor
     usual = {"input_dim": 128, "filter_threshold": LEARNED_POLICY.least_score}
-    network = LightGlue(features=None, **(usual | settings))
+    network = LightGlue(features=None, **(usual | settings))  # type: ignore[arg-type, unused-ignore]
     return _filled(network, renamed, path)
 
 
