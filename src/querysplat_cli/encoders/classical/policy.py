@@ -159,7 +159,7 @@ class CameraPolicy:
     rival_angle: float = 5.0
     """A rival differs in its turn, or in the direction of its shift, by so many degrees."""
     rival_agreement: float = 1.5
-    """A rival is taken where so many times as many pixels agree, in pictures of `agreement_size`."""
+    """A rival is taken where so many times as many pixels agree, in pictures of `agreement_size` pixels."""
     agreement_size: int = 160
     calibrated_tolerance: float = 0.004
     """Epipolar distance in longer sides up to which the prior's lens explains a match of so few photos."""

@@ -69,23 +69,23 @@ def map_two_photos(
         for number in numbers
         for start in _starts(pair, sizes, np.exp(prior.mean[lenses, 0] + number * prior.sigma[lenses, 0]))
     ]
-    best = _chosen([each for each in candidates if each], agreement)
-    if best is None or len(best.points) < fewest:
+    ordered = sorted((each for each in candidates if each), key=lambda each: each.cost)
+    if not ordered or len(ordered[0].points) < fewest:
         return None
+    best = _chosen([each for each in ordered if len(each.points) >= fewest], agreement)
     agreeing = epipolar_error(pair, *best.cameras) < policy.epipolar_tolerance
     return TwoViews(best.model(), Pair(0, 1, pair.first_pixels[agreeing], pair.second_pixels[agreeing]))
 
 
-def _chosen(candidates: Sequence[_Candidate], agreement: Callable[[SparseModel], float]) -> _Candidate | None:
-    """The candidate of the lowest cost, or a rival of another pose with which the photos agree far better."""
-    ordered = sorted(candidates, key=lambda each: each.cost)
+def _chosen(ordered: Sequence[_Candidate], agreement: Callable[[SparseModel], float]) -> _Candidate:
+    """The first candidate, which costs least, or a rival of another pose with which the photos agree far better."""
     rivals: list[_Candidate] = []
     for each in ordered:
         affordable = each.cost <= CAMERA_POLICY.rival_cost * ordered[0].cost
         if affordable and all(_degrees_apart(each, other) > CAMERA_POLICY.rival_angle for other in rivals):
             rivals.append(each)
-    if len(rivals) < 2:
-        return rivals[0] if rivals else None
+    if len(rivals) == 1:
+        return rivals[0]
     shares = [agreement(each.model()) for each in rivals]
     best = int(np.argmax(shares))
     return rivals[best] if shares[best] > CAMERA_POLICY.rival_agreement * shares[0] else rivals[0]
