@@ -158,3 +158,15 @@ def test_the_cameras_of_the_pictures_are_written_beside_them(ball: Path, size: s
         one, other = (cv2.imread(str(folder / name)).astype(int) for folder in (first, again))
         assert one.shape == other.shape
         assert np.abs(one - other).max() <= 1
+
+
+@pytest.mark.parametrize(("verb", "output"), [("render", "ball"), ("render", "."), ("inspect", "ball")])
+def test_the_scene_that_is_read_is_never_replaced(
+    ball: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, verb: str, output: str
+) -> None:
+    give_cameras(ball, ("left.jpg",))
+    monkeypatch.chdir(ball.parent)
+    before = sorted(ball.parent.rglob("*"))
+    assert run([verb, "ball", "-o", output, "--force"]) == ExitCode.BAD_INPUT
+    assert "would replace" in capsys.readouterr().err or output == "."
+    assert sorted(ball.parent.rglob("*")) == before

@@ -44,14 +44,17 @@ def _homes() -> list[Path]:
     return found
 
 
-def refuse_replacing(inputs: Sequence[Path], outputs: Sequence[Path]) -> None:
-    """Raise QuerySplatError when one of `outputs` would replace one of `inputs`, or a folder that holds it."""
+def refuse_replacing(inputs: Sequence[Path], outputs: Sequence[Path], *, instead: str = "-scene.ply") -> None:
+    """Raise QuerySplatError when one of `outputs` would replace one of `inputs`, or a folder that holds it.
+
+    The message proposes the output's name with the ending `instead`.
+    """
     for path in inputs:
         here = path.resolve()
         for output in outputs:
             if output.resolve() in (here, *here.parents):
-                why = f"the folder {output} of the scene would replace {path}, which is read"
-                raise QuerySplatError(why, f"Choose another output, for instance -o {output.name}-scene.ply.")
+                why = f"the output {output} would replace {path}, which is read"
+                raise QuerySplatError(why, f"Choose another output, for instance -o {output.name}{instead}.")
 
 
 def check_writable(folder: Path) -> None:
