@@ -38,6 +38,8 @@ def page(found: list[Outcome], command: str, intro: str) -> str:
     """The page for docs/. `intro` says what a case is, and when it is clean."""
     faulty = [each for each in found if each.faults]
     seconds = sum(each.seconds for each in found)
+    kills = [each for each in found if each.family == "kills"]
+    done = sum(each.code == 0 for each in kills)
     examples = []
     for family in dict.fromkeys(each.family for each in found):
         refused = [each for each in found if each.family == family and each.message and each.code in (2, 3, 4)]
@@ -51,8 +53,10 @@ def page(found: list[Outcome], command: str, intro: str) -> str:
         f"{len(found) - len(faulty):,} of {len(found):,} cases are clean.",
         intro.replace("\n", " "),
         table(found),
-        "The program has 504 kills: each of 21 commands is ended six times by each of four signals, half of the times "
-        "in the second half of its computing. None is ended in its first 0.8 CPU seconds, in which Python itself "
+        "A signal is sent to each of 21 commands six times for each of four signals, half of the times in the second "
+        f"half of its computing. {done} of these {len(kills)} runs were done before it came, or had written their "
+        f"result, and ended with exit code 0; {len(kills) - done} were ended by it. "
+        "None is ended in its first 0.8 CPU seconds, in which Python itself "
         "starts. After a kill comes what the next run does first: it sweeps what was left. Then every file is read: "
         "each must be the old one or the new one, and whole. Every case with its message, exit code, time and files "
         "is in `benchmarks/results/abuse.json`.",
