@@ -10,7 +10,7 @@ import torch
 
 from querysplat_cli.encoders.base import CameraRequest, PosedViews
 from querysplat_cli.encoders.classical.cameras import estimate_cameras
-from querysplat_cli.encoders.classical.search import MatcherChoice
+from querysplat_cli.encoders.classical.search import AUTOMATIC, MatcherChoice
 from querysplat_cli.evaluation.cameras import cameras_by_name
 from querysplat_cli.evaluation.poses import compare_cameras
 from querysplat_cli.runtime.progress import silent
@@ -27,8 +27,8 @@ def photos(data: Path, name: str) -> list[Photo]:
     return [Photo(file.name, file, cv2.cvtColor(cv2.imread(str(file)), cv2.COLOR_BGR2RGB)) for file in files]
 
 
-def place(chosen: list[Photo]) -> PosedViews:
-    return estimate_cameras(chosen, CameraRequest(448, seed=42), lambda text, fraction: None)
+def place(chosen: list[Photo], choice: MatcherChoice = AUTOMATIC) -> PosedViews:
+    return estimate_cameras(chosen, CameraRequest(448, seed=42), silent, choice)
 
 
 def evenly(items: list[Photo], count: int) -> list[Photo]:
@@ -68,7 +68,7 @@ def test_fox_has_the_cameras_of_its_transforms(real_photos: Path, count: int, de
 def test_two_photos_whose_matches_leave_two_poses(real_photos: Path) -> None:
     """Both poses explain the matches; the wrong one, 40° off, costs less."""
     taken = photos(real_photos, "fox")
-    found = estimate_cameras([taken[15], taken[27]], CameraRequest(448, 42), silent, MatcherChoice("sift"))
+    found = place([taken[15], taken[27]], MatcherChoice("sift"))
     known = read_known_cameras(real_photos / "dl3dv/fox/transforms.json")
     errors = compare_cameras(cameras_by_name(found), {name: known[name] for name in found.views.names})
     assert abs(float(errors.pair_rotation[0])) < 3

@@ -12,7 +12,7 @@ from torch.nn import functional as F
 from querysplat_cli.commands.query_figure import draw_query
 from querysplat_cli.commands.requests import InspectRequest
 from querysplat_cli.model.attention_maps import attention_of, valueless
-from querysplat_cli.pipeline.gaussian_files import folder_of_scene
+from querysplat_cli.pipeline.gaussian_files import refuse_replacing_scene
 from querysplat_cli.pipeline.read_scene import read_scene
 from querysplat_cli.pipeline.resume import joined_of_regions, load_again
 from querysplat_cli.pipeline.scene_folder import StoredScene
@@ -21,7 +21,7 @@ from querysplat_cli.runtime.errors import MAKE_AGAIN, QuerySplatError
 from querysplat_cli.runtime.figures import new_figure, save_figure
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import Cameras, project_points
-from querysplat_cli.scene.files import atomic_folder, refuse_existing, refuse_replacing
+from querysplat_cli.scene.files import atomic_folder, refuse_existing
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
 from querysplat_cli.scene.pictures import write_picture
 from querysplat_cli.scene.views import Views
@@ -63,7 +63,7 @@ def inspect_scene(request: InspectRequest, stages: Stages) -> Inspected:
     """
     output = request.target
     refuse_existing([output], force=request.force)
-    refuse_replacing([folder_of_scene(request.scene)], [output], instead="-attention")
+    refuse_replacing_scene(request.scene, output, instead="-attention")
     with stages("read"):
         scene, report = read_scene(request.scene)
         if scene.joined:

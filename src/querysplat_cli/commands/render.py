@@ -10,12 +10,17 @@ import numpy as np
 import torch
 
 from querysplat_cli.commands.requests import RenderRequest
-from querysplat_cli.pipeline.gaussian_files import file_of_scene, folder_of_scene, read_gaussians
+from querysplat_cli.pipeline.gaussian_files import (
+    file_of_scene,
+    folder_of_scene,
+    read_gaussians,
+    refuse_replacing_scene,
+)
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.limits import require_memory
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera, rescaled
-from querysplat_cli.scene.files import atomic_folder, atomic_path, refuse_existing, refuse_replacing, with_name
+from querysplat_cli.scene.files import atomic_folder, atomic_path, refuse_existing, with_name
 from querysplat_cli.scene.formats.transforms import NamedCameras, read_cameras, working_frame, write_transforms
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.paths import interpolate, opaque_centres, orbit, surround
@@ -54,8 +59,7 @@ def render_file(request: RenderRequest, stages: Stages) -> Rendered:
     """Render `request.scene` to a folder of PNG frames, or to a film if the target ends in .mp4."""
     refuse_existing([request.target], force=request.force)
     scene = file_of_scene(with_name(request.scene))
-    read = [path for path in (scene, folder_of_scene(scene)) if path.exists()]
-    refuse_replacing(read, [request.target], instead="-pictures")
+    refuse_replacing_scene(scene, request.target, instead="-pictures")
     _check_target(request)
     with stages("read"):
         gaussians = read_gaussians(scene)

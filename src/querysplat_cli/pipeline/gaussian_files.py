@@ -8,6 +8,7 @@ import torch
 
 from querysplat_cli.runtime.choices import SpzVersion
 from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.scene.files import refuse_replacing
 from querysplat_cli.scene.formats.compressed import check_spz, read_spz, write_spz
 from querysplat_cli.scene.formats.gltf import read_glb, write_glb
 from querysplat_cli.scene.formats.ply import read_ply, write_ply
@@ -51,6 +52,13 @@ def bytes_of(path: Path) -> int:
         return path.stat().st_size
     folder = path if path.is_dir() else path.parent
     return sum(file.stat().st_size for file in folder.rglob("*") if file.is_file())
+
+
+def refuse_replacing_scene(path: Path, output: Path, *, instead: str) -> None:
+    """Raise QuerySplatError when `output` would replace a part of the scene `path`, as `refuse_replacing` does."""
+    file = file_of_scene(path)
+    parts = [part for part in (file, folder_of_scene(file)) if part.exists()]
+    refuse_replacing(parts, [output], instead=instead)
 
 
 def read_gaussians(path: Path) -> Gaussians:

@@ -5,7 +5,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
 
 from querysplat_cli.encoders.base import CameraRequest, Matching, PosedViews
 from querysplat_cli.encoders.classical.camera_warnings import camera_warnings
@@ -14,13 +13,12 @@ from querysplat_cli.encoders.classical.matches import Matches, matched
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
 from querysplat_cli.encoders.classical.pure_rotation import placed_alone, placed_by_rotation
 from querysplat_cli.encoders.classical.search import AUTOMATIC, Found, MatcherChoice, search
-from querysplat_cli.encoders.classical.sparse_model import SparseModel, in_first_camera_frame
+from querysplat_cli.encoders.classical.sparse_model import SparseModel, as_posed_views
 from querysplat_cli.encoders.classical.triangulation import triangulated
 from querysplat_cli.runtime.errors import ImpossibleScene
 from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.match_cameras import match_cameras
-from querysplat_cli.scene.undistort import undistorted
 from querysplat_cli.scene.views import LeftOut, Photo
 
 
@@ -57,20 +55,13 @@ def estimate_cameras(
     else:
         placement = _place(originals, choice, seed=request.seed, progress=progress)
     progress("removing lens distortion", 0.9)
-    model = in_first_camera_frame(placement.model)
-    used = sorted(model.cameras)
-    photo_cameras = tuple(model.cameras[i] for i in used)
-    views, cameras = undistorted([originals[i] for i in used], photo_cameras, max_size=request.max_size)
-    return PosedViews(
-        views,
-        cameras,
-        points=torch.from_numpy(model.points).float(),
-        visibility=tuple(torch.from_numpy(model.seen[i]) for i in used),
-        keypoints=tuple(torch.from_numpy(model.pixels[i]).float() for i in used) if model.pixels else None,
+    posed = as_posed_views(placement.model, originals, request.max_size)
+    longer_side = max(posed.cameras.height, posed.cameras.width)
+    return replace(
+        posed,
         left_out=(*copies, *placement.left_out),
         warnings=placement.warnings,
-        photo_cameras=photo_cameras,
-        epipolar_error_px=placement.epipolar_error and placement.epipolar_error * max(cameras.height, cameras.width),
+        epipolar_error_px=placement.epipolar_error and placement.epipolar_error * longer_side,
         matching=placement.matching,
     )
 

@@ -2,14 +2,10 @@
 
 from collections.abc import Sequence
 
-import torch
-
-from querysplat_cli.encoders.base import PosedViews
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
-from querysplat_cli.encoders.classical.sparse_model import SparseModel, in_first_camera_frame
+from querysplat_cli.encoders.classical.sparse_model import SparseModel, as_posed_views
 from querysplat_cli.runtime.compiler import DEPTH_KERNELS, wait_until_compiled
 from querysplat_cli.runtime.progress import silent
-from querysplat_cli.scene.undistort import undistorted
 from querysplat_cli.scene.views import Photo
 
 
@@ -22,13 +18,8 @@ def dense_agreement(photos: Sequence[Photo], model: SparseModel) -> float:
     # Imported here: `--help` needs neither the kernels of the depth nor numba.
     from querysplat_cli.encoders.classical.depth import estimate_geometry
 
-    centred = in_first_camera_frame(model)
-    numbers = range(len(photos))
-    views, cameras = undistorted(photos, [centred.cameras[i] for i in numbers], max_size=CAMERA_POLICY.agreement_size)
-    visibility = tuple(torch.from_numpy(centred.seen[i]) for i in numbers)
+    posed = as_posed_views(model, photos, CAMERA_POLICY.agreement_size)
     wait_until_compiled(*DEPTH_KERNELS)
-    geometry = estimate_geometry(
-        PosedViews(views, cameras, torch.from_numpy(centred.points).float(), visibility), seed=0, progress=silent
-    )
+    geometry = estimate_geometry(posed, seed=0, progress=silent)
     assert geometry.confidence is not None
     return float(geometry.confidence.mean())

@@ -1,10 +1,15 @@
 """The result of structure from motion: cameras, and points that they share."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import torch
 
+from querysplat_cli.encoders.base import PosedViews
 from querysplat_cli.scene.cameras import PhotoCamera
+from querysplat_cli.scene.undistort import undistorted
+from querysplat_cli.scene.views import Photo
 
 
 @dataclass(frozen=True)
@@ -51,3 +56,22 @@ def in_first_camera_frame(model: SparseModel) -> SparseModel:
     cameras[first] = replace(cameras[first], w2c=np.eye(4))
     points = scale * (model.points @ origin[:3, :3].T + origin[:3, 3])
     return replace(model, cameras=cameras, points=points)
+
+
+def as_posed_views(model: SparseModel, photos: Sequence[Photo], max_size: int) -> PosedViews:
+    """The photos that have a camera, undistorted to at most `max_size` pixels.
+
+    The frame is that of `in_first_camera_frame`.
+    """
+    model = in_first_camera_frame(model)
+    used = sorted(model.cameras)
+    photo_cameras = tuple(model.cameras[i] for i in used)
+    views, cameras = undistorted([photos[i] for i in used], photo_cameras, max_size=max_size)
+    return PosedViews(
+        views,
+        cameras,
+        points=torch.from_numpy(model.points).float(),
+        visibility=tuple(torch.from_numpy(model.seen[i]) for i in used),
+        keypoints=tuple(torch.from_numpy(model.pixels[i]).float() for i in used) if model.pixels else None,
+        photo_cameras=photo_cameras,
+    )

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+import torch
 
 from querysplat_cli.encoders.classical.epipolar import epipolar_error, rays
 from querysplat_cli.encoders.classical.least_squares import Bundle, LensPrior, Loss, Observations, adjust, project
@@ -18,6 +19,7 @@ from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
 from querysplat_cli.encoders.classical.sparse_model import SparseModel
 from querysplat_cli.encoders.classical.verified_pairs import Pair
 from querysplat_cli.scene.cameras import PhotoCamera
+from querysplat_cli.scene.rotations import rotation_angles
 
 
 @dataclass(frozen=True)
@@ -94,9 +96,9 @@ def _chosen(ordered: Sequence[_Candidate], agreement: Callable[[SparseModel], fl
 def _degrees_apart(one: _Candidate, two: _Candidate) -> float:
     """The larger of the angles between their turns and between the directions of their shifts."""
     first, second = (each.cameras[1].w2c @ np.linalg.inv(each.cameras[0].w2c) for each in (one, two))
-    shifts = [motion[:3, 3] / np.linalg.norm(motion[:3, 3]) for motion in (first, second)]
-    cosines = (np.trace(first[:3, :3] @ second[:3, :3].T) - 1) / 2, shifts[0] @ shifts[1]
-    return float(np.degrees(np.arccos(np.clip(cosines, -1, 1)).max()))
+    turn = float(rotation_angles(torch.from_numpy(first[:3, :3] @ second[:3, :3].T)))
+    sine, cosine = np.linalg.norm(np.cross(first[:3, 3], second[:3, 3])), first[:3, 3] @ second[:3, 3]
+    return max(turn, float(np.degrees(np.arctan2(sine, cosine))))
 
 
 def _starts(
