@@ -8,7 +8,7 @@ import torch
 
 from querysplat_cli.runtime.choices import SpzVersion
 from querysplat_cli.runtime.errors import QuerySplatError
-from querysplat_cli.scene.files import refuse_replacing
+from querysplat_cli.scene.files import refuse_replacing, with_name
 from querysplat_cli.scene.formats.compressed import check_spz, read_spz, write_spz
 from querysplat_cli.scene.formats.gltf import read_glb, write_glb
 from querysplat_cli.scene.formats.ply import read_ply, write_ply
@@ -56,7 +56,7 @@ def bytes_of(path: Path) -> int:
 
 def refuse_replacing_scene(path: Path, output: Path, *, instead: str) -> None:
     """Raise QuerySplatError when `output` would replace a part of the scene `path`, as `refuse_replacing` does."""
-    file = file_of_scene(path)
+    file = file_of_scene(with_name(path))
     parts = [part for part in (file, folder_of_scene(file)) if part.exists()]
     refuse_replacing(parts, [output], instead=instead)
 
