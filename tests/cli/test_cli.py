@@ -184,7 +184,7 @@ def test_extreme_numbers_are_refused_in_one_short_line(
         ("c.compressed.ply", ".compressed.ply"),
         ("folder.ply", "a folder has that name"),
         ("photos.ply", "which is read"),
-        ("notes.ply", "holds other files"),
+        ("notes.ply", "did not write, as diary.txt"),
     ],
 )
 def test_outputs_that_cannot_be_written_are_refused_before_any_work(

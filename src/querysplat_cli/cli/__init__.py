@@ -64,7 +64,7 @@ def _check_current_folder() -> None:
     try:
         os.getcwd()
     except OSError:
-        raise QuerySplatError("the current folder was removed", "Change to one that is there, with `cd`.") from None
+        raise QuerySplatError("the current folder was removed", "Enter it again with `cd .`, or another one.") from None
 
 
 def _forget_handled_interrupt() -> None:

@@ -6,14 +6,15 @@ from pathlib import Path
 from typing import Any
 
 from querysplat_cli.commands.convert_gaussians import convert_gaussians
+from querysplat_cli.commands.convert_levels import LEVELS
 from querysplat_cli.commands.convert_request import Conversion
 from querysplat_cli.commands.exported_points import observed_points, points_entry, points_without_photos
-from querysplat_cli.pipeline.gaussian_files import READERS, is_streamed
-from querysplat_cli.pipeline.scene_folder import write_images
+from querysplat_cli.pipeline.gaussian_files import READERS, STREAMED, is_streamed
+from querysplat_cli.pipeline.scene_folder import SCENE_FOLDER, keep_others, write_images
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import PhotoCamera, rescaled
-from querysplat_cli.scene.files import atomic_folder, refuse_existing
+from querysplat_cli.scene.files import FolderKind, atomic_folder, refuse_existing
 from querysplat_cli.scene.formats.colmap import copy_colmap, write_colmap
 from querysplat_cli.scene.formats.known import find_known_cameras, read_known_cameras
 from querysplat_cli.scene.formats.transforms import write_transforms
@@ -25,6 +26,9 @@ from querysplat_cli.scene.pictures import stored_name
 from querysplat_cli.scene.undistort import undistorted
 from querysplat_cli.scene.views import LeftOut
 
+MODEL = FolderKind(tuple(f"{part}.*" for part in ("cameras", "images", "points3D")), ("rigs.*", "frames.*"))
+"""Files of a COLMAP model."""
+
 
 def convert(request: Conversion, stages: Stages | None = None) -> dict[str, Any]:
     """Write `request.target`, and return what was written, as the dict that --json prints.
@@ -33,10 +37,10 @@ def convert(request: Conversion, stages: Stages | None = None) -> dict[str, Any]
     axes of the result, and `prune_to` comes last. With `photos`, cameras and photos become a scene folder. Raises
     QuerySplatError, and writes nothing, on bad input.
     """
-    refuse_existing([request.target], force=request.force)
     given = [path.resolve() for path in (request.source, request.photos) if path]
     if request.target.is_dir() and any(path.is_relative_to(request.target.resolve()) for path in given):
         raise QuerySplatError(f"{request.target} holds what is to be converted", "Choose another target.")
+    refuse_existing([request.target], force=request.force, kind=_kind_of_folder(request))
     if request.source.suffix.lower() in READERS or is_streamed(request.source):
         if request.photos or request.text:
             raise QuerySplatError("--photos and --text are for cameras", "Leave them out.")
@@ -47,6 +51,15 @@ def convert(request: Conversion, stages: Stages | None = None) -> dict[str, Any]
         what = "options that turn, scale or cut, --points, --mesh and --levels are for Gaussians"
         raise QuerySplatError(what, "Give a .ply, .spz, .sog or .glb.")
     return _convert_cameras(request)
+
+
+def _kind_of_folder(request: Conversion) -> FolderKind | None:
+    """Of the target, if that is a folder."""
+    if request.target.suffix.lower() == STREAMED:
+        return LEVELS
+    if request.photos:
+        return SCENE_FOLDER
+    return None if request.target.suffix else MODEL
 
 
 def _convert_cameras(request: Conversion) -> dict[str, Any]:
@@ -111,6 +124,7 @@ def _make_scene_folder(target: Path, cameras: Mapping[str, PhotoCamera], place: 
                 f"Names must agree: the first camera is that of {next(iter(cameras))}.",
             )
         write_transforms(draft / "cameras.json", kept, stored_name)
+        keep_others(target, draft)
     names = {*kept, *(each.name for each in left_out)}
     left_out += [LeftOut(name, "there is no photo of it") for name in cameras if name not in names]
     return {"target": str(target), "cameras": len(kept), "left_out": [vars(each) for each in left_out]}

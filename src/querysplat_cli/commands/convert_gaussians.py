@@ -23,6 +23,7 @@ from querysplat_cli.pipeline.gaussian_files import (
     read_gaussians,
     write_gaussians,
 )
+from querysplat_cli.pipeline.scene_folder import SCENE_FOLDER, keep_others
 from querysplat_cli.reporting.stored_report import backdrop_of
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Stages
@@ -76,6 +77,7 @@ def convert_gaussians(request: Conversion, stages: Stages) -> dict[str, Any]:
         size = bytes_of(drafts[0])
         if folder:
             write_moved_folder(folder_of_scene(request.source), drafts[1], place, kept)
+            keep_others(folder, drafts[1])
     return {
         "target": str(request.target),
         "scene": str(folder) if folder else None,
@@ -146,7 +148,7 @@ def _folder(request: Conversion) -> Path | None:
             f"{source} belongs to {request.source}, and would not fit {request.target}",
             "Choose another name for TARGET.",
         )
-    refuse_existing([target], force=request.force)
+    refuse_existing([target], force=request.force, kind=SCENE_FOLDER)
     return target
 
 

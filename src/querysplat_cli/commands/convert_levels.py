@@ -9,10 +9,14 @@ import torch
 from querysplat_cli.commands.compared_views import ComparedViews
 from querysplat_cli.prune.merging import halved
 from querysplat_cli.prune.policy import PRUNE_POLICY
+from querysplat_cli.scene.files import FolderKind
 from querysplat_cli.scene.formats.lod_tree import divided
 from querysplat_cli.scene.formats.ply import NoGaussian
+from querysplat_cli.scene.formats.streamed_index import INDEX_NAME
 from querysplat_cli.scene.formats.streamed_sog import Level, read_levels, write_streamed
 from querysplat_cli.scene.gaussians import Gaussians
+
+LEVELS = FolderKind((INDEX_NAME,), ("*/meta.json", "*/*.webp"))
 
 
 def write_levels(folder: Path, gaussians: Gaussians, backdrop: int, coarser: int | None) -> None:

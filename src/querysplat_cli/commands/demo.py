@@ -7,11 +7,16 @@ import cv2
 
 from querysplat_cli.commands.requests import DemoRequest
 from querysplat_cli.pipeline.reconstruct import reconstruct
+from querysplat_cli.pipeline.scene_folder import SCENE_FOLDER
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.reporting.report import Report
 from querysplat_cli.runtime.progress import Progress, Stages
-from querysplat_cli.scene.files import atomic_folder, refuse_existing
+from querysplat_cli.scene.files import FolderKind, atomic_folder, refuse_existing
 from querysplat_cli.scene.pictures import eight_bit, write_picture
+
+HOME = FolderKind(("*",))
+"""The output folder itself stays, with all other files."""
+PHOTOS = FolderKind(("photo_??.jpg", "photo_???.jpg"))
 
 
 def run_demo(request: DemoRequest, stages: Stages) -> Report:
@@ -20,7 +25,9 @@ def run_demo(request: DemoRequest, stages: Stages) -> Report:
     The reconstruction gets the pictures alone, without the true cameras or depth.
     """
     folder = request.output
-    refuse_existing([folder], force=request.force)
+    refuse_existing([folder], force=request.force, kind=HOME)
+    refuse_existing([folder / "photos"], force=request.force, kind=PHOTOS)
+    refuse_existing([folder / "scene"], force=request.force, kind=SCENE_FOLDER)
     with stages("photograph") as progress, atomic_folder(folder / "photos") as draft:
         if (request.photos, request.seed) == (DemoRequest.photos, DemoRequest.seed):
             copy_shipped_photos(draft)

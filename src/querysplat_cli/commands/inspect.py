@@ -21,7 +21,7 @@ from querysplat_cli.runtime.errors import MAKE_AGAIN, QuerySplatError
 from querysplat_cli.runtime.figures import new_figure, save_figure
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import Cameras, project_points
-from querysplat_cli.scene.files import atomic_folder, refuse_existing
+from querysplat_cli.scene.files import FolderKind, atomic_folder, refuse_existing
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
 from querysplat_cli.scene.pictures import write_picture
 from querysplat_cli.scene.views import Views
@@ -30,6 +30,7 @@ TILE_COLUMNS = 4
 """Photos side by side in a picture of attention."""
 RING_RADIUS = 12
 """In pixels, of the ring around a query's Gaussians."""
+DRAWINGS = FolderKind(("attention_*.png",), ("query.png", "histograms.png", "points.png"))
 QUANTILES = (0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0)
 DRAWN_POINTS = 20_000
 """The most points of a drawing."""
@@ -62,8 +63,8 @@ def inspect_scene(request: InspectRequest, stages: Stages) -> Inspected:
     model without appearance blocks.
     """
     output = request.target
-    refuse_existing([output], force=request.force)
     refuse_replacing_scene(request.scene, output, instead="-attention")
+    refuse_existing([output], force=request.force, kind=DRAWINGS)
     with stages("read"):
         scene, report = read_scene(request.scene)
         if scene.joined:

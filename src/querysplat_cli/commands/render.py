@@ -20,7 +20,7 @@ from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.limits import require_memory
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera, rescaled
-from querysplat_cli.scene.files import atomic_folder, atomic_path, refuse_existing, with_name
+from querysplat_cli.scene.files import FolderKind, atomic_folder, atomic_path, refuse_existing, with_name
 from querysplat_cli.scene.formats.transforms import NamedCameras, read_cameras, working_frame, write_transforms
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.paths import interpolate, opaque_centres, orbit, surround
@@ -38,6 +38,7 @@ STEP_SECONDS, FILM_SECONDS = 1.5, (3.0, 12.0)
 """How long a film takes from one input camera to the next, and altogether at least and at most."""
 OTHER_KINDS = {".avi", ".mov", ".mkv", ".webm", ".gif", ".png", ".jpg", ".jpeg", ".ply", ".spz"}
 """Endings of files, in a target, that are no films and no names of folders."""
+FRAMES = FolderKind(("cameras.json",), ("*.png", "*.npy"))
 PIXEL_BYTES = 100
 """About the memory of one pixel while a picture is rendered and written."""
 
@@ -57,9 +58,9 @@ class Rendered:
 
 def render_file(request: RenderRequest, stages: Stages) -> Rendered:
     """Render `request.scene` to a folder of PNG frames, or to a film if the target ends in .mp4."""
-    refuse_existing([request.target], force=request.force)
     scene = file_of_scene(with_name(request.scene))
     refuse_replacing_scene(scene, request.target, instead="-pictures")
+    refuse_existing([request.target], force=request.force, kind=None if request.is_film else FRAMES)
     _check_target(request)
     with stages("read"):
         gaussians = read_gaussians(scene)

@@ -26,18 +26,24 @@ from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.transform import transform_gaussians
 
 
+def require_scene(path: Path) -> Path:
+    """The memories' file of the scene that has this folder, or these Gaussians. Raises QuerySplatError without any."""
+    memories = folder_of_scene(path) / "memories.safetensors"
+    if not memories.is_file():
+        raise QuerySplatError(
+            f"{memories.parent} has no memories.safetensors: nothing was reconstructed there",
+            "Give the folder (or the .ply beside it) that `querysplat reconstruct` wrote.",
+        )
+    return memories
+
+
 def read_scene(path: Path) -> tuple[StoredScene, dict[str, Any]]:
     """The scene and the report in a folder that `write_scene` made; `path` is the folder, or the Gaussians beside it.
 
     Raises QuerySplatError when a part is missing, damaged, or does not fit the others.
     """
-    folder = folder_of_scene(path)
-    memories = folder / "memories.safetensors"
-    if not memories.is_file():
-        raise QuerySplatError(
-            f"{folder} has no memories.safetensors: nothing was reconstructed there",
-            "Give the folder (or the .ply beside it) that `querysplat reconstruct` wrote.",
-        )
+    memories = require_scene(path)
+    folder = memories.parent
     report = read_report(folder / "report.json")
     inputs, heldout, frame = read_working_cameras(folder / "cameras.json")
     names = [*inputs.names, *(heldout.names if heldout else ())]

@@ -21,7 +21,7 @@ from querysplat_cli.pipeline.omitted import omissions_of
 from querysplat_cli.pipeline.parts import load_parts
 from querysplat_cli.pipeline.perceptual import optimisation_lpips
 from querysplat_cli.pipeline.regions.build import build_regions, region_count
-from querysplat_cli.pipeline.scene_folder import StoredScene, refuse_foreign, write_scene
+from querysplat_cli.pipeline.scene_folder import SCENE_FOLDER, StoredScene, write_scene
 from querysplat_cli.pipeline.scene_points import scene_points
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.pipeline.unfinished import Unfinished, is_long, unfinished
@@ -47,7 +47,8 @@ from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.precision import check_precision, matrix_products
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import PhotoCamera
-from querysplat_cli.scene.files import check_writable, refuse_existing, refuse_replacing
+from querysplat_cli.scene.drafts import claimed
+from querysplat_cli.scene.files import check_writable, refuse_existing, refuse_replacing, without_steps
 from querysplat_cli.scene.formats.known import read_known_cameras
 from querysplat_cli.scene.inputs import load_inputs
 from querysplat_cli.scene.lenses import pinhole_photos
@@ -98,11 +99,11 @@ def reconstruct(settings: ReconstructSettings, stages: Stages | None = None) -> 
     check_target(settings.ply)
     outputs = [settings.ply, folder_of_scene(settings.ply)]
     refuse_replacing(settings.inputs, outputs)
-    refuse_existing(outputs, force=settings.force)
-    refuse_foreign(outputs[1])
+    refuse_existing(outputs[:1], force=settings.force)
+    refuse_existing(outputs[1:], force=settings.force, kind=SCENE_FOLDER)
     check_writable(settings.ply.parent)
     device = find_device(settings.device)
-    with matrix_products(check_precision(settings.precision)):
+    with claimed(without_steps(outputs[1])), matrix_products(check_precision(settings.precision)):
         return _reconstruct(settings, device, stages or Stages())
 
 

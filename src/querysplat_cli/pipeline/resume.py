@@ -12,7 +12,7 @@ from querysplat_cli.pipeline.full_size import LargePhotos, full_size_quality, st
 from querysplat_cli.pipeline.gaussian_files import file_of_scene, folder_of_scene
 from querysplat_cli.pipeline.optimise import optimise_start
 from querysplat_cli.pipeline.perceptual import optimisation_lpips
-from querysplat_cli.pipeline.read_scene import check_model, read_scene, read_scene_gaussians
+from querysplat_cli.pipeline.read_scene import check_model, read_scene, read_scene_gaussians, require_scene
 from querysplat_cli.pipeline.resume_settings import ResumeSettings
 from querysplat_cli.pipeline.scene_folder import StoredScene, write_scene
 from querysplat_cli.prune.gaussians import target_count
@@ -25,7 +25,8 @@ from querysplat_cli.runtime.device import find_device, peak_gib
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.precision import check_precision
 from querysplat_cli.runtime.progress import Stages
-from querysplat_cli.scene.files import with_name
+from querysplat_cli.scene.drafts import claimed
+from querysplat_cli.scene.files import check_writable, with_name, without_steps
 from querysplat_cli.scene.gaussians import Gaussians, joined
 from querysplat_cli.tto.adapt import Adapted
 from querysplat_cli.tto.cameras import with_refined_focal
@@ -43,11 +44,20 @@ def optimise_scene(settings: ResumeSettings, stages: Stages | None = None) -> Re
     optimised themselves, when `densify` asks for splitting in feature space or for fewer Gaussians than there are, and
     when `quality` comes with options that it decides, or needs photos that are gone.
     """
-    settings = replace(settings, scene=with_name(settings.scene))
-    stages, path, options = stages or Stages(), settings.scene, _options(settings)
+    folder = require_scene(with_name(settings.scene)).parent
+    path = folder.resolve() if folder.is_symlink() else with_name(settings.scene)
+    settings = replace(settings, scene=path)
     if settings.quality:
         _check_plain(settings)
+    check_writable(path.parent)
+    with claimed(without_steps(folder)):
+        return _optimised(settings, stages or Stages())
+
+
+def _optimised(settings: ResumeSettings, stages: Stages) -> Report:
+    if settings.quality:
         return _at_full_size(settings, settings.quality, stages)
+    path, options = settings.scene, _options(settings)
     with stages("read"):
         scene, before = _read(settings)
         model = load_again(scene, before["settings"], settings.weights, find_device(settings.device))

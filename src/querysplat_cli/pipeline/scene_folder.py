@@ -15,6 +15,7 @@ scene/
 
 import dataclasses
 import json
+import shutil
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -35,10 +36,9 @@ from querysplat_cli.reporting.convergence_plot import write_curve
 from querysplat_cli.reporting.omissions import PRECISION, Omission, of_kind
 from querysplat_cli.reporting.preview import write_preview
 from querysplat_cli.reporting.view_scores import score
-from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.exposures import Exposures, write_exposures
-from querysplat_cli.scene.files import atomic_together
+from querysplat_cli.scene.files import FolderKind, atomic_together
 from querysplat_cli.scene.formats.transforms import write_cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.photo_files import PhotoFile, write_photo_files
@@ -50,8 +50,9 @@ from querysplat_cli.splat.transform import transform_gaussians
 
 JPEG_SETTINGS = (cv2.IMWRITE_JPEG_QUALITY, 100, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
 
-SCENE_FILES = ("report.json", "cameras.json", "memories.safetensors")
-"""A folder with one of these is taken for a scene's."""
+SCENE_FOLDER = FolderKind(("report.json", "cameras.json", "memories.safetensors"), ("*",))
+"""A scene's folder may hold other files, which stay in it (`keep_others`)."""
+OTHER_PARTS = {"images", "photos.json", "points.safetensors", "exposures.json", "preview.png", "curve.png"}
 
 
 @dataclass(frozen=True)
@@ -93,12 +94,15 @@ class StoredScene:
         return {**inputs, "held out": self.heldout} if self.heldout else inputs
 
 
-def refuse_foreign(folder: Path) -> None:
-    """Raise QuerySplatError when `folder` holds files, and is no scene folder: --force replaces scenes alone."""
-    if folder.is_dir() and any(folder.iterdir()) and not any((folder / name).is_file() for name in SCENE_FILES):
-        raise QuerySplatError(
-            f"{folder} is where the scene's folder goes, and holds other files", "Choose another output, or move it."
-        )
+def keep_others(folder: Path, draft: Path) -> None:
+    """Copy to `draft` what the scene folder `folder`, which it is to replace, holds beside the parts of a scene."""
+    for path in sorted(folder.iterdir()) if folder.is_dir() else ():
+        if path.name in SCENE_FOLDER.marks or path.name in OTHER_PARTS:
+            continue
+        if path.is_dir() and not path.is_symlink():
+            shutil.copytree(path, draft / path.name, symlinks=True)
+        else:
+            shutil.copy2(path, draft / path.name, follow_symlinks=False)
 
 
 def write_scene(target: Path, scene: StoredScene, gaussians: Gaussians, report: dict[str, Any]) -> int:
@@ -133,6 +137,7 @@ def write_scene(target: Path, scene: StoredScene, gaussians: Gaussians, report: 
         write_preview(draft / "preview.png", gaussians, scene.groups)
         if any(run["curve"] for run in report["tto"]):
             write_curve(draft / "curve.png", report["tto"])
+        keep_others(folder_of_scene(target), draft)
     return written
 
 

@@ -8,7 +8,10 @@ import shutil
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from hashlib import sha256
 from pathlib import Path
+
+from querysplat_cli.runtime.errors import QuerySplatError
 
 try:
     import fcntl
@@ -46,6 +49,31 @@ def scratch_folder() -> Iterator[Path]:
     """A new folder for temporary files, in TMPDIR."""
     with own_folder(Path(tempfile.gettempdir()), SCRATCH) as folder:
         yield folder
+
+
+@contextmanager
+def claimed(place: Path) -> Iterator[None]:
+    """Keep other processes from making `place`, an absolute path, while this one does.
+
+    The claim is a hidden folder beside it, which is swept after a kill. Raises QuerySplatError when another process has
+    it. Windows has no such locks, and nothing is claimed there.
+    """
+    if fcntl is None:
+        yield
+        return
+    folder = place.with_name(f"{DRAFTS}{sha256(place.name.encode()).hexdigest()[:RANDOM_LETTERS]}")
+    lock = None
+    while lock is None:
+        folder.mkdir(exist_ok=True)
+        lock = _lock(folder)
+        if lock is None and folder.is_dir():
+            why = f"another process is making {place}"
+            raise QuerySplatError(why, "Wait until it ends, or choose another output.")
+    try:
+        yield
+    finally:
+        _remove(folder)
+        os.close(lock)
 
 
 def sweep(place: Path, prefix: str) -> None:

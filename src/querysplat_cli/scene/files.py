@@ -5,7 +5,9 @@ import os
 import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from pathlib import Path
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path, PurePosixPath
 
 from querysplat_cli.runtime import signals
 from querysplat_cli.runtime.errors import QuerySplatError
@@ -18,21 +20,57 @@ NEARLY_FULL = 64 << 20
 NO_SPACE = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 FORBIDDEN = {errno.EACCES, errno.EPERM, errno.EROFS}
 NO_FOLDER = {errno.ENOTDIR, errno.EEXIST}
+OF_THE_SYSTEM = {".DS_Store", "Thumbs.db", "desktop.ini"}
+"""Files that systems leave in folders that someone looked at."""
 
 
-def refuse_existing(paths: Sequence[Path], *, force: bool) -> None:
+@dataclass(frozen=True)
+class FolderKind:
+    """What a command writes into a folder of its own: `--force` replaces such a folder, and none with other files.
+
+    Patterns are those of fnmatch, for paths relative to the folder. One of the files is named by a pattern of `marks`,
+    and all others by one of those or of `files`.
+    """
+
+    marks: tuple[str, ...]
+    files: tuple[str, ...] = ()
+
+    def refuse_others(self, folder: Path) -> None:
+        """Raise QuerySplatError when `folder` is none of this kind; an empty one is of any kind."""
+        if not folder.is_dir():
+            raise QuerySplatError(f"{folder} is a file, and a folder goes there", "Choose another output.")
+        names = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if not path.is_dir()}
+        foreign = min((name for name in names if not self._knows(name)), default=None)
+        if foreign or (names and not any(_matches(name, self.marks) for name in names)):
+            why = f"{folder} holds files that this command did not write, as {foreign or min(names)}"
+            raise QuerySplatError(why, "Choose another output, or move them.")
+
+    def _knows(self, name: str) -> bool:
+        return PurePosixPath(name).name in OF_THE_SYSTEM or _matches(name, (*self.marks, *self.files))
+
+
+def _matches(name: str, patterns: tuple[str, ...]) -> bool:
+    return any(fnmatchcase(name, pattern) for pattern in patterns)
+
+
+def refuse_existing(paths: Sequence[Path], *, force: bool, kind: FolderKind | None = None) -> None:
     """Raise QuerySplatError when one of `paths` exists, unless `force`.
 
-    A folder that holds the current folder or the home directory is refused in any case.
+    Folders of that `kind` go there; None for files. A folder that holds the current folder or the home directory is
+    refused in any case, and so is one of another kind.
     """
     for path in paths:
         if path.is_dir() and any(here.is_relative_to(path.resolve()) for here in _homes()):
             raise QuerySplatError(f"{path} holds the folder that you are in, or your home", "Choose another output.")
-    existing = [str(path) for path in paths if path.exists() or path.is_symlink()]
+    existing = [path for path in paths if path.exists() or path.is_symlink()]
     if existing and not force:
-        raise QuerySplatError(
-            f"{' and '.join(existing)}: there already", "Add --force to replace, or choose another output."
-        )
+        names = " and ".join(map(str, existing))
+        raise QuerySplatError(f"{names}: there already", "Add --force to replace, or choose another output.")
+    for path in existing:
+        if kind:
+            kind.refuse_others(path)
+        elif path.is_dir():
+            raise QuerySplatError(f"{path}: a folder has that name", "Choose another output.")
 
 
 def _homes() -> list[Path]:
