@@ -13,6 +13,7 @@ from rooms import take_photos
 from querysplat_cli.cli import run
 from querysplat_cli.pipeline.gaussian_files import read_gaussians
 from querysplat_cli.runtime.errors import ExitCode, QuerySplatError
+from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.views import Photo
 
@@ -86,7 +87,7 @@ def test_colmap_gets_the_photos_of_a_scene(
         assert len({tuple(point.color) for point in model.points3D.values()}) > 50
     seen = []
 
-    def colmap(found: list[Photo], seed: int) -> dict[str, PhotoCamera]:
+    def colmap(found: list[Photo], seed: int, stages: Stages) -> dict[str, PhotoCamera]:
         seen.append([(photo.name, photo.width) for photo in found])
         raise QuerySplatError("enough")
 

@@ -14,10 +14,11 @@ def poses(request: PosesRequest, printing: Printing) -> None:
     ATE.
     """
     load_pycolmap()
-    from querysplat_cli.cli.terminal import print_json, say
+    from querysplat_cli.cli.terminal import print_json, say, showing_stages
     from querysplat_cli.commands.poses import compare
 
-    summary, second = compare(request)
+    with showing_stages(printing) as stages:
+        summary, second = compare(request, stages)
     print_json(summary, printing)
     say(_table(summary, str(request.first), second), printing)
 

@@ -50,7 +50,7 @@ def lines(report: Report) -> Iterator[str]:
     yield _time(report)
     preview = Path(report.scene) / "preview.png"
     yield f"{_file(report)}; {preview} shows photos beside renders, report.json has the rest"
-    yield f"next: querysplat render {report.ply} -o film.mp4, or querysplat tto {report.scene} for a better scene"
+    yield f"next: querysplat view {report.ply}, or querysplat tto {report.scene} for a better scene"
 
 
 def _regions(regions: list[dict[str, Any]], seams: list[dict[str, Any]]) -> str:

@@ -1,17 +1,20 @@
 """What `convert` does with Gaussians: cleaned, turned, scaled, cut and pruned on the way, with the cost of all that."""
 
+from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import torch
+from jaxtyping import Bool
+from torch import Tensor
 
 from querysplat_cli.commands.compared_views import ComparedViews, cameras_beside, compared_views
 from querysplat_cli.commands.convert_levels import levels_entry, write_levels
 from querysplat_cli.commands.convert_request import Conversion
-from querysplat_cli.commands.edits import edited
-from querysplat_cli.commands.moved_folder import write_moved_folder
+from querysplat_cli.commands.edits import Step, edited
+from querysplat_cli.commands.moved_folder import Moved, write_moved_folder
 from querysplat_cli.pipeline.first_sight import upright_frame
 from querysplat_cli.pipeline.gaussian_files import (
     FLIPPED,
@@ -24,6 +27,7 @@ from querysplat_cli.pipeline.gaussian_files import (
     write_gaussians,
 )
 from querysplat_cli.pipeline.scene_folder import SCENE_FOLDER, keep_others
+from querysplat_cli.reporting.omissions import by_conversion, of_kind
 from querysplat_cli.reporting.stored_report import backdrop_of
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Stages
@@ -40,53 +44,99 @@ DOWN = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)
 """In files of Gaussians."""
 
 
+@dataclass(frozen=True)
+class _Edited:
+    """A source, and what a request makes of it.
+
+    `here` are its Gaussians in the frame of `views`, and `placed` in that of the target, which `place` maps to. Those
+    that are `kept` stay, and those of `body` are no backdrop. `levels` has the PSNR (dB) before the `steps`, and after
+    each of them.
+    """
+
+    here: Gaussians
+    placed: Gaussians
+    place: Sim3
+    views: ComparedViews
+    kept: Bool[Tensor, "n"]
+    body: Bool[Tensor, "n"]
+    steps: list[Step]
+    levels: list[float]
+
+    @property
+    def result_views(self) -> ComparedViews:
+        return replace(self.views, frame=self.place.after(self.views.frame))
+
+
 def convert_gaussians(request: Conversion, stages: Stages) -> dict[str, Any]:
     """Write the Gaussians, and the scene folder beside them where they are turned, scaled or cut.
 
     Returns the dict that --json prints. Raises QuerySplatError, and writes nothing, on bad input.
     """
     _check_kind(request)
-    gaussians = read_gaussians(request.source)
     folder = _folder(request)
-    place = Sim3(request.scale, _turn(request, gaussians), torch.zeros(3).double())
-    views = compared_views(request.source, gaussians)
-    here = views.here(gaussians)
-    before = views.psnr(here)
-    backdrop = backdrop_of(folder_of_scene(request.source), len(gaussians))
-    kept, steps = edited(request, here, place.apply(gaussians.means), backdrop, views)
-    levels = [before, *(step.psnr for step in steps)]
-    placed = transform_gaussians(gaussians, place) if place.scale != 1.0 or request.up else gaussians
-    result_views = replace(views, frame=place.after(views.frame))
-    body = kept & (torch.arange(len(kept)) < len(kept) - backdrop)
-    written: dict[str, Any]
+    with stages("read"):
+        gaussians = read_gaussians(request.source)
+        views = compared_views(request.source, gaussians)
+    with stages("edit"):
+        found = _edited(request, gaussians, views)
     with ExitStack() as stack:
         drafts = stack.enter_context(atomic_together(request.target, *([folder] if folder else [])))
-        after = levels[-1]
-        if request.points:
-            written = _write_cloud(drafts[0], placed[body])
-        elif request.target.suffix.lower() == STREAMED:
-            with stages("levels"):
-                write_levels(drafts[0], placed[kept], int((kept & ~body).sum()), request.levels)
-            written = levels_entry(drafts[0], result_views)
-            after = written["levels"][0]["psnr"]
-        elif request.mesh:
-            written = _write_surface(drafts[0], request.source, here[body], result_views.frame, views, stages)
-        else:
-            written = {"gaussians": write_gaussians(drafts[0], placed[kept], request.spz_version)}
-            after = result_views.psnr(result_views.here(read_gaussians(drafts[0])))
+        written, after = _write(drafts[0], request, found, stages)
         size = bytes_of(drafts[0])
         if folder:
-            write_moved_folder(folder_of_scene(request.source), drafts[1], place, kept)
-            keep_others(folder, drafts[1])
+            with stages("score"):
+                _write_folder(drafts, request, found, after)
+                keep_others(folder, drafts[1])
     return {
         "target": str(request.target),
         "scene": str(folder) if folder else None,
         **written,
         "left_out": len(gaussians) - written["gaussians"],
         "bytes": {"source": bytes_of(request.source), "target": size},
-        "steps": [step.entry(level) for step, level in zip(steps, levels, strict=False)],
-        "psnr": None if request.geometry else _psnr_entry(views, before, after),
+        "steps": [step.entry(level) for step, level in zip(found.steps, found.levels, strict=False)],
+        "psnr": None if request.geometry else _psnr_entry(views, found.levels[0], after),
     }
+
+
+def _edited(request: Conversion, gaussians: Gaussians, views: ComparedViews) -> _Edited:
+    place = Sim3(request.scale, _turn(request, gaussians), torch.zeros(3).double())
+    backdrop = backdrop_of(folder_of_scene(request.source), len(gaussians))
+    here = views.here(gaussians)
+    before = views.psnr(here)
+    kept, steps = edited(request, here, place.apply(gaussians.means), backdrop, views)
+    placed = transform_gaussians(gaussians, place) if place.scale != 1.0 or request.up else gaussians
+    body = kept & (torch.arange(len(kept)) < len(kept) - backdrop)
+    return _Edited(here, placed, place, views, kept, body, steps, [before, *(step.psnr for step in steps)])
+
+
+def _write(path: Path, request: Conversion, found: _Edited, stages: Stages) -> tuple[dict[str, Any], float]:
+    """Write the target to `path`; returns what is in it, and its PSNR, which a cloud or a mesh has from the edits."""
+    views = found.result_views
+    if request.points:
+        return _write_cloud(path, found.placed[found.body]), found.levels[-1]
+    if request.mesh:
+        return _write_surface(path, request.source, found.here[found.body], views, stages), found.levels[-1]
+    if request.target.suffix.lower() == STREAMED:
+        with stages("levels"):
+            write_levels(path, found.placed[found.kept], int((found.kept & ~found.body).sum()), request.levels)
+            written = levels_entry(path, views)
+        return written, written["levels"][0]["psnr"]
+    with stages("write"):
+        count = write_gaussians(path, found.placed[found.kept], request.spz_version)
+        return {"gaussians": count}, views.psnr(views.here(read_gaussians(path)))
+
+
+def _write_folder(drafts: Sequence[Path], request: Conversion, found: _Edited, after: float) -> None:
+    """Write the scene's folder for the Gaussians in the first draft, whose PSNR is `after`, to the second one."""
+    gone = [
+        by_conversion(step.what, step.gone, found.here.sh.shape[1], round(level - step.psnr, 3))
+        for step, level in zip(found.steps, found.levels, strict=False)
+    ]
+    if request.target.suffix.lower() in WRITERS:
+        gone += of_kind(drafts[0], found.placed[found.kept], round(found.levels[-1] - after, 3))
+    written = found.result_views.here(read_gaussians(drafts[0]))
+    moved = Moved(request.target, found.place, found.kept, written, bytes_of(drafts[0]), gone)
+    write_moved_folder(folder_of_scene(request.source), drafts[1], moved)
 
 
 def _check_kind(request: Conversion) -> None:
@@ -116,14 +166,12 @@ def _write_cloud(path: Path, gaussians: Gaussians) -> dict[str, int]:
     return {"gaussians": len(cloud), "points": len(cloud)}
 
 
-def _write_surface(
-    path: Path, source: Path, here: Gaussians, frame: Sim3, views: ComparedViews, stages: Stages
-) -> dict[str, int]:
-    """Fuse the Gaussians `here`, in the frame of the cameras; `frame` maps that to the frame of the mesh."""
+def _write_surface(path: Path, source: Path, here: Gaussians, views: ComparedViews, stages: Stages) -> dict[str, int]:
+    """Fuse the Gaussians `here`, in the frame of the `views` of the mesh."""
     beside = cameras_beside(source)
     with stages("mesh") as progress:
         found = fused(here, beside[0].cameras if beside else views.cameras, progress)
-    mesh = replace(found, places=frame.apply(torch.from_numpy(found.places)).numpy())
+    mesh = replace(found, places=views.frame.apply(torch.from_numpy(found.places)).numpy())
     write_mesh(path, mesh)
     return {"gaussians": len(here), "corners": len(mesh.places), "triangles": len(mesh.triangles)}
 

@@ -2,46 +2,101 @@
 
 import json
 import shutil
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import torch
 from jaxtyping import Bool
 from safetensors.torch import save
 from torch import Tensor
 
-from querysplat_cli.reporting.stored_report import report_of
+from querysplat_cli.pipeline.gaussian_files import folder_of_scene
+from querysplat_cli.pipeline.read_scene import read_scene
+from querysplat_cli.pipeline.scene_folder import StoredScene, scores_of
+from querysplat_cli.reporting.omissions import PRECISION, Omission
+from querysplat_cli.reporting.preview import write_preview
+from querysplat_cli.reporting.unseen import unseen
 from querysplat_cli.runtime.checkpoint_files import read_tensors
+from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.formats.moved_cameras import move_cameras
+from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.sim3 import Sim3
 
-FILES = ("photos.json", "points.safetensors", "exposures.json", "preview.png", "curve.png")
+FILES = ("photos.json", "points.safetensors", "exposures.json")
 """Files of a scene folder that do not depend on the frame of its files, nor on which Gaussians there are."""
 
 
-def write_moved_folder(source: Path, draft: Path, place: Sim3, kept: Bool[Tensor, "n"]) -> None:
-    """Write the scene folder `source` to `draft`, for its Gaussians that are `kept`, in the frame that `place` maps to.
+@dataclass(frozen=True)
+class Moved:
+    """What became of the Gaussians of a scene.
+
+    target: their new file. place: the way from the frame of the old files to that of the new ones.
+    kept: which of the Gaussians are there. gaussians: these, as the new file has them, in the frame of the scene.
+    size: bytes of the new file. left_out: what is not in it.
+    """
+
+    target: Path
+    place: Sim3
+    kept: Bool[Tensor, "n"]
+    gaussians: Gaussians
+    size: int
+    left_out: list[Omission]
+
+
+def write_moved_folder(source: Path, draft: Path, moved: Moved) -> None:
+    """Write the scene folder `source` to `draft`, for the Gaussians that `moved` keeps, in their new frame.
 
     Without memories that fit the Gaussians, the new folder has none, and suits every verb but `tto` and `inspect`.
     """
     draft.mkdir()
-    move_cameras(source / "cameras.json", draft / "cameras.json", place)
+    move_cameras(source / "cameras.json", draft / "cameras.json", moved.place)
     if (source / "images").is_dir():
         shutil.copytree(source / "images", draft / "images")
     for name in FILES:
         if (source / name).is_file():
             shutil.copy(source / name, draft / name)
-    report = report_of(source, len(kept))
-    if report is None or not (source / "memories.safetensors").is_file():
+    try:
+        scene, report = read_scene(source)
+    except QuerySplatError:
+        return  # damaged, or without memories
+    tensors = None if report["gaussians"] != len(moved.kept) else _fitting_memories(source, report, moved.kept)
+    if tensors is None:
         return
+    (draft / "memories.safetensors").write_bytes(tensors)
+    (draft / "report.json").write_text(json.dumps(_brought_up_to_date(report, scene, moved), indent=2) + "\n")
+    write_preview(draft / "preview.png", moved.gaussians, scene.groups)
+    if (source / "curve.png").is_file():
+        shutil.copy(source / "curve.png", draft / "curve.png")
+
+
+def _fitting_memories(source: Path, report: dict[str, Any], kept: Bool[Tensor, "n"]) -> bytes | None:
+    """The memories' file for the Gaussians that are `kept`; None where it was that of other Gaussians."""
     body = len(kept) - report.get("backdrop", 0)
     tensors, metadata = read_tensors(source / "memories.safetensors")
     if not any(run["space"] == "gaussians" and run["steps"] for run in report["tto"]):
         # The memories decode to the Gaussians, so they have to know which of these are there.
         decoded = tensors.get("kept", torch.ones(body, dtype=torch.bool)).clone()
         if int(decoded.sum()) != body:
-            return
+            return None
         decoded[decoded.clone()] = kept[:body]
         tensors = {**tensors, "kept": decoded}
-    report |= {"gaussians": int(kept.sum()), "backdrop": int(kept[body:].sum())}
-    (draft / "memories.safetensors").write_bytes(save(tensors, metadata=metadata))
-    (draft / "report.json").write_text(json.dumps(report, indent=2) + "\n")
+    return save(tensors, metadata=metadata)
+
+
+def _brought_up_to_date(report: dict[str, Any], scene: StoredScene, moved: Moved) -> dict[str, Any]:
+    """The report with what is true of the Gaussians that `moved` has. What the making took stays."""
+    hidden = unseen(moved.gaussians, scene.cameras)
+    backdrop = report.get("backdrop", 0)
+    before = [entry for entry in report["left_out"] if entry["what"] != PRECISION]  # that of the old file
+    return {
+        **report,
+        "ply": str(moved.target),
+        "scene": str(folder_of_scene(moved.target)),
+        "gaussians": int(moved.kept.sum()),
+        "backdrop": int(moved.kept[len(moved.kept) - backdrop :].sum()),
+        "quality": scores_of(scene, moved.gaussians),
+        "unseen": hidden.entry() if hidden else None,
+        "bytes": moved.size,
+        "left_out": [*before, *map(asdict, moved.left_out)],
+    }

@@ -7,6 +7,7 @@ from querysplat_cli.commands.requests import PosesRequest
 from querysplat_cli.evaluation.colmap_reference import estimate_with_colmap
 from querysplat_cli.evaluation.poses import compare_cameras, draw_trajectories
 from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.files import refuse_existing
 from querysplat_cli.scene.formats.known import read_known_cameras
 from querysplat_cli.scene.photo_files import check_photo_files, read_photo_files
@@ -17,7 +18,7 @@ LONGEST_SIDE = 1600
 """Pixels of the photos that COLMAP gets, as `reconstruct` reads them."""
 
 
-def compare(request: PosesRequest) -> tuple[dict[str, Any], str]:
+def compare(request: PosesRequest, stages: Stages) -> tuple[dict[str, Any], str]:
     """The errors of the first set of cameras, in degrees and in units of the second set, and the second set's name.
 
     Raises QuerySplatError unless the request has either a second set or `colmap`.
@@ -30,7 +31,9 @@ def compare(request: PosesRequest) -> tuple[dict[str, Any], str]:
     if request.second:
         second, name = read_known_cameras(request.second), str(request.second)
     else:
-        second, name = estimate_with_colmap(_photos(request.first), seed=request.seed), "COLMAP"
+        with stages("photos"):
+            photos = _photos(request.first)
+        second, name = estimate_with_colmap(photos, seed=request.seed, stages=stages), "COLMAP"
     errors = compare_cameras(first, second)
     if request.plot:
         draw_trajectories(errors, request.plot, (str(request.first), name))

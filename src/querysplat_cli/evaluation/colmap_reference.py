@@ -11,6 +11,7 @@ import cv2
 
 from querysplat_cli.runtime.colmap import load_pycolmap
 from querysplat_cli.runtime.errors import ImpossibleScene
+from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.drafts import scratch_folder
 from querysplat_cli.scene.formats.colmap import read_colmap
@@ -24,7 +25,7 @@ FEWEST_INLIERS = 15
 """Matches of the first pair, and of an added photo, in the second try. COLMAP's defaults are 100 and 30."""
 
 
-def estimate_with_colmap(photos: Sequence[Photo], *, seed: int) -> dict[str, PhotoCamera]:
+def estimate_with_colmap(photos: Sequence[Photo], *, seed: int, stages: Stages) -> dict[str, PhotoCamera]:
     """Cameras by photo name of COLMAP's largest model; photos of one size share a lens.
 
     Raises ImpossibleScene when it places no two photos.
@@ -43,11 +44,14 @@ def estimate_with_colmap(photos: Sequence[Photo], *, seed: int) -> dict[str, Pho
             names[file.name] = photo.name
         one_size = len({(photo.height, photo.width) for photo in photos}) == 1
         modes = pycolmap.CameraMode
-        pycolmap.extract_features(database, pictures, camera_mode=modes.SINGLE if one_size else modes.AUTO)
-        pycolmap.match_exhaustive(database)
+        with stages("features"):
+            pycolmap.extract_features(database, pictures, camera_mode=modes.SINGLE if one_size else modes.AUTO)
+        with stages("matching"):
+            pycolmap.match_exhaustive(database)
         found = None
-        for options in (_defaults(), _modest()):
-            found = found or pycolmap.incremental_mapping(database, pictures, models, options)
+        with stages("mapping"):
+            for options in (_defaults(), _modest()):
+                found = found or pycolmap.incremental_mapping(database, pictures, models, options)
         if not found:
             raise ImpossibleScene("COLMAP places no two of the photos", "Add photos that overlap more.")
         largest = max(found.values(), key=lambda model: model.num_reg_images())

@@ -14,12 +14,11 @@ from querysplat_cli.pipeline.optimise import optimise_start
 from querysplat_cli.pipeline.perceptual import optimisation_lpips
 from querysplat_cli.pipeline.read_scene import check_model, read_scene, read_scene_gaussians, require_scene
 from querysplat_cli.pipeline.resume_settings import ResumeSettings
-from querysplat_cli.pipeline.scene_folder import StoredScene, write_scene
+from querysplat_cli.pipeline.scene_folder import StoredScene, scores_of, write_scene
 from querysplat_cli.prune.gaussians import target_count
 from querysplat_cli.reporting import omissions
-from querysplat_cli.reporting.report import Report, machine, quality_entry, seconds_entry, tto_entries
+from querysplat_cli.reporting.report import Report, machine, seconds_entry, tto_entries
 from querysplat_cli.reporting.unseen import unseen
-from querysplat_cli.reporting.view_scores import score
 from querysplat_cli.runtime.choices import FullSizeLevel, Space
 from querysplat_cli.runtime.device import find_device, peak_gib
 from querysplat_cli.runtime.errors import QuerySplatError
@@ -141,10 +140,7 @@ def _write_back(
     `tto` are the entries of new runs, `quality` further scores, and `changes` other fields of the report.
     """
     with stages("score"):
-        scores = {
-            name: quality_entry(score(gaussians, *group)) if group else None
-            for name, group in (("input", (scene.views, scene.cameras)), ("heldout", scene.heldout))
-        }
+        scores = scores_of(scene, gaussians)
         film = unseen(gaussians, scene.cameras)
     with stages("write"):
         report = replace(
@@ -240,6 +236,8 @@ def load_again(scene: StoredScene, settings: dict[str, Any], weights: Path | Non
 
 def _check(path: Path, options: OptimiseOptions, space: Space, count: int, *, apart: bool) -> None:
     """Refuse what a scene of `count` Gaussians cannot do; `apart` where memories no longer decode to them."""
+    if not count:
+        raise QuerySplatError(f"nothing but its backdrop is left of {path}", "Cut less of the scene.")
     if apart and space != "gaussians":
         raise QuerySplatError(
             f"the Gaussians of {path} were optimised themselves, and its memories would undo that",

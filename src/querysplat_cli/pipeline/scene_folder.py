@@ -16,7 +16,6 @@ scene/
 import dataclasses
 import json
 import shutil
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -35,6 +34,7 @@ from querysplat_cli.queries.prepare import MemoryMap
 from querysplat_cli.reporting.convergence_plot import write_curve
 from querysplat_cli.reporting.omissions import PRECISION, Omission, of_kind
 from querysplat_cli.reporting.preview import write_preview
+from querysplat_cli.reporting.report import quality_entry
 from querysplat_cli.reporting.view_scores import score
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.exposures import Exposures, write_exposures
@@ -94,6 +94,12 @@ class StoredScene:
         return {**inputs, "held out": self.heldout} if self.heldout else inputs
 
 
+def scores_of(scene: StoredScene, gaussians: Gaussians) -> dict[str, Any]:
+    """The scores on input and held-out photos, as a report has them; `gaussians` are in the frame of the scene."""
+    groups = {"input": (scene.views, scene.cameras), "heldout": scene.heldout}
+    return {name: quality_entry(score(gaussians, *group)) if group else None for name, group in groups.items()}
+
+
 def keep_others(folder: Path, draft: Path) -> None:
     """Copy to `draft` what the scene folder `folder`, which it is to replace, holds beside the parts of a scene."""
     for path in sorted(folder.iterdir()) if folder.is_dir() else ():
@@ -141,14 +147,14 @@ def write_scene(target: Path, scene: StoredScene, gaussians: Gaussians, report: 
     return written
 
 
-def _lost_by_kind(file: Path, scene: StoredScene, gaussians: Gaussians, report: dict[str, Any]) -> Iterator[Omission]:
+def _lost_by_kind(file: Path, scene: StoredScene, gaussians: Gaussians, report: dict[str, Any]) -> list[Omission]:
     """What a written file of another kind than .ply loses on the input views."""
     if file.suffix.lower() == ".ply":
-        return
+        return []
     found = read_gaussians(file)
     here = transform_gaussians(found, scene.frame.inverse()) if scene.frame else found
     after = score(here, scene.views, scene.cameras).summary()["psnr"]
-    yield of_kind(file, gaussians, round(report["quality"]["input"]["psnr"] - after, 3))
+    return of_kind(file, gaussians, round(report["quality"]["input"]["psnr"] - after, 3))
 
 
 def write_images(folder: Path, views: Views) -> None:

@@ -106,11 +106,19 @@ def of_adapted(adapted: Adapted) -> list[Omission]:
     return found
 
 
-def of_kind(file: Path, gaussians: Gaussians, psnr_lost: float) -> Omission:
-    """Digits that the kind of a written file does not keep."""
+def by_conversion(option: str, gone: int, bands: int, psnr_lost: float) -> Omission:
+    """Gaussians that an option of `convert` left out; they have so many SH `bands`."""
+    why = f"convert --{option}"
+    return Omission(PRUNED_GAUSSIANS, why, f"{gone:,}", gone * ply_bytes(bands), psnr_lost=psnr_lost)
+
+
+def of_kind(file: Path, gaussians: Gaussians, psnr_lost: float) -> list[Omission]:
+    """Digits that the kind of a written file does not keep; a .ply keeps them."""
+    if file.suffix.lower() == ".ply":
+        return []
     plain, size = len(gaussians) * ply_bytes(gaussians.sh.shape[1]), file.stat().st_size
     why = f"a {file.suffix} keeps fewer digits than a .ply"
-    return Omission(PRECISION, why, f"{1 - size / plain:.0%} of the bytes", plain - size, psnr_lost=psnr_lost)
+    return [Omission(PRECISION, why, f"{1 - size / plain:.0%} of the bytes", plain - size, psnr_lost=psnr_lost)]
 
 
 def taken_further(before: list[dict[str, Any]], adapted: Adapted, *, with_lpips: bool) -> list[dict[str, Any]]:

@@ -1,0 +1,58 @@
+"""A scene that `convert` cut has a report, a preview and memories of its own, which the other verbs go on with."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rooms import take_photos
+
+from querysplat_cli.cli import run
+from querysplat_cli.runtime.errors import ExitCode
+
+
+def report_in(folder: Path) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads((folder / "report.json").read_text())
+    return found
+
+
+@pytest.mark.parametrize("kind", [".ply", ".spz"])
+def test_its_report_is_that_of_the_gaussians_that_are_left(
+    kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if kind == ".spz":
+        pytest.importorskip("gsply")
+    photos = [str(path) for path in take_photos(tmp_path / "photos", 3, 2)]
+    made = ["reconstruct", *photos, "--max-size", "96", "--tto", "0", "-q", "-o", str(tmp_path / f"s{kind}")]
+    assert run(made) == ExitCode.DONE
+    whole = report_in(tmp_path / "s")
+    target, most = tmp_path / f"cut{kind}", whole["backdrop"] + (whole["gaussians"] - whole["backdrop"]) // 8
+    capsys.readouterr()
+    cut = ["convert", str(tmp_path / f"s{kind}"), str(target), "--scale", "2", "--prune", str(most), "--json", "-q"]
+    assert run(cut) == ExitCode.DONE
+    said, report = json.loads(capsys.readouterr().out), report_in(tmp_path / "cut")
+    assert said["psnr"]["lost"] > 1
+    assert (report["ply"], report["scene"]) == (str(target), str(tmp_path / "cut"))
+    assert (report["gaussians"], report["bytes"]) == (most, target.stat().st_size)
+    assert report["quality"]["input"]["psnr"] == pytest.approx(said["psnr"]["after"], abs=0.01)
+    pruned = report["left_out"][-1 if kind == ".ply" else -2]
+    assert (pruned["why"], pruned["psnr_lost"]) == ("convert --prune", said["steps"][0]["lost"])
+    assert sum(entry["what"] == "precision" for entry in report["left_out"]) == (kind == ".spz")
+    assert (tmp_path / "cut" / "preview.png").read_bytes() != (tmp_path / "s" / "preview.png").read_bytes()
+    assert report["settings"] == whole["settings"]
+    assert (tmp_path / "cut" / "curve.png").is_file() == (tmp_path / "s" / "curve.png").is_file()
+    assert run(["tto", str(tmp_path / "cut"), "--steps", "0", "-q"]) == ExitCode.DONE
+    again = report_in(tmp_path / "cut")["quality"]
+    assert again["before"]["input"] == report["quality"]["input"]["psnr"]
+    assert again["input"]["psnr"] == pytest.approx(again["before"]["input"], abs=0.05)
+
+
+def test_a_scene_of_nothing_but_its_backdrop_is_not_optimised(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    photos = [str(path) for path in take_photos(tmp_path / "photos", 3, 2)]
+    scene = tmp_path / "s.ply"
+    assert run(["reconstruct", *photos, "--max-size", "96", "--tto", "0", "-q", "-o", str(scene)]) == ExitCode.DONE
+    assert run(["convert", str(scene), str(tmp_path / "far.ply"), "--prune", "9", "-q"]) == ExitCode.DONE
+    assert run(["tto", str(tmp_path / "far"), "-q"]) == ExitCode.BAD_INPUT
+    assert "nothing but its backdrop is left" in capsys.readouterr().err
