@@ -9,6 +9,7 @@ again, and --only runs some of the verbs alone: the page then keeps the other se
 import argparse
 import re
 import shlex
+import signal
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -79,6 +80,11 @@ STOPS = (
         ),
     ),
     Stop("info", "What is odd about a scene.", ("info room/scene.ply",)),
+    Stop(
+        "view",
+        "The scene in the browser, until Ctrl-C ([what is on the page](viewing.md)).",
+        ("view room/scene.ply --no-browser",),
+    ),
     Stop("export", "One page to send to others.", ("export room/scene.ply",)),
     Stop("poses", "Cameras that were estimated with and without the held-out photos.", ("poses held room/scene",)),
     Stop(
@@ -135,12 +141,17 @@ def section(stop: Stop, folder: Path, arguments: argparse.Namespace) -> str:
 
 
 def output(command: str, folder: Path) -> str:
-    """What the command prints, without its progress. Raises CalledProcessError where it fails."""
+    """What the command prints, without its progress. Exits where it fails."""
     words = [sys.executable, "-m", "querysplat_cli", *shlex.split(command)]
-    done = subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False)
-    if done.returncode:
-        sys.exit(f"querysplat {command}\n{done.stdout}{done.stderr}")
-    lines = [line.rstrip() for line in (done.stderr + done.stdout).splitlines()]
+    with subprocess.Popen(words, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as running:
+        assert running.stdout
+        lines = []
+        for line in running.stdout:
+            lines.append(line.rstrip())
+            if command.startswith("view"):  # serves until Ctrl-C
+                running.send_signal(signal.SIGINT)
+    if running.returncode:
+        sys.exit("\n".join([f"querysplat {command}", *lines]))
     lines = [line for line in lines if not is_progress(line)]
     said = "".join(f"{line}\n" for line in (*lines[:MOST_LINES], *(["…"] if lines[MOST_LINES:] else [])))
     return said.replace(str(folder), "…").replace(str(REPOSITORY), "…")
