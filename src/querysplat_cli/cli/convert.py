@@ -3,6 +3,7 @@
 from typing import Any
 
 from querysplat_cli.cli.verb import Printing
+from querysplat_cli.cli.words import decibels, left_out
 from querysplat_cli.commands.convert_request import Conversion
 
 REASONS = {"unsupported": "that no photo supports", "giants": "giants", "islands": "in islands"}
@@ -25,8 +26,7 @@ def convert(request: Conversion, printing: Printing) -> None:
 
 def lines(result: dict[str, Any]) -> list[str]:
     if "cameras" in result:
-        left_out = [f"left out: {each['name']}, {each['why']}" for each in result.get("left_out", ())]
-        return [f"{result['cameras']} cameras{_points(result)}: {result['target']}", *left_out]
+        return [f"{result['cameras']} cameras{_points(result)}: {result['target']}", *left_out(result["left_out"])]
     written, read = (result["bytes"][part] / 2**20 for part in ("target", "source"))
     steps = [_step(step) for step in result["steps"]]
     return [
@@ -62,11 +62,6 @@ def _step(step: dict[str, Any]) -> str:
     counts = ", ".join(f"{step[name]:,} {word}" for name, word in REASONS.items() if step.get(name))
     reasons = f" ({counts})" if counts else ""
     return f"{step['what']}: {step['gaussians']:,} left out{reasons}, {decibels(step['lost'])}"
-
-
-def decibels(lost: float) -> str:
-    """A loss in dB in words, which can be a gain."""
-    return f"{abs(lost):.2f} dB {'gained' if round(lost, 2) < 0 else 'lost'}"
 
 
 def _cost(psnr: dict[str, Any]) -> str:

@@ -4,9 +4,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from querysplat_cli.cli.convert import decibels
 from querysplat_cli.cli.terminal import say
 from querysplat_cli.cli.verb import Printing
+from querysplat_cli.cli.words import decibels, left_out
 from querysplat_cli.reporting.omissions import PRECISION
 from querysplat_cli.reporting.report import Report
 from querysplat_cli.runtime import signals
@@ -32,12 +32,8 @@ def exit_if_interrupted(report: Report) -> None:
 
 def lines(report: Report) -> Iterator[str]:
     """Five lines, and one more each for photos that were left out, for what a network matched, and for a warning."""
-    used, left_out = report.views["used"], report.views["left_out"]
-    yield f"{report.gaussians:,} Gaussians from {_counted(len(used), 'photo')}"
-    if left_out:
-        first = left_out[0]
-        more = f", and {len(left_out) - 1} more" if left_out[1:] else ""
-        yield f"left out: {first['name']} ({first['why']}){more}"
+    yield f"{report.gaussians:,} Gaussians from {_counted(len(report.views['used']), 'photo')}"
+    yield from left_out(report.views["left_out"])
     if report.matching:
         yield _matching(report.matching)
     yield from report.resumed

@@ -30,6 +30,7 @@ from querysplat_cli.pipeline.scene_folder import SCENE_FOLDER, keep_others
 from querysplat_cli.reporting.omissions import by_conversion, of_kind
 from querysplat_cli.reporting.stored_report import backdrop_of
 from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.limits import check_address_space
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.files import atomic_together, refuse_existing
 from querysplat_cli.scene.formats.mesh import MESH_KINDS, check_mesh_parts, write_mesh
@@ -151,6 +152,7 @@ def _check_kind(request: Conversion) -> None:
     if request.mesh:
         if kind not in MESH_KINDS:
             raise QuerySplatError(f"{request.target}: not a kind of file for meshes", f"Use {', '.join(MESH_KINDS)}.")
+        check_address_space("convert --mesh")
         check_mesh_parts()
     elif kind in MESH_KINDS and kind not in WRITERS:
         raise QuerySplatError(f"{request.target}: an {kind} holds a mesh", "Add --mesh to make one of the scene.")

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from querysplat_cli.commands.info_plot import draw_info
 from querysplat_cli.commands.view_requests import InfoRequest
-from querysplat_cli.pipeline.gaussian_files import file_of_scene, folder_of_scene, read_gaussians
+from querysplat_cli.pipeline.gaussian_files import bytes_of, file_of_scene, folder_of_scene, read_gaussians
 from querysplat_cli.reporting.stored_report import backdrop_of
 from querysplat_cli.runtime.figures import check_drawing
 from querysplat_cli.scene.files import refuse_existing, with_name
@@ -57,7 +57,7 @@ def scene_info(request: InfoRequest) -> dict[str, Any]:
     gaussians = read_gaussians(file)
     inputs = read_cameras(cameras)[0] if cameras.is_file() else None
     behind = backdrop_of(folder_of_scene(path), len(gaussians))
-    found = {"file": str(file), "bytes": file.stat().st_size, **describe(gaussians, inputs, behind)}
+    found = {"file": str(file), "bytes": bytes_of(file), **describe(gaussians, inputs, behind)}
     if request.plot:
         draw_info(request.plot, gaussians, found)
     return found

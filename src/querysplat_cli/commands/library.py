@@ -6,7 +6,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from querysplat_cli.pipeline.gaussian_files import file_of_scene, folder_of_scene, read_gaussians
+from querysplat_cli.pipeline.gaussian_files import file_of_scene, folder_of_scene, is_streamed, read_gaussians
 from querysplat_cli.pipeline.reconstruct import reconstruct as make_scene
 from querysplat_cli.pipeline.resume import optimise_scene
 from querysplat_cli.pipeline.resume_settings import ResumeSettings
@@ -97,23 +97,25 @@ def optimise(scene: Scene | Place, *, progress: Listener | None = None, **settin
 
 
 def open_scene(path: Place) -> Scene:
-    """The scene in a folder that `reconstruct` wrote, or in a .ply, .spz or .sog of any program.
+    """The scene in a folder that `reconstruct` wrote, or in a .ply, .spz, .sog, .glb or .lod of any program.
 
     Raises QuerySplatError where there is no such file, or where its report is damaged.
     """
     ply = file_of_scene(Path(path))
-    if not ply.is_file():
+    if not ply.is_file() and not (is_streamed(ply) and ply.is_dir()):
         raise QuerySplatError(f"{path}: no such scene", "Give the folder or the .ply of a scene.")
     report = folder_of_scene(ply) / "report.json"
     return Scene(ply, Report.from_dict(read_report(report)) if report.is_file() else None)
 
 
-def render(scene: Scene | Gaussians, cameras: Cameras | None = None, **how: Any) -> Rendering:
+def render(scene: Scene | Gaussians | Place, cameras: Cameras | None = None, **how: Any) -> Rendering:
     """Pictures of a scene or of Gaussians, differentiably: `colour`, `alpha` and `depth` of every view.
 
-    A `Scene` is shown from its own cameras by default; Gaussians need some. `how` are the other arguments of
-    `querysplat_cli.splat.render.render`: `background`, `settings`, `backend`.
+    A `Scene`, or that at a place, is shown from its own cameras by default; Gaussians need some. `how` are the other
+    arguments of `querysplat_cli.splat.render.render`: `background`, `settings`, `backend`.
     """
+    if isinstance(scene, str | Path):
+        scene = open_scene(scene)
     if isinstance(scene, Scene):
         return draw(scene.gaussians, cameras if cameras is not None else scene.cameras, **how)
     if cameras is None:

@@ -8,6 +8,7 @@ import torch
 
 from querysplat_cli.encoders.base import CameraRequest, Encoder, PosedViews
 from querysplat_cli.encoders.holdout import HoldoutCameras, PosedSplit, estimate_holdout_cameras
+from querysplat_cli.encoders.registry import ENCODERS
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.pipeline.budget import Budget, working_size
 from querysplat_cli.pipeline.build import Allowance, BuiltScene, encode_and_build
@@ -98,6 +99,8 @@ def reconstruct(settings: ReconstructSettings, stages: Stages | None = None) -> 
     """
     check_target(settings.ply)
     outputs = [settings.ply, folder_of_scene(settings.ply)]
+    if settings.encoder:
+        ENCODERS.check(settings.encoder)
     refuse_replacing(settings.inputs, outputs)
     refuse_existing(outputs[:1], force=settings.force)
     refuse_existing(outputs[1:], force=settings.force, kind=SCENE_FOLDER)

@@ -7,7 +7,8 @@ import psutil
 from querysplat_cli.runtime.errors import MissingPart
 
 GIB = 2**30
-ADDRESS_SPACE = {"reconstruct": 2.2, "demo": 2.2, "evaluate": 2.2, "train": 2.2, "weights": 0.9}
+BUSY = ("reconstruct", "demo", "evaluate", "train", "tto", "inspect", "poses", "convert --mesh")
+ADDRESS_SPACE = {**dict.fromkeys(BUSY, 2.2), "weights": 0.9}
 """GiB of address space that a verb takes with small pictures, for one core and beside what every core takes."""
 OTHER_ADDRESS_SPACE = 1.5
 CORE_ADDRESS_SPACE = 0.15
@@ -23,6 +24,13 @@ def check_address_space(verb: str) -> None:
             f"the limit of the address space (ulimit -v) is {limit / GIB:.1f} GiB, and about {needed:.1f} are needed",
             f"Raise it to at least {int(needed * 2**20):,} KiB, or take it away.",
         )
+
+
+def more_memory() -> str:
+    """What to do where memory is too small."""
+    limit = _limit()
+    raised = "" if limit is None else f"Raise the limit of the address space (ulimit -v), {limit / GIB:.1f} GiB; or u"
+    return f"{raised or 'U'}se smaller pictures, fewer photos, or a larger machine."
 
 
 def free_memory() -> int:

@@ -39,6 +39,13 @@ class Registry:
         others = {*self._registered, *(entry.name for entry in self._entries())} - self.own.keys()
         return (*self.own, *sorted(others))
 
+    def check(self, name: str) -> None:
+        """Raise QuerySplatError, which lists the names, where `name` is none; nothing is imported."""
+        if name not in self.names():
+            raise QuerySplatError(
+                f"there is no {self.what} named '{name}'", f"Choose one of: {', '.join(self.names())}."
+            )
+
     def find(self, name: str) -> Callable[..., Any]:
         """The function called `name`.
 
@@ -52,11 +59,8 @@ class Registry:
         return self._registered[name]
 
     def _of_other_package(self, name: str) -> Callable[..., Any]:
+        self.check(name)
         found = [entry for entry in self._entries() if entry.name == name]
-        if not found:
-            raise QuerySplatError(
-                f"there is no {self.what} named '{name}'", f"Choose one of: {', '.join(self.names())}."
-            )
         try:
             return found[0].load()
         except Exception as error:  # a module of another package may raise anything

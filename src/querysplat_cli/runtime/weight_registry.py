@@ -96,7 +96,7 @@ def _cached(wanted: WeightFile) -> Path | None:
     except ImportError as error:
         raise MissingPart(
             f"the weights {wanted.file} are not given, and looking in the Hugging Face cache needs huggingface_hub",
-            f"Run `{install_command('weights')}`, or give the folder with --weights DIR.",
+            f"Run `{install_command('weights')}`, or give their folder: --weights DIR (train: --set data.weights=DIR).",
         ) from error
     found = try_to_load_from_cache(wanted.repository, wanted.file)
     return Path(found) if isinstance(found, str) else None

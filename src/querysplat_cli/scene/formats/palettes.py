@@ -7,7 +7,7 @@ ROUNDS = 12
 PALETTE_ROUNDS = 2
 MOST_PRODUCTS = 2e10
 """A palette is refined where its distances take no more products than this, which is about a second."""
-ROWS_AT_ONCE = 4096
+ROWS_AT_ONCE = 512
 
 
 def codebook(values: np.ndarray, size: int = 256) -> np.ndarray:
