@@ -45,6 +45,7 @@ def test_levels_of_detail_and_back(scene: Path, tmp_path: Path, capsys: pytest.C
     assert back["gaussians"] == 200
     assert torch.cdist(read_ply(scene).means, read_ply(tmp_path / "back.ply").means).min(1).values.max() < 2e-3
     assert run(["info", str(target), "--json", "-q"]) == 0  # other verbs read it as well
+    assert json.loads(capsys.readouterr().out)["bytes"] == said["bytes"]["target"]
 
 
 def test_lines_and_refusals(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

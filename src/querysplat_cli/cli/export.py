@@ -12,4 +12,4 @@ def export(request: ExportRequest, printing: Printing) -> None:
     done = export_scene(request)
     print_json(vars(done), printing)
     photos = f", with {done.photos} photos" if done.photos else ""
-    say(f"{done.output}: {done.bytes / 2**20:.1f} MiB{photos}; any browser of 2023 or later opens it", printing)
+    say(f"{done.output}: {done.bytes / 2**20:.1f} MiB{photos}; a browser with WebGL 2 opens it", printing)
