@@ -251,3 +251,15 @@ def test_curves_are_written(tmp_path: Path) -> None:
     assert "<svg" in (tmp_path / "sweep.svg").read_text()
     assert len(json.loads((tmp_path / "sweep.json").read_text())) == 2
     assert (tmp_path / "sweep.csv").read_text().startswith("row,views,group,cases,psnr_median")
+
+
+def test_force_begins_again_and_leaves_other_folders_alone(tmp_path: Path) -> None:
+    row_folder, config = start(tmp_path, "free_tto=0", split("small", "small")), {"tto": 5}
+    (row_folder.path / "case").mkdir()
+    open_row_folder(row_folder, config, force=True)
+    assert [path.name for path in row_folder.path.iterdir()] == ["run_config.json"]
+    mine = RowFolder(tmp_path, "mine", "small")
+    mine.path.mkdir(parents=True)
+    (mine.path / "letter.txt").touch()
+    open_row_folder(mine, config, force=True)
+    assert (mine.path / "letter.txt").is_file()

@@ -62,7 +62,7 @@ def open_row_folder(row_folder: RowFolder, config: dict[str, Any], *, force: boo
     Raises QuerySplatError when the folder has results of other settings; `force` removes these instead.
     """
     file = row_folder.path / "run_config.json"
-    if row_folder.path.exists() and force:
+    if file.is_file() and force:
         shutil.rmtree(row_folder.path)
     if file.is_file():
         before = read_json(file)
