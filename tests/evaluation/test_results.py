@@ -49,7 +49,8 @@ def result(*interp: float, seconds: float = 2.0, gaussians: int = 10) -> RowResu
         "extrap": [],
     }
     missing = {"input": {}, "interp": {}, "extrap": {"9.png": "it has no camera"}}
-    return RowResult(views, missing, {"cameras": Cost(1.0, 0.5), "tto": Cost(seconds, 0.75)}, gaussians, ())
+    apart: dict[str, list[str]] = {"input": [], "interp": [], "extrap": []}
+    return RowResult(views, missing, apart, {"cameras": Cost(1.0, 0.5), "tto": Cost(seconds, 0.75)}, gaussians, ())
 
 
 def settings(**changes: Any) -> dict[str, Any]:
@@ -118,17 +119,30 @@ def test_views_of_failed_cases_are_asked_for_and_never_scored(tmp_path: Path) ->
 def test_targets_that_share_nothing_are_counted_apart(tmp_path: Path) -> None:
     """The protocol's mean holds them; a second mean leaves them out."""
     row_folder = start(tmp_path, "r", split("small", "small", 1))
-    found = result(10, 20, 30)
-    views = found.views | {"interp": [replace(found.views["interp"][0], apart=True), *found.views["interp"][1:]]}
-    write_case(row_folder.case("s_000"), "s", replace(found, views=views))
+    apart = {"input": [], "interp": ["1.png"], "extrap": []}
+    write_case(row_folder.case("s_000"), "s", replace(result(10, 20, 30), apart=apart))
     summary = summarise(tmp_path)
     (row,) = [row for row in summary["averages"] if row["group"] == "interp"]
     assert (row["psnr"], row["psnr_shared"], row["apart"]) == (20, 25, 1)
     metrics = json.loads((row_folder.case("s_000") / "metrics.json").read_text())
-    assert metrics["apart"] == {"input": [], "interp": ["1.png"], "extrap": []}
+    assert metrics["apart"] == apart
     assert (
         "| r | 4 | interpolation | – / – / – | – / – / – | 25.00 / 0.500 / – |" in (tmp_path / "summary.md").read_text()
     )
+
+
+def test_targets_without_a_score_are_counted_apart_as_well(tmp_path: Path) -> None:
+    """One row scored the target, another has no picture of it, and a third failed."""
+    on, apart = split("small", "small", 1), {"input": [], "interp": ["2.png"], "extrap": ["9.png"]}
+    scored, missing = result(10, 20), result(10)
+    missing.missing["interp"]["2.png"] = "it has no camera"
+    write_case(start(tmp_path, "scored", on).case("s_000"), "s", replace(scored, apart=apart))
+    write_case(start(tmp_path, "missing", on).case("s_000"), "s", replace(missing, apart=apart))
+    asked = {"input": 1, "interp": 2, "extrap": 1}
+    write_failure(start(tmp_path, "failed", on).case("s_000"), "s", "no overlap", asked=asked, apart=apart)
+    counts = {(row["row"], row["group"]): (row["apart"], row["asked"]) for row in summarise(tmp_path)["rows"]}
+    for row in ("scored", "missing", "failed"):
+        assert [counts[row, group] for group in ("input", "interp", "extrap")] == [(0, 1), (1, 2), (1, 1)]
 
 
 def test_quoted_rows_name_their_source(tmp_path: Path) -> None:

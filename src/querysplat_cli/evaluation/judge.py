@@ -23,28 +23,26 @@ from querysplat_cli.scene.views import Photo
 
 @dataclass(frozen=True)
 class ViewScore:
-    """The scores of one view and the picture that was scored; `camera` is None where only the picture is given.
-
-    `apart` is True for a target that has no verified matches with any input.
-    """
+    """The scores of one view and the picture that was scored; `camera` is None where only the picture is given."""
 
     frame: Frame
     camera: PhotoCamera | None
     scores: Scores
     picture: torch.Tensor
-    apart: bool = False
 
 
 @dataclass(frozen=True)
 class RowResult:
     """The result of one row on one case, by group of views.
 
-    `missing` has the reason for each view without a score, `costs` the cost of each stage. `gaussians` is None
-    where only pictures are given.
+    `missing` has the reason for each view without a score, `costs` the cost of each stage. `apart` has the targets that
+    have no verified matches with any input, whether they have a score or not. `gaussians` is None where only pictures
+    are given.
     """
 
     views: dict[str, list[ViewScore]]
     missing: dict[str, dict[str, str]]
+    apart: dict[str, list[str]]
     costs: dict[str, Cost]
     gaussians: int | None
     warnings: tuple[str, ...]
@@ -90,11 +88,12 @@ class Judge:
         return {frame.name for frame in self.groups[group]}
 
     @cached_property
-    def apart(self) -> frozenset[str]:
-        """Names of the targets that have no verified matches with any input."""
+    def apart(self) -> dict[str, list[str]]:
+        """By group, the names of the targets that have no verified matches with any input."""
         inputs = self.names("input")
         targets = set().union(*(self.names(group) for group in self.groups)) - inputs
-        return unmatched_targets(*([self.photos[name][1] for name in sorted(names)] for names in (inputs, targets)))
+        found = unmatched_targets(*([self.photos[name][1] for name in sorted(names)] for names in (inputs, targets)))
+        return {group: [frame.name for frame in frames if frame.name in found] for group, frames in self.groups.items()}
 
     def truth(self, frame: Frame) -> torch.Tensor:
         """The picture that renders of this frame are compared with."""
@@ -166,9 +165,8 @@ class Judge:
                     missing[group][frame.name] = (why or {}).get(frame.name, otherwise)
                     continue
                 scores = self._meter.compare(image, self.truth(frame))
-                apart = group != "input" and frame.name in self.apart
-                views[group].append(ViewScore(frame, (cameras or {}).get(frame.name), scores, image, apart))
-        return RowResult(views, missing, {}, None, ())
+                views[group].append(ViewScore(frame, (cameras or {}).get(frame.name), scores, image))
+        return RowResult(views, missing, self.apart, {}, None, ())
 
 
 def shape_of(photo: Photo) -> tuple[int, int]:

@@ -125,9 +125,7 @@ def write_case(
             "per_view": {group: [vars(view.scores) for view in views] for group, views in result.views.items()},
             "mean": {group: _mean(views) for group, views in result.views.items()},
             "missing": result.missing,
-            "apart": {
-                group: [view.frame.name for view in views if view.apart] for group, views in result.views.items()
-            },
+            "apart": result.apart,
             "doubts": list(result.warnings),
         }
         write_json(draft / "metrics.json", metrics)
@@ -138,11 +136,17 @@ def write_case(
 
 
 def write_failure(
-    folder: Path, scene: str, message: str, hint: str = "", *, asked: Mapping[str, int] | None = None
+    folder: Path,
+    scene: str,
+    message: str,
+    hint: str = "",
+    *,
+    asked: Mapping[str, int] | None = None,
+    apart: Mapping[str, Sequence[str]] | None = None,
 ) -> None:
-    """Write why a case has no scores; `asked` are the numbers of its views by group."""
+    """Write why a case has no scores. By group, `asked` are the numbers of its views, `apart` those of `Judge`."""
     with atomic_folder(folder) as draft:
-        content = {"scene_id": scene, "error": message, "hint": hint, "asked": dict(asked or {})}
+        content = {"scene_id": scene, "error": message, "hint": hint, "asked": asked or {}, "apart": apart or {}}
         write_json(draft / "failure.json", content)
 
 

@@ -120,10 +120,12 @@ def handler(setup: Setup) -> Callable[[Job], None]:
 def _work(setup: Setup, meter: Meter, job: Job) -> None:
     judge: Judge | None = None
     runner: CaseRunner | None = None
+    apart: dict[str, list[str]] = {}
     for row in job.rows:
         folder = RowFolder(setup.out, row.name, job.split).case(job.case.name)
         try:
             judge = judge or Judge(job.groups, job.cameras, setup.protocol, meter, fitted=setup.fitted)
+            apart = judge.apart
             if setup.predictions:
                 result = score_prediction(judge, setup.predictions, job.split, job.case.name)
             else:
@@ -132,10 +134,10 @@ def _work(setup: Setup, meter: Meter, job: Job) -> None:
             about = {"row": row.name, "split": job.split, "case": job.case.name, "protocol": setup.protocol.name}
             write_case(folder, job.case.scene, result, setup.keeping.writer(about, judge.truth, meter))
         except QuerySplatError as error:
-            write_failure(folder, job.case.scene, error.message, error.hint, asked=job.asked)
+            write_failure(folder, job.case.scene, error.message, error.hint, asked=job.asked, apart=apart)
         except Exception as error:
             why = f"a bug: {type(error).__name__}: {error}"
-            write_failure(folder, job.case.scene, why, format_exc(), asked=job.asked)
+            write_failure(folder, job.case.scene, why, format_exc(), asked=job.asked, apart=apart)
 
 
 def _count(jobs: Sequence[Job], splits: int, workers: int) -> str:

@@ -70,14 +70,17 @@ def _row(row_folder: RowFolder) -> dict[str, Any]:
             )
             for group, count in failure.get("asked", {}).items():  # results of older versions have no counts
                 asked[group] += count
+                apart[group] += len(failure.get("apart", {}).get(group, []))
             continue
         metrics = read_json(folder / "metrics.json")
         timings.append(read_json(folder / "timing.json"))
         cases += 1
         for group, views in metrics["per_view"].items():
             asked[group] += len(views) + len(metrics["missing"].get(group, {}))
-            _collect(scores[group], views, _apart(metrics, group))
-            apart[group] += len(_apart(metrics, group))
+            names = set(metrics.get("apart", {}).get(group, []))  # older results name none
+            shared = [frame["name"] not in names for frame in metrics["frames"][group]]
+            _collect(scores[group], views, shared)
+            apart[group] += len(names)
     seconds = [timing["seconds"]["total"] for timing in timings if len(timing["seconds"]) > 1]
     low, middle, high = spread(seconds)
     common = {
@@ -108,21 +111,15 @@ def _row(row_folder: RowFolder) -> dict[str, Any]:
     return {"config": config, "groups": groups, "failures": failures}
 
 
-def _apart(metrics: dict[str, Any], group: str) -> set[int]:
-    """Places in the group's list of the views that share nothing with the inputs; older results name none."""
-    names = set(metrics.get("apart", {}).get(group, []))
-    return {place for place, frame in enumerate(metrics["frames"][group]) if frame["name"] in names}
-
-
-def _collect(into: dict[str, list[float]], views: Sequence[dict[str, Any]], apart: set[int]) -> None:
-    """Add the scores of a group's views; results of older versions lack some of them."""
-    for place, view in enumerate(views):
+def _collect(into: dict[str, list[float]], views: Sequence[dict[str, Any]], shared: Sequence[bool]) -> None:
+    """Add the scores of a group's views; results of older versions lack some. `shared` is False for views apart."""
+    for view, shares in zip(views, shared, strict=True):
         for metric in ALL_METRICS:
             if view.get(metric) is not None:
                 into[metric].append(view[metric])
-        for metric, shared in zip(METRICS, SHARED, strict=True):
-            if place not in apart and view.get(metric) is not None:
-                into[shared].append(view[metric])
+        for metric, name in zip(METRICS, SHARED, strict=True):
+            if shares and view.get(metric) is not None:
+                into[name].append(view[metric])
 
 
 def averages(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
