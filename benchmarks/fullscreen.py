@@ -5,8 +5,8 @@
 
 DATA is the folder of the photo sets, by default $QUERYSPLAT_DATA. Each scene is one `querysplat reconstruct
 --holdout-every 4 --holdout-cameras joint` in a process of its own. Photos at full screen have at most 1,600 pixels on
-the longer side. *cc*: after the affine colour transform that fits the photo best. --pictures writes, for each set, a
-held-out photo and its renders over mid-grey beside each other, at full screen.
+the longer side. *cc*: each channel mapped to the photo's, as gsplat's trainer scores. --pictures writes, for each set,
+a held-out photo and its renders over mid-grey beside each other, at full screen.
 """
 
 import json

@@ -9,7 +9,7 @@ from querysplat_cli.reporting.view_scores import score
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.views import Views
-from querysplat_cli.splat.colour_correction import colour_corrected
+from querysplat_cli.splat.colour_correction import matrix_corrected
 from querysplat_cli.splat.render import render
 
 
@@ -29,7 +29,10 @@ def test_what_no_gaussian_covers_is_the_background(background: float, decibels: 
 
 
 def test_corrected_scores_leave_exposure_out() -> None:
-    """A photo is the render with another exposure in its left half, and with a second one in its right half."""
+    """A photo is the render in mixed channels, and with another exposure in its right half.
+
+    Only `psnr_half` undoes mixed channels.
+    """
     camera = Cameras(torch.eye(4)[None], torch.tensor([[[20.0, 0, 10], [0, 20, 8], [0, 0, 1]]]), height=16, width=20)
     generator = torch.Generator().manual_seed(0)
     means = torch.rand(60, 3, generator=generator) * torch.tensor([1.0, 0.8, 0.1]) - torch.tensor([0.5, 0.4, -1.0])
@@ -48,15 +51,16 @@ def test_corrected_scores_leave_exposure_out() -> None:
         for name, photo in (("same", same), ("halves", halves))
     }
     assert found["same"].psnr < 25
-    assert found["same"].psnr_cc > 50
-    assert found["same"].ssim_cc > 0.999
+    assert 40 < found["same"].psnr_cc < 50
+    assert found["same"].ssim_cc > 0.99
     assert found["same"].psnr_half > 50
     assert found["halves"].psnr_half == pytest.approx(20, abs=0.1)
-    assert 20 < found["halves"].psnr_cc < 40
+    # The inverse of a fit enlarges what does not fit.
+    assert 18 < found["halves"].psnr_cc < found["halves"].psnr_half
     assert found["halves"].summary().keys() == {"psnr", "ssim", "psnr_grey", "psnr_cc", "ssim_cc", "psnr_half"}
 
 
 def test_a_picture_of_one_colour_can_be_corrected() -> None:
     grey, mask = torch.full((3, 8, 8), 0.3), torch.ones(8, 8, dtype=torch.bool)
-    found = colour_corrected(grey, torch.full((3, 8, 8), 0.7), mask)
+    found = matrix_corrected(grey, torch.full((3, 8, 8), 0.7), mask)
     torch.testing.assert_close(found, torch.full((3, 8, 8), 0.7), atol=1e-4, rtol=0)

@@ -10,15 +10,15 @@ from torch import Tensor
 from querysplat_cli.evaluation.perceptual import further_metric
 from querysplat_cli.evaluation.policy import EVALUATION_POLICY
 from querysplat_cli.runtime.choices import FurtherMetric
-from querysplat_cli.splat.colour_correction import colour_corrected, left_half
+from querysplat_cli.splat.colour_correction import channel_corrected, left_half, matrix_corrected
 from querysplat_cli.splat.lpips import Lpips
 from querysplat_cli.splat.similarity import psnr, ssim_metric
 
 METRICS = ("psnr", "ssim", "lpips")
 CORRECTED = tuple(f"{metric}_cc" for metric in METRICS)
-"""Of the picture after the affine colour transform that fits the photo best, as gsplat's trainer scores."""
+"""Of the picture with each channel mapped to the photo's by a slope and an offset, as gsplat's trainer scores."""
 HALF = tuple(f"{metric}_half" for metric in METRICS)
-"""Of the right half of the picture, after the transform that fits the left half best, as Inria's code scores."""
+"""Of the right half of the picture, after the 3 × 4 transform that fits the left half best, as Inria's code scores."""
 FITTED = tuple(f"{metric}_fitted" for metric in METRICS)
 """Of a target that is rendered from a camera that was fitted to the scene. Never the score of a protocol."""
 FURTHER = ("flip", "ssimulacra2")
@@ -30,8 +30,8 @@ ALL_METRICS = (*METRICS, *CORRECTED, *HALF, *FITTED, *FURTHER)
 class Scores:
     """PSNR in dB; SSIM as in scikit-image, with an 11-pixel Gaussian window; LPIPS is None without its weights.
 
-    What follows stands beside these three, and is None where it was not measured. `_cc` is of the picture whose colours
-    are fitted to the whole photo, `_half` of its right half with colours fitted to the left half, `_fitted` of the
+    What follows stands beside these three, and is None where it was not measured. `_cc` is of the picture with each
+    channel fitted to the whole photo, `_half` of its right half with colours fitted to the left half, `_fitted` of the
     picture from a fitted camera. `flip` is LDR-FLIP's mean error (0 is best) and `ssimulacra2` SSIMULACRA2 (100 is
     best), both of pictures in 8 bits.
     """
@@ -63,10 +63,10 @@ class Meter:
     def compare(self, picture: Float[Tensor, "3 height width"], truth: Float[Tensor, "3 height width"]) -> Scores:
         """Scores of `picture` against `truth`, both in [0, 1]; every pixel counts."""
         everywhere = torch.ones(truth.shape[1:], dtype=torch.bool)
-        corrected = colour_corrected(picture, truth, everywhere)
+        corrected = channel_corrected(picture, truth, everywhere)
         left = left_half(everywhere)
         right = slice(int(left[0].sum()), None)
-        half = colour_corrected(picture, truth, left)[..., right]
+        half = matrix_corrected(picture, truth, left)[..., right]
         return Scores(
             *self.plain(picture, truth),
             *self.plain(corrected, truth),

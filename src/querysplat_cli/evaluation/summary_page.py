@@ -9,10 +9,10 @@ from querysplat_cli.evaluation.splits import GROUPS
 
 TITLES = {"input": "input views", "interp": "interpolation", "extrap": "extrapolation"}
 SCORE_DIGITS = {"psnr": 2, "ssim": 3, "lpips": 3}
-FURTHER_TEXT = """These figures are never the protocol's. *Colour-corrected*: after the affine colour transform that
-fits the whole photo best (as gsplat's trainer). *Right half*: after the transform that fits the left half best (as
-Inria's code). *Targets apart* have no verified matches with any input. *Fitted cameras*: each target's camera was
-fitted to the finished scene. Cells are PSNR in dB / SSIM / LPIPS, the averages of the splits."""
+FURTHER_TEXT = """These figures are never the protocol's. *Colour-corrected*: each channel is mapped to the
+photo's by a slope and an offset (as gsplat's trainer). *Right half*: after the 3 × 4 transform that fits the left half
+best (as Inria's code). *Targets apart* have no verified matches with any input. *Fitted cameras*: each target's camera
+was fitted to the finished scene. Cells are PSNR in dB / SSIM / LPIPS, the averages of the splits."""
 
 
 def markdown(summary: dict[str, Any]) -> str:

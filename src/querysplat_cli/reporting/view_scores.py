@@ -10,7 +10,7 @@ from torch import Tensor
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.views import Views
-from querysplat_cli.splat.colour_correction import colour_corrected, left_half
+from querysplat_cli.splat.colour_correction import channel_corrected, left_half, matrix_corrected
 from querysplat_cli.splat.conventions import MID_GREY
 from querysplat_cli.splat.render import render
 from querysplat_cli.splat.similarity import psnr, ssim_metric
@@ -27,8 +27,9 @@ class Quality:
     scene. `psnr_grey` is the PSNR over mid-grey: where it is lower than that over black, the scene is see-through.
 
     The other scores leave the exposure of the photo out. `psnr_cc` and `ssim_cc` are of the renders over `background`
-    after the affine colour transform that fits the photo best. `psnr_half` is that of the right half of the picture,
-    after the transform that fits its left half best (as Inria's code scores scenes with exposure correction).
+    whose channels are mapped to the photo's, each by a slope and an offset (as gsplat's trainer scores). `psnr_half` is
+    that of the right half of the picture, after the 3 × 4 transform that fits its left half best (as Inria's code
+    scores scenes with exposure correction).
     """
 
     psnr: float
@@ -80,10 +81,10 @@ def score(gaussians: Gaussians, views: Views, cameras: Cameras, background: floa
 def _corrected_scores(
     picture: Float[Tensor, "3 height width"], photo: Float[Tensor, "3 height width"], mask: Bool[Tensor, "height width"]
 ) -> dict[str, float]:
-    corrected, left = colour_corrected(picture, photo, mask), left_half(mask)
+    corrected, left = channel_corrected(picture, photo, mask), left_half(mask)
     right = mask & ~left
     return {
         "psnr_cc": psnr(corrected, photo, mask),
         "ssim_cc": ssim_metric(torch.where(mask, corrected, photo), photo),
-        "psnr_half": psnr(colour_corrected(picture, photo, left), photo, right if right.any() else mask),
+        "psnr_half": psnr(matrix_corrected(picture, photo, left), photo, right if right.any() else mask),
     }
