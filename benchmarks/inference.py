@@ -7,7 +7,8 @@ Rows that the JSON file holds already are replaced where they are measured again
 Weights and photos are random, of full size (512 × 512 pixels, 17 + 1,024 tokens a view). The time of the encoder is
 that of one pass with its camera head. The time of the decoder is that of both memories and both branches, from
 features to Gaussians. Peak GiB are those of the device on a GPU, and those of the process on a CPU, where every row is
-a process of its own. The first run of each is not counted. `--part` measures one network without the other in memory.
+a process of its own. Seconds are the mean of five runs, as the paper's; `runs` in a row says of how many, and `--runs`
+changes it. A first run is not counted. `--part` measures one network without the other in memory.
 """
 
 import argparse
@@ -47,7 +48,7 @@ def measure(
 ) -> dict[str, Any]:
     """One row."""
     exact = check_precision(precision)
-    row: dict[str, Any] = {"views": views, "precision": precision, "part": part}
+    row: dict[str, Any] = {"views": views, "precision": precision, "part": part, "runs": runs}
     images = full_size.photos(views, SIZE, device)
     features = None
     with torch.no_grad(), matrix_products(exact):
@@ -56,7 +57,7 @@ def measure(
         _reset_peak_memory(device)
         if encoder is not None:
             mixture = (0.25,) * 4
-            row["encoder"] = _seconds(lambda: encoder.predict(images, mixture=mixture, depth=False), device, runs)
+            row["encoder"] = mean_seconds(lambda: encoder.predict(images, mixture=mixture, depth=False), device, runs)
             features = encoder.predict(images, mixture=mixture, depth=False).features
             # As `reconstruct` does: decoding needs nothing of the encoder.
             encoder.to("meta")
@@ -67,7 +68,7 @@ def measure(
             cameras = full_size.cameras(views, SIZE, device)
             for count in sorted(queries, reverse=True):
                 decoder.keep_queries(count)
-                row[f"decoder_{count}"] = _seconds(
+                row[f"decoder_{count}"] = mean_seconds(
                     lambda: decoder.decode(decoder.encode(features, images, cameras)), device, runs
                 )
     if encoder is not None and PAPER_QUERIES in queries and decoder is not None:
@@ -76,7 +77,7 @@ def measure(
     return row
 
 
-def _seconds(work: Callable[[], object], device: torch.device, runs: int) -> float:
+def mean_seconds(work: Callable[[], object], device: torch.device, runs: int) -> float:
     """The mean of `runs`, as in the paper, after one that is not counted unless there is only one."""
     times = []
     for _ in range(runs + (runs > 1)):
@@ -129,8 +130,8 @@ def table(rows: list[dict[str, Any]]) -> str:
             f"{row[name]:.3g}" + (f" (paper {paper[name]:.3g})" if name in paper else "") if name in row else ""
             for name in columns
         ]
-        lines.append((row["views"], row["precision"], row.get("error", row["part"]), *cells))
-    return markdown(("views", "precision", "in memory", *heads), lines)
+        lines.append((row["views"], row["precision"], row.get("error", row["part"]), row.get("runs", ""), *cells))
+    return markdown(("views", "precision", "in memory", "runs", *heads), lines)
 
 
 def foretold() -> str:

@@ -1,5 +1,6 @@
 """The parts of the efficiency and precision programs that take no hours: tables, random weights, errors."""
 
+import pytest
 import torch
 
 import full_size
@@ -15,6 +16,7 @@ def test_tables_say_what_was_measured_and_no_more() -> None:
             "views": 4,
             "precision": "bf16",
             "part": "both",
+            "runs": 5,
             "encoder": 0.2,
             "decoder_8192": 0.5,
             "total": 0.7,
@@ -28,6 +30,37 @@ def test_tables_say_what_was_measured_and_no_more() -> None:
     assert "0.7 (paper 0.949)" in first
     assert "killed" in second
     assert "paper" not in second
+    assert "| both | 5 |" in first
+
+
+@pytest.mark.parametrize(("runs", "called", "mean"), [(5, 6, 4.0), (2, 3, 2.5), (1, 1, 1.0)])
+def test_seconds_are_the_mean_of_the_runs_after_the_first(
+    runs: int, called: int, mean: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Run n takes n seconds. Only a single run is counted although it is the first."""
+    clock, work = [0.0], iter(range(1, 100))
+
+    def one_run() -> None:
+        clock[0] += next(work)
+
+    monkeypatch.setattr(inference.time, "perf_counter", lambda: clock[0])
+    assert inference.mean_seconds(one_run, torch.device("cpu"), runs) == mean
+    assert next(work) == called + 1
+
+
+def test_a_row_says_how_many_runs_its_seconds_are_the_mean_of(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+
+    def mean_seconds(work: object, device: torch.device, runs: int) -> float:
+        asked.append(runs)
+        return 2.0
+
+    monkeypatch.setattr(inference, "mean_seconds", mean_seconds)
+    monkeypatch.setattr(inference.full_size, "querysplat", lambda *_: torch.nn.Identity())
+    monkeypatch.setattr(torch.nn.Identity, "keep_queries", lambda self, count: None, raising=False)
+    row = inference.measure(1, [1024, 8192], "fp32", torch.device("cpu"), "decoder", 5)
+    assert asked == [5, 5]
+    assert (row["runs"], row["decoder_1024"], row["decoder_8192"]) == (5, 2.0, 2.0)
 
 
 def test_random_weights_have_the_types_of_their_precision() -> None:
