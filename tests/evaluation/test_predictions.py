@@ -131,12 +131,12 @@ def save(file: Path, picture: torch.Tensor) -> None:
 LAYOUTS = {
     "DepthSplat": ("color/{index:0>6}.png", "color/{index:0>6}_gt.png"),
     "NoPoSplat": ("color/{index:0>6}.png", "context/{index:0>6}.png"),
-    "SPFSplat": ("color/{index:0>6}.png", "context/{index:0>6}.png"),
-    "YoNoSplat": ("color/{index:0>6}.png", "gt/{index:0>6}.png"),
+    "SPFSplat": ("color/{index:0>6}.png", None),
+    "YoNoSplat": ("color/{index:0>6}.png", "context/{index:0>6}.png"),
     "AnySplat": ("pred/{target:0>6}.jpg", "gt/{target:0>6}.jpg"),
     "SplatWeaver": ("pred/{target:0>6}.jpg", "gt/{target:0>6}.jpg"),
 }
-"""Where a system puts its render of a target, and where the photo beside it. `target` counts targets from 0."""
+"""Where a system puts its render of a target, and where photos, if it does. `target` counts targets from 0."""
 
 
 @pytest.mark.parametrize("system", LAYOUTS)
@@ -147,13 +147,17 @@ def test_the_layouts_of_other_systems(system: str, judge: Judge, tmp_path: Path)
     for number, (group, frame) in enumerate(targets):
         truth = judge.truth(frame)
         render = (0.8 - 0.1 * number) * truth  # another error for each view, which JPEG keeps
-        ours, theirs = (part.format(index=frame.index, target=number) for part in LAYOUTS[system])
+        ours = LAYOUTS[system][0].format(index=frame.index, target=number)
         save(case / ours, render)
-        save(case / theirs, truth)
+        if photo := LAYOUTS[system][1]:
+            save(case / photo.format(index=frame.index, target=number), truth)
         listed[frame.name] = ours
         expected[group, frame.name] = -10 * float((render - truth).square().mean().log10())
     for frame in judge.groups["input"]:
-        save(case / LAYOUTS[system][1].format(index=frame.index, target=90 + frame.index), judge.truth(frame))
+        if photo := LAYOUTS[system][1]:
+            save(case / photo.format(index=frame.index, target=90 + frame.index), judge.truth(frame))
+    if system == "SplatWeaver":
+        save(case / "expert_selection.png", torch.zeros(3, 30, 90))
     if "target" in LAYOUTS[system][0]:
         (case / "views.json").write_text(json.dumps(listed))
     result = score_prediction(judge, tmp_path, "split", "case")
