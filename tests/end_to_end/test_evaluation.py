@@ -126,6 +126,21 @@ def test_an_encoder_that_looks_at_squares_is_shown_whole_photos(
         assert row["psnr"] > 0
 
 
+def test_cases_on_a_cluster_score_the_same(evaluated: tuple[Path, dict[str, Any]], room: Path, tmp_path: Path) -> None:
+    """Dask's workers make the scenes that one process made before."""
+    pytest.importorskip("distributed")
+    options = [*OPTIONS, "--cameras", "posed", "--tto", "0", "--cluster", "local:2"]
+    command = [sys.executable, "-m", "querysplat_cli", "eval", str(room), "-o", str(tmp_path / "out"), "--json"]
+    done = subprocess.run([*command, *options], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert found["failures"] == []
+    before = {(row["row"], row["group"]): row["psnr"] for row in evaluated[1]["rows"]}
+    after = {(row["row"], row["group"]): row["psnr"] for row in found["rows"]}
+    assert {row for row, _ in after} == {"posed_depth", "posed_tto=0"}
+    assert after == pytest.approx({key: before[key] for key in after}, abs=1e-3)
+
+
 @pytest.mark.slow
 def test_shards_make_the_whole(room: Path) -> None:
     options = [*OPTIONS, "--cameras", "posed", "--cases", "2", "--workers", "2"]
