@@ -6,7 +6,9 @@ from typing import Any
 
 import pytest
 
+import paper_tables
 from common.locations import BESIDE
+from paper_tables import FILE, RELEASE, read_tables, report
 from querysplat_cli.evaluation import published
 
 TEX = BESIDE / "spec" / "paper-tables.tex"
@@ -37,8 +39,6 @@ def test_every_number_of_the_source_is_there_in_its_order(tex: str) -> None:
 
 
 def test_the_program_reads_the_source_as_the_file_has_it(tex: str) -> None:
-    from paper_tables import FILE, RELEASE, read_tables
-
     assert [*read_tables(tex), RELEASE] == json.loads(FILE.read_text())["tables"] == published.tables()
 
 
@@ -83,8 +83,10 @@ def test_the_appendix_adds_up_to_the_main_table() -> None:
     assert all(re.search(r"(psnr|ssim|lpips): the main table has \d", text) for text in reported)
 
 
-def test_a_wrong_digit_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    content = json.loads(json.dumps({"tables": published.tables()}))
+@pytest.fixture
+def wrong_digit(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """The published content with one wrong digit in the appendix."""
+    content = json.loads(json.dumps({"tables": published.tables(), "known_disagreements": []}))
     (row,) = (
         row
         for table in content["tables"]
@@ -93,8 +95,40 @@ def test_a_wrong_digit_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     )
     row["psnr"] += 0.001
     monkeypatch.setattr(published, "_content", lambda: content)
+    return content
+
+
+@pytest.mark.usefixtures("wrong_digit")
+def test_a_wrong_digit_is_reported() -> None:
     (sentence,) = published.disagreements()
     assert sentence.startswith("QuerySplat (pose-free), 4 views, psnr: the main table has 24.5765, the mean")
+
+
+def test_only_a_known_disagreement_is_forgiven(wrong_digit: dict[str, Any], capsys: pytest.CaptureFixture[str]) -> None:
+    """With these very figures: another wrong digit in the same place is reported anew."""
+    assert report() == 1
+    (sentence,) = published.disagreements()
+    assert capsys.readouterr().out.startswith(sentence)
+    wrong_digit["known_disagreements"] = [sentence]
+    assert report() == 0
+    assert f"known: {sentence}" in capsys.readouterr().out
+    wrong_digit["tables"][0]["rows"][0]["psnr"] += 1
+    assert report() == 1
+    wrong_digit["tables"][0]["rows"][0]["psnr"] -= 1
+    wrong_digit["known_disagreements"] = [sentence.replace("24.5765", "24.5766")]
+    assert report() == 1
+    assert "known, and no longer there" in capsys.readouterr().out
+
+
+def test_the_program_ends_with_its_finding(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.argv", ["paper_tables.py"])
+    with pytest.raises(SystemExit) as end:
+        paper_tables.main()
+    assert end.value.code == 0
+    monkeypatch.setattr(published, "disagreements", lambda: ["a new one"])
+    with pytest.raises(SystemExit) as end:
+        paper_tables.main()
+    assert end.value.code == 1
 
 
 def test_the_efficiency_table_is_there() -> None:
