@@ -1,27 +1,31 @@
 """The paper's protocol on every set that has frames enough: nine splits of fox, and those that other sets can fill.
 
-    python benchmarks/protocol.py [DATA] -o evaluation/ [--workers N]
+    python benchmarks/protocol.py [DATA] -o evaluation/ [--sets SET ...] [--views 2,4,12] [--cameras free,posed]
+        [--workers N]
     python benchmarks/eval_table.py evaluation/results
 
 DATA is the folder of the photo sets, by default $QUERYSPLAT_DATA. fox has cameras of its own; those of the other sets
-are found on all of their photos at once. Splits are generated, with eight cases of fox each; sets with fewer frames
-take part in the splits that they can fill, in turn. Rows are the encoder's depth, 0, 20 and 50 steps, and the default
-(`tto=auto`), with free and with the dataset's cameras. A run that was stopped goes on when it is repeated.
+are found on all of their photos at once, or on the frames that are chosen of a film. Splits are generated, with eight
+cases of each set that can fill them. Rows are the encoder's depth, 0, 20 and 50 steps, and the default (`tto=auto`),
+with free and with the dataset's cameras. A run that was stopped goes on when it is repeated.
 """
 
 import shutil
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from common.arguments import PhotoParser
 from common.photo_sets import PHOTO_SETS
-from querysplat_cli.evaluation.generate import INTERVALS, SCALES
+from querysplat_cli.evaluation.generate import SCALES, scenes_for
+from querysplat_cli.scene.formats.dataset import find_scenes
 
-OTHERS = ("dtu106", "kermit", "riverview", "sceaux")
-"""Sets of at least eleven photos without cameras."""
-CASES = {(2, "small"): 40, (2, "medium"): 16, (4, "small"): 16}
-"""Cases of the splits that five, two and two sets share. The other splits are of fox alone, with eight cases."""
+FILMS = {"kitchen": "video/kitchen.mp4"}
+SETS = ("fox", "dtu106", "kermit", "riverview", "sceaux", "highres/banana", "highres/brighton", *FILMS)
+"""Those of at least eleven photos. `highres/sceaux` has the photos of `sceaux`."""
+CASES = 8
+"""Of each set, in each split that it can fill."""
 
 
 def querysplat(*arguments: str | Path) -> None:
@@ -30,39 +34,47 @@ def querysplat(*arguments: str | Path) -> None:
         sys.exit(done.returncode)
 
 
-def scene_folders(data: Path, folder: Path) -> list[Path]:
+def scene_folders(names: Sequence[str], data: Path, folder: Path) -> list[Path]:
     """DL3DV's form of fox, and scene folders of the others, which hold cameras and pinhole pictures."""
-    for name in OTHERS:
-        ply = folder / f"{name}.ply"
-        if not ply.is_file():
-            feed_forward = ("--quality", "draft", "--tto", "0", "-q")
-            querysplat("reconstruct", *PHOTO_SETS[name].photos(data), "-o", ply, *feed_forward)
-    return [data / "dl3dv/fox", *(folder / name for name in OTHERS)]
+    found = []
+    for name in names:
+        place = folder / Path(name).name
+        found.append(data / "dl3dv/fox" if name == "fox" else place)
+        if name != "fox" and not place.with_suffix(".ply").is_file():
+            photos = [data / FILMS[name]] if name in FILMS else PHOTO_SETS[name].photos(data)
+            querysplat("reconstruct", *photos, "-o", f"{place}.ply", "--quality", "draft", "--tto", "0", "-q")
+    return found
 
 
-def write_splits(scenes: list[Path], folder: Path) -> None:
+def write_splits(places: Sequence[Path], views: Sequence[int], folder: Path) -> None:
     folder.mkdir(exist_ok=True)
-    for views in INTERVALS:
+    scenes = find_scenes(places)
+    for number in views:
         for scale in SCALES:
-            if not (folder / f"{views}views_{scale}.json").is_file():
-                made = folder.parent / f"{views}views_{scale}"
-                chosen = ("--views", str(views), "--scales", scale, "--cases", str(CASES.get((views, scale), 8)))
-                querysplat("eval", *scenes, *chosen, "--splits-only", "-q", "-o", made)
-                shutil.move(made / "splits" / f"{views}views_{scale}.json", folder)
+            file = f"{number}views_{scale}.json"
+            cases = CASES * len(scenes_for(scenes, number, scale))
+            if cases and not (folder / file).is_file():
+                made = folder.parent / Path(file).stem
+                chosen = ("--views", str(number), "--scales", scale, "--cases", str(cases))
+                querysplat("eval", *places, *chosen, "--splits-only", "-q", "-o", made)
+                shutil.move(made / "splits" / file, folder)
                 shutil.rmtree(made)
 
 
 def main() -> None:
     parser = PhotoParser(__doc__, json=False, sets=False, passes=False)
     parser.add_argument("-o", "--output", type=Path, required=True)
+    parser.add_argument("--sets", nargs="+", choices=SETS, default=SETS, metavar="SET")
+    parser.add_argument("--views", default="2,4,12", help="as for `querysplat eval`")
+    parser.add_argument("--cameras", default="free,posed", help="as for `querysplat eval`")
     parser.add_argument("--workers", default="2", help="as for `querysplat eval`")
     options = parser.parse()
     options.output.mkdir(parents=True, exist_ok=True)
-    scenes = scene_folders(options.data, options.output)
-    write_splits(scenes, options.output / "splits")
-    rows = ("--cameras", "free,posed", "--sweep", "tto=0,20,50,auto", "--workers", options.workers)
+    places = scene_folders(options.sets, options.data, options.output)
+    write_splits(places, [int(number) for number in options.views.split(",")], options.output / "splits")
+    rows = ("--cameras", options.cameras, "--sweep", "tto=0,20,50,auto", "--workers", options.workers)
     folders = ("--splits", options.output / "splits", "-o", options.output / "results")
-    querysplat("eval", *scenes, *folders, *rows)
+    querysplat("eval", *places, *folders, *rows)
 
 
 if __name__ == "__main__":

@@ -23,14 +23,14 @@ def generate(scenes: Sequence[CapturedScene], dataset: str, views: int, scale: s
     """
     interval = INTERVALS[views][SCALES.index(scale)]
     chance = random.Random(f"{seed} {views} {scale}")
-    starts = {scene.name: _starts(len(scene.frames), views, interval) for scene in scenes}
-    able = [scene for scene in scenes if starts[scene.name]]
+    able = scenes_for(scenes, views, scale)
     if not able:
         need = (views - 1) * interval + 1 + EVALUATION_POLICY.generated_targets
         raise ImpossibleScene(
             f"{views} views, {scale}: no scene has the {need} frames that an interval of {interval} needs",
             "Choose other --views or --scales, or give scenes with more frames.",
         )
+    starts = {scene.name: _starts(len(scene.frames), views, interval) for scene in able}
     for scene in able:
         chance.shuffle(starts[scene.name])
     drawn = []
@@ -39,6 +39,12 @@ def generate(scenes: Sequence[CapturedScene], dataset: str, views: int, scale: s
         start = starts[scene.name][turn % len(starts[scene.name])]
         drawn.append(_case(number, scene, dataset, start, views, interval, chance))
     return Split(f"{views}views_{scale}", dataset, views, scale, tuple(drawn))
+
+
+def scenes_for(scenes: Sequence[CapturedScene], views: int, scale: str) -> list[CapturedScene]:
+    """Those that have frames enough for a case of so many views and this scale."""
+    interval = INTERVALS[views][SCALES.index(scale)]
+    return [scene for scene in scenes if _starts(len(scene.frames), views, interval)]
 
 
 def _starts(count: int, views: int, interval: int) -> list[int]:
