@@ -61,12 +61,6 @@ def efficiency() -> dict[int, dict[str, float]]:
     return {row["views"]: {key: value for key, value in row.items() if key != "views"} for row in table["rows"]}
 
 
-def known_disagreements() -> list[str]:
-    """Sentences of `disagreements` that are in the paper itself, and so are no mistakes of ours."""
-    found: list[str] = _content()["known_disagreements"]
-    return found
-
-
 def disagreements(tolerance: float = LEAST_TOLERANCE) -> list[str]:
     """Where the mean of the appendix over scales is not the main table's figure, one sentence each."""
     averages = {_key(row): row for row in _means([row for row in _scored_rows() if row["scale"] != AVERAGE], AVERAGE)}
