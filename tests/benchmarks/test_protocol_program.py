@@ -1,10 +1,14 @@
 """The commands of protocol.py: every scene and split once, then the evaluation."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 import protocol
+
+FRAMES = {"fox": 50, "dtu106": 20}
+"""Others have eleven here, which fill the split of two near views alone."""
 
 
 def test_a_repeated_run_makes_only_what_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -21,13 +25,27 @@ def test_a_repeated_run_makes_only_what_is_missing(tmp_path: Path, monkeypatch: 
             views, scale = (words[words.index(option) + 1] for option in ("--views", "--scales"))
             (out / "splits" / f"{views}views_{scale}.json").touch()
 
+    def scenes(places: list[Path]) -> list[SimpleNamespace]:
+        return [SimpleNamespace(name=place.name, frames=range(FRAMES.get(place.name, 11))) for place in places]
+
+    def cases() -> dict[tuple[str, str], int]:
+        values = [{name: words[words.index(name) + 1] for name in ("--views", "--scales", "--cases")} for words in seen]
+        return {(row["--views"], row["--scales"]): int(row["--cases"]) for row in values}
+
     monkeypatch.setattr(protocol, "querysplat", fake)
-    scenes = protocol.scene_folders(tmp_path, tmp_path)
-    protocol.write_splits(scenes, tmp_path / "splits")
-    assert [words[0] for words in seen] == ["reconstruct"] * 4 + ["eval"] * 9
+    monkeypatch.setattr(protocol, "find_scenes", scenes)
+    places = protocol.scene_folders(protocol.SETS, tmp_path, tmp_path)
+    assert [words[0] for words in seen] == ["reconstruct"] * (len(protocol.SETS) - 1)
+    assert places[0] == tmp_path / "dl3dv" / "fox"
+    seen.clear()
+    protocol.write_splits(places, (2, 4, 12), tmp_path / "splits")
+    shared = {("2", "small"): len(protocol.SETS), ("2", "medium"): 2, ("4", "small"): 2}
+    expected = [(views, scale) for views in ("2", "4", "12") for scale in ("small", "medium", "large")]
+    assert cases() == {each: 8 * shared.get(each, 1) for each in expected}
     assert len(list((tmp_path / "splits").iterdir())) == 9
     assert not list(tmp_path.glob("*views_*"))
     (tmp_path / "splits" / "12views_large.json").unlink()
     seen.clear()
-    protocol.write_splits(protocol.scene_folders(tmp_path, tmp_path), tmp_path / "splits")
-    assert [words[-7:-1] for words in seen] == [("large", "--cases", "8", "--splits-only", "-q", "-o")]
+    again = protocol.scene_folders(protocol.SETS, tmp_path, tmp_path)
+    protocol.write_splits(again, (2, 4, 12), tmp_path / "splits")
+    assert cases() == {("12", "large"): 8}
