@@ -2,19 +2,26 @@
 
 import json
 from pathlib import Path
+from typing import Literal
 
 import cv2
 import numpy as np
 import pytest
 import torch
+from evaluation_scenes import write_room
 from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from lpips_weights import AFTER, reference, write_weights
-from querysplat_cli.evaluation.judge import ViewScore
+from querysplat_cli.evaluation.baseline import back_project
+from querysplat_cli.evaluation.judge import Judge, ViewScore
 from querysplat_cli.evaluation.metrics import Meter
 from querysplat_cli.evaluation.nerfbaselines import write_predictions
-from querysplat_cli.scene.formats.dataset import Frame
+from querysplat_cli.evaluation.protocol import Protocol
+from querysplat_cli.scene.formats.dataset import Frame, find_scenes
+from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.lpips import LpipsFiles, find_lpips, load_lpips
+from querysplat_cli.training.photographer import cast, walk
+from querysplat_cli.training.rooms import make_room
 
 AGREEMENT = 1e-4
 GROUPS = {"input": (0,), "interp": (1, 2), "extrap": (3,)}
@@ -63,3 +70,29 @@ def test_scores_agree_with_scikit_image_and_the_layout_of_lpips(tmp_path: Path) 
         assert ours == pytest.approx(expected, abs=AGREEMENT)
         # What rounding to 8 bits changes.
         assert ours["psnr"] == pytest.approx(before[name].psnr, abs=0.02)
+
+
+@pytest.mark.parametrize("protocol", ["release", "text"])
+def test_scores_of_real_renders_agree_with_scikit_image(protocol: Literal["release", "text"], tmp_path: Path) -> None:
+    """A scene of two photos of a room, rendered where they were taken, between them and beyond."""
+    write_room(tmp_path / "room", 6)
+    (captured,) = find_scenes([tmp_path / "room"])
+    picked = {"input": (0, 3), "interp": (1, 2), "extrap": (4, 5)}
+    groups = {group: [captured.frames[i] for i in rows] for group, rows in picked.items()}
+    judge = Judge(groups, captured.cameras, Protocol(protocol), Meter())
+    room = make_room(3)
+    cameras = walk(room, 6, 3)[[0, 3]]
+    images, depth = cast(room, cameras, samples=1)
+    height, width = images.shape[2:]
+    views = Views(images, torch.ones(2, height, width, dtype=torch.bool), ("0", "3"), ((height, width),) * 2)
+    result = judge.score_scene(back_project(views, cameras, depth), judge.known, "")
+    scored = [view for views in result.views.values() for view in views]
+    assert len(scored) == 6
+    for view in scored:
+        render, photo = (image.double().numpy() for image in (view.picture, judge.truth(view.frame)))
+        theirs = structural_similarity(photo, render, data_range=1, channel_axis=0, gaussian_weights=True, win_size=11)
+        assert view.scores.ssim == pytest.approx(theirs, abs=AGREEMENT)
+        psnr = peak_signal_noise_ratio(photo, render, data_range=1)
+        assert view.scores.psnr == pytest.approx(psnr, abs=AGREEMENT)
+        assert 10 < psnr < 40
+    assert min(view.scores.psnr for view in result.views["input"]) > 18
