@@ -19,8 +19,10 @@ def photos(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return sorted((home / "images_4").iterdir())
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("count", [1, 2, 5, 20])
+SLOW = pytest.mark.slow
+
+
+@pytest.mark.parametrize("count", [1, pytest.param(2, marks=SLOW), 5, pytest.param(20, marks=SLOW)])
 def test_any_number_of_photos_becomes_a_scene(
     count: int, photos: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
