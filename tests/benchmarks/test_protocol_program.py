@@ -1,11 +1,11 @@
 """The commands of protocol.py: every scene and split once, then the evaluation."""
 
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
 import protocol
+from querysplat_cli.scene.formats.dataset import CapturedScene, Frame
 
 FRAMES = {"fox": 50, "dtu106": 20}
 """Others have eleven here, which fill the split of two near views alone."""
@@ -25,8 +25,12 @@ def test_a_repeated_run_makes_only_what_is_missing(tmp_path: Path, monkeypatch: 
             views, scale = (words[words.index(option) + 1] for option in ("--views", "--scales"))
             (out / "splits" / f"{views}views_{scale}.json").touch()
 
-    def scenes(places: list[Path]) -> list[SimpleNamespace]:
-        return [SimpleNamespace(name=place.name, frames=range(FRAMES.get(place.name, 11))) for place in places]
+    def scenes(places: list[Path]) -> list[CapturedScene]:
+        counts = {place.name: FRAMES.get(place.name, 11) for place in places}
+        return [
+            CapturedScene(name, tuple(Frame(i, f"{i}.png", "", Path(f"{i}.png")) for i in range(count)), {}, ())
+            for name, count in counts.items()
+        ]
 
     def cases() -> dict[tuple[str, str], int]:
         values = [{name: words[words.index(name) + 1] for name in ("--views", "--scales", "--cases")} for words in seen]
