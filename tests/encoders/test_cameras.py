@@ -183,7 +183,7 @@ def test_one_photo(six: list[Photo], focal: float | None) -> None:
 
 
 @pytest.mark.parametrize(
-    "focal", [250.0, pytest.param(304.0, marks=pytest.mark.slow), pytest.param(560.0, marks=pytest.mark.slow)]
+    "focal", [pytest.param(250.0, marks=pytest.mark.slow), pytest.param(304.0, marks=pytest.mark.slow), 560.0, 700.0]
 )
 def test_pure_rotation_is_recognised(focal: float) -> None:
     directions = [((0, 0, 5), 0), ((1, 0.2, 5), 0.1), ((-0.8, 0.5, 5), 0), ((0.5, -0.6, 5), -0.1)]

@@ -10,6 +10,9 @@ from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
 from querysplat_cli.encoders.classical.sparse_model import SparseModel
 from querysplat_cli.scene.cameras import PhotoCamera
 
+ROUNDS = 10
+"""Of a robust fit."""
+
 
 def placed_by_rotation(matches: Matches) -> SparseModel | None:
     """All photos of the largest group at one place, or None when rotations do not explain the matches.
@@ -23,13 +26,13 @@ def placed_by_rotation(matches: Matches) -> SparseModel | None:
         return None
     tested = pairs[: CAMERA_POLICY.rotation_pairs]
     focals = _focals(matches, tested)
-    errors = [_errors(pair, matches, focals, _rotation(pair, matches, focals)) for pair in tested]
+    errors = [_errors(pair, matches, focals, _robust_rotation(pair, matches, focals)) for pair in tested]
     if np.mean(np.concatenate(errors) < CAMERA_POLICY.rotation_tolerance) < CAMERA_POLICY.rotation_share:
         return None
     placed = {min(group): np.eye(3)}
     while len(placed) < len(group):
         pair = next(pair for pair in pairs if (pair.first in placed) != (pair.second in placed))
-        turn = _rotation(pair, matches, focals)
+        turn = _robust_rotation(pair, matches, focals)
         if pair.first in placed:
             placed[pair.second] = turn @ placed[pair.first]
         else:
@@ -67,7 +70,7 @@ def _focals(matches: Matches, pairs: Sequence[Pair]) -> list[float]:
     start = min(np.log(np.geomspace(*CAMERA_POLICY.rotation_focals, 12)), key=mean_error)
     best = minimize_scalar(mean_error, bounds=(start - 0.15, start + 0.15), method="bounded", options={"xatol": 1e-3})
     found = focals(float(np.exp(best.x)))
-    largest = max(_angle(_rotation(pair, matches, found)) for pair in pairs)
+    largest = max(_angle(_robust_rotation(pair, matches, found)) for pair in pairs)
     return found if largest > np.radians(CAMERA_POLICY.informative_turn) else stated
 
 
@@ -82,11 +85,37 @@ def _directions(pixels: np.ndarray, size: tuple[int, int], focal: float) -> np.n
 
 
 def _rotation(pair: Pair, matches: Matches, focals: Sequence[float]) -> np.ndarray:
-    """The rotation from the first camera's axes to the second's that fits best (Kabsch 1976)."""
-    one = _directions(pair.first_pixels, matches.sizes[pair.first], focals[pair.first])
-    two = _directions(pair.second_pixels, matches.sizes[pair.second], focals[pair.second])
-    u, _, vt = np.linalg.svd(two.T @ one)
+    """The rotation from the first camera's axes to the second's that fits all matches best."""
+    one, two = _rays(pair, matches, focals)
+    return _fitted(one, two, np.ones(len(one)))
+
+
+def _robust_rotation(pair: Pair, matches: Matches, focals: Sequence[float]) -> np.ndarray:
+    """The rotation that most matches agree on.
+
+    A camera that turned has no epipole, so verification lets wrong matches through (up to half of them, with a focal
+    length that is far from the prior). Their weights fall with the fourth power of their distance, in units of the
+    median distance, which falls to the tolerance from round to round.
+    """
+    one, two = _rays(pair, matches, focals)
+    least = CAMERA_POLICY.rotation_tolerance * max(matches.sizes[pair.second]) / focals[pair.second]
+    weights = np.ones(len(one))
+    for _ in range(ROUNDS):
+        rotation = _fitted(one, two, weights)
+        distance = np.linalg.norm(one @ rotation.T - two, axis=1)
+        weights = (1 + (distance / max(least, float(np.median(distance)))) ** 2) ** -2
+    return rotation
+
+
+def _fitted(one: np.ndarray, two: np.ndarray, weights: np.ndarray) -> np.ndarray:
+    """The rotation that takes the unit vectors `one` [n, 3] to `two` by weighted least squares (Kabsch 1976)."""
+    u, _, vt = np.linalg.svd((two * weights[:, None]).T @ one)
     return np.asarray(u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt)
+
+
+def _rays(pair: Pair, matches: Matches, focals: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
+    one = _directions(pair.first_pixels, matches.sizes[pair.first], focals[pair.first])
+    return one, _directions(pair.second_pixels, matches.sizes[pair.second], focals[pair.second])
 
 
 def _errors(pair: Pair, matches: Matches, focals: Sequence[float], rotation: np.ndarray) -> np.ndarray:

@@ -16,6 +16,7 @@ from querysplat_cli.encoders.classical.learned_policy import LEARNED_POLICY
 from querysplat_cli.encoders.classical.mapping import Mapped, map_photos
 from querysplat_cli.encoders.classical.matches import Matches, matched
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
+from querysplat_cli.encoders.classical.pure_rotation import placed_by_rotation
 from querysplat_cli.encoders.classical.sparse_model import SparseModel
 from querysplat_cli.encoders.classical.support_policy import SUPPORT_POLICY
 from querysplat_cli.encoders.classical.supported_matches import with_supported_matches
@@ -90,6 +91,8 @@ def search(photos: Sequence[Photo], choice: MatcherChoice, *, seed: int, progres
     """
     with matched(photos, seed=seed, progress=progress) as matches:
         progress("placing cameras", 0.6)
+        if placed_by_rotation(matches):  # more matches of such photos would be wrong ones
+            return Found(matches, None, None)
         trial = _Trial.of(matches, photos, seed)
         if choice.matcher == "sift":
             return trial.refined()
