@@ -241,15 +241,18 @@ def test_a_current_folder_that_is_gone(
     assert "the current folder was removed" in one_error(capsys)
 
 
+@pytest.mark.parametrize(
+    "error", [ImportError("cannot import name"), OSError("a library"), MissingPart("cannot be loaded", "Update it.")]
+)
 def test_an_error_that_an_interruption_became_is_no_bug(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    error: Exception, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """numpy, interrupted while it is imported, raises an ImportError."""
 
     def interrupted(*arguments: object, **options: object) -> None:
         with suppress(KeyboardInterrupt):
             signals.interrupt(signal.SIGTERM)
-        raise ImportError("cannot import name")
+        raise error
 
     monkeypatch.setattr("querysplat_cli.pipeline.reconstruct.load_inputs", interrupted)
     monkeypatch.setattr(signals._State, "received", None)

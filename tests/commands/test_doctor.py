@@ -1,7 +1,9 @@
 """`querysplat doctor` on this machine, and on machines that lack something."""
 
 import json
+import signal
 import sys
+from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,6 +13,7 @@ import pytest
 
 from querysplat_cli.cli import run
 from querysplat_cli.commands import doctor
+from querysplat_cli.runtime import signals
 from querysplat_cli.runtime.optional_parts import OPTIONAL_PARTS
 
 
@@ -54,6 +57,24 @@ def test_a_module_that_does_not_load_is_named_with_the_command_that_mends_it(
     (problem,) = diagnosed(capsys, 4)["problems"]
     assert problem.startswith("cv2 cannot be loaded: libGL.so.1: cannot open shared object file. Run `pip install")
     assert "opencv-contrib-python-headless" in problem
+
+
+def test_a_module_whose_import_is_interrupted_is_not_called_broken(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """pycolmap, interrupted while it is imported, raises an ImportError without words."""
+
+    def interrupted() -> None:
+        with suppress(KeyboardInterrupt):
+            signals.interrupt(signal.SIGINT)
+        raise ImportError
+
+    monkeypatch.setattr(doctor, "load_pycolmap", interrupted)
+    monkeypatch.setattr(signals._State, "received", None)
+    assert run(["doctor"]) == 130
+    shown = capsys.readouterr().err
+    assert "stopped" in shown
+    assert "pycolmap" not in shown
 
 
 def test_too_little_memory_and_disk_are_problems(

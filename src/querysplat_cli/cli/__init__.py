@@ -29,29 +29,31 @@ def run(arguments: list[str]) -> int:
     try:
         _check_current_folder()
         code = app(arguments or ["--help"], prog_name="querysplat", standalone_mode=False)
-        if not code:
-            return ExitCode.DONE
-    except QuerySplatError as error:
+    except (KeyboardInterrupt, typer.Abort):
+        return _stopped()
+    except Exception as error:
+        # Libraries that are interrupted, while they are imported above all, raise errors of their own.
+        return _stopped() if signals.caught() else _told(error)
+    return _stopped() if code else ExitCode.DONE
+
+
+def _told(error: Exception) -> int:
+    """Print an error in words; returns its exit code."""
+    if isinstance(error, QuerySplatError):
         _print_error(error.message, error.hint)
         return error.code
-    except typer.TyperException as error:
+    if isinstance(error, typer.TyperException):
         _print_error(*explained(error))
         return ExitCode.BAD_INPUT
-    except (KeyboardInterrupt, typer.Abort):
-        pass
-    except OSError as error:
+    if isinstance(error, OSError):
         _print_error(str(error), "Check the path, its permissions and the free space.")
         return ExitCode.BAD_INPUT
-    except Exception as error:
-        if signals.caught():  # libraries that are interrupted while they are imported raise errors of their own
-            return _stopped()
-        if is_out_of_memory(error):
-            _print_error("out of memory", more_memory())
-            return ExitCode.MISSING_PART
-        traceback.print_exc()
-        _print_error("this is a bug in querysplat", "Please report it with the traceback above.")
-        return ExitCode.BUG
-    return _stopped()
+    if is_out_of_memory(error):
+        _print_error("out of memory", more_memory())
+        return ExitCode.MISSING_PART
+    traceback.print_exception(error)
+    _print_error("this is a bug in querysplat", "Please report it with the traceback above.")
+    return ExitCode.BUG
 
 
 def _stopped() -> int:

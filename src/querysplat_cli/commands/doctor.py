@@ -14,7 +14,9 @@ import psutil
 
 import querysplat_cli
 from querysplat_cli.reporting.report import machine
+from querysplat_cli.runtime import signals
 from querysplat_cli.runtime.caches import is_cached
+from querysplat_cli.runtime.colmap import load_pycolmap
 from querysplat_cli.runtime.compiler import DEPTH_KERNELS, SCENE_KERNELS, kernels
 from querysplat_cli.runtime.limits import GIB, free_memory
 from querysplat_cli.runtime.optional_parts import OPTIONAL_PARTS, OptionalPart
@@ -101,8 +103,10 @@ def _broken_modules() -> dict[str, str]:
     broken = {}
     for name in COMPILED_MODULES:
         try:
-            import_module(name)
+            load_pycolmap() if name == "pycolmap" else import_module(name)
         except Exception as error:  # a missing system library raises OSError, a wrong build anything
+            if signals.caught():
+                raise KeyboardInterrupt from error
             first = str(error).partition("\n")[0]
             broken[name] = f"{first}. Run `pip install --force-reinstall --no-deps {_package(name)}`."
     return broken
