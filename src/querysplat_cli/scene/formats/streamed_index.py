@@ -2,7 +2,7 @@
 
 import itertools
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -49,6 +49,8 @@ def read_index(path: Path) -> StreamedIndex:
         raise ValueError(f"its version is {meta['version']}, and only version {INDEX_VERSION} is read")
     levels = _whole(meta["lodLevels"], "lodLevels")
     files = tuple(_inside(name) for name in meta["filenames"])
+    if len(set(files)) < len(files):
+        raise ValueError("it names a file twice")
     slack = BOUND_SLACK * (1 + float(np.abs(_box(meta["tree"])).max()))
     runs = tuple(_runs(meta["tree"], slack))
     counts = [0] * levels
@@ -59,7 +61,10 @@ def read_index(path: Path) -> StreamedIndex:
     if meta.get("counts", counts) != counts or meta.get("count", sum(counts)) != sum(counts):
         raise ValueError(f"its leaves have {counts} Gaussians by level, and not as many as it says")
     environment = meta.get("environment")
-    sizes = tuple(_size(number, runs) for number in range(len(files)))
+    by_file: list[list[Run]] = [[] for _ in files]
+    for run in runs:
+        by_file[run.file].append(run)
+    sizes = tuple(_size(number, ours) for number, ours in enumerate(by_file))
     return StreamedIndex(tuple(counts), files, _inside(environment) if environment else None, runs, sizes, slack)
 
 
@@ -79,9 +84,9 @@ def _runs(tree: dict[str, Any], slack: float) -> Iterator[Run]:
             yield Run(_whole(int(level), "a level"), file, offset, count, box)
 
 
-def _size(number: int, runs: tuple[Run, ...]) -> int:
+def _size(number: int, runs: Sequence[Run]) -> int:
     """How many Gaussians a chunk has. Raises ValueError unless runs of one level cover it without a gap."""
-    ours = sorted((run for run in runs if run.file == number), key=lambda run: (run.offset, run.count))
+    ours = sorted(runs, key=lambda run: (run.offset, run.count))
     ends = list(itertools.accumulate((run.count for run in ours), initial=0))
     if any(run.offset != start for run, start in zip(ours, ends, strict=False)):
         raise ValueError(f"the leaves do not cover file {number} exactly once")

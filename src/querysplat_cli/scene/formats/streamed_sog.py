@@ -5,6 +5,7 @@ is the finest. A chunk is of one level, and holds whole leaves; within a leaf, G
 always shown, such as the backdrop, is the environment. Axes are those of the .ply.
 """
 
+import itertools
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -126,13 +127,13 @@ def _write_chunk(folder: Path, gaussians: Gaussians) -> Gaussians:
 
 def _level(folder: Path, index: StreamedIndex, metas: Sequence[dict[str, Any]], level: int) -> Iterator[Gaussians]:
     """The Gaussians of each chunk of a level."""
-    for number in sorted({run.file for run in index.runs if run.level == level}):
+    ours = sorted((run for run in index.runs if run.level == level), key=lambda run: run.file)
+    for number, runs in itertools.groupby(ours, key=lambda run: run.file):
         part = _chunk(folder, index.files[number], metas[number])
-        for run in index.runs:
-            if run.file == number:
-                means = part.means[run.offset : run.offset + run.count].double().numpy()
-                if (means < run.box[0] - index.slack).any() or (means > run.box[1] + index.slack).any():
-                    raise ValueError(f"a Gaussian in {index.files[number]} lies outside the bound of its leaf")
+        for run in runs:
+            means = part.means[run.offset : run.offset + run.count].double().numpy()
+            if (means < run.box[0] - index.slack).any() or (means > run.box[1] + index.slack).any():
+                raise ValueError(f"a Gaussian in {index.files[number]} lies outside the bound of its leaf")
         yield part
 
 
