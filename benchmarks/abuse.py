@@ -24,6 +24,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from hostile.attempt import Outcome, attempt, captured
+from hostile.killing import Length, attempt_kill
 from hostile.report import page, table
 
 MOST_MEMORY = 8 << 30
@@ -39,14 +40,18 @@ def serve(folder: Path, options: argparse.Namespace) -> None:
     results = os.fdopen(os.dup(1), "w")
     sound = Sound(folder)
     done = {(each.family, each.what) for each in read(options.read)} if options.resume else set()
-    every = (case for case in all_cases(sound) if options.only in case.what and (case.family, case.what) not in done)
-    chosen = [case for case in every if not options.family or case.family in options.family]
+    every = (case for case in all_cases(sound) if any(text in case.what for text in options.only))
+    some = (case for case in every if not options.family or case.family in options.family)
+    chosen = [case for case in some if (case.family, case.what) not in done]
     if any(case.kind == "call" for case in chosen):
         with captured(folder / "log"):
             warm_up(sound, folder / "warm")
+    lengths: dict[str, Length] = {}
     for case in chosen[options.start :]:
         print(json.dumps({"starts": case.what, "family": case.family}), file=results, flush=True)
-        print(json.dumps(asdict(attempt(case, folder / "scratch"))), file=results, flush=True)
+        scratch = folder / "scratch"
+        outcome = attempt_kill(case, scratch, lengths) if case.kind == "kill" else attempt(case, scratch)
+        print(json.dumps(asdict(outcome)), file=results, flush=True)
     print(json.dumps({"end": True}), file=results, flush=True)
 
 
@@ -96,7 +101,7 @@ def parsed() -> argparse.Namespace:
         "--read", type=Path, nargs="*", default=[], help="join the outcomes in these files; later ones win"
     )
     parser.add_argument("--resume", action="store_true", help="run the cases that --read does not have")
-    parser.add_argument("--only", default="", help="only cases with this text in their description")
+    parser.add_argument("--only", nargs="*", default=[""], help="only cases with one of these in their description")
     parser.add_argument("--family", nargs="*", default=[], help="only these families")
     parser.add_argument("--sound", type=Path, help="keep the sound files in this folder, for the next time")
     parser.add_argument("--minutes", type=float, default=1e6, help="begin no case after so many minutes")

@@ -2,7 +2,6 @@
 
 import contextlib
 import hashlib
-import json
 import os
 import resource
 import shlex
@@ -13,29 +12,27 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
-
-import numpy as np
-import psutil
-from PIL import Image
-from safetensors import SafetensorError
-from safetensors.torch import load_file
 
 SLOW = 10.0
 STUCK = 240
 """Seconds after which a case is ended."""
-REST = 5.0
-"""Seconds without computing after which a process counts as a server that waits."""
 CACHES = ("torchinductor_", "querysplat-cache-")
 """Temporary folders that serve all runs: torch's, and the one of users without a home directory."""
+REPLACED = ("out/", "out.lod/")
+"""Folders that a command replaces as a whole."""
 PROGRAM = (sys.executable, "-m", "querysplat_cli")
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a case did. `faults` names what is not clean."""
+    """What a case did. `faults` names what is not clean.
+
+    A kill has the `instants` that were drawn, in CPU seconds (of a server: seconds); it `reached` the command when it
+    ended it, at the last of them.
+    """
 
     family: str
     what: str
@@ -44,6 +41,8 @@ class Outcome:
     message: str
     written: list[str]
     faults: list[str]
+    reached: bool = False
+    instants: list[float] = field(default_factory=list)
 
 
 def snapshot(folder: Path) -> dict[str, str]:
@@ -76,6 +75,8 @@ def captured(file: Path) -> Iterator[None]:
 
 def attempt(case: Any, scratch: Path) -> Outcome:
     """Run one case in a new folder below `scratch`."""
+    from hostile.whole import half_written, next_run
+
     home = Path(tempfile.mkdtemp(dir=scratch))
     work, temporary, log = home / "work", home / "tmp", home / "log"
     work.mkdir()
@@ -84,21 +85,21 @@ def attempt(case: Any, scratch: Path) -> Outcome:
     before = snapshot(work)
     run, clock = (_call, time.process_time) if case.kind == "call" else (_process, time.perf_counter)
     started = clock()
-    code = run(case, work, temporary, log)
+    code, faults = run(case, work, temporary, log)
     seconds = clock() - started
     text = log.read_text(errors="replace")
-    if case.kind == "kill":
-        _next_run(work, temporary)
+    if code == -signal.SIGKILL:
+        next_run(work, temporary)
     after = snapshot(work)
     outside = [path.name for path in home.iterdir() if path.name not in ("work", "tmp", "log")]
-    faults = _faults(case, code, seconds, text, before, after)
+    faults += _faults(case, code, seconds, text, before, after)
     left = sorted(path.name for path in temporary.iterdir() if not path.name.startswith(CACHES))
     if left:
         faults.append(f"temporary files: {left[:3]}")
     if outside:
         faults.append(f"written outside: {outside}")
     if case.kind == "kill" and not faults:
-        faults += _half_written(work)
+        faults += half_written(work)
     written = sorted(name for name in after if before.get(name) != after[name])
     shutil.rmtree(home, ignore_errors=True)
     lines = [line for line in text.splitlines() if line.startswith("error: ")]
@@ -106,7 +107,7 @@ def attempt(case: Any, scratch: Path) -> Outcome:
     return Outcome(case.family, case.what, code, round(seconds, 2), message, written[:4], faults)
 
 
-def _call(case: Any, work: Path, temporary: Path, log: Path) -> int:
+def _call(case: Any, work: Path, temporary: Path, log: Path) -> tuple[int, list[str]]:
     from querysplat_cli.cli import run
 
     tempfile.tempdir = str(temporary)
@@ -114,14 +115,14 @@ def _call(case: Any, work: Path, temporary: Path, log: Path) -> int:
     signal.alarm(STUCK)
     try:
         with captured(log):
-            return int(run(list(case.command)))
+            return int(run(list(case.command))), []
     finally:
         signal.alarm(0)
         os.chdir("/")
         tempfile.tempdir = None
 
 
-def _process(case: Any, work: Path, temporary: Path, log: Path) -> int:
+def _process(case: Any, work: Path, temporary: Path, log: Path) -> tuple[int, list[str]]:
     place = case.place
     environment = {**os.environ, "TMPDIR": str(temporary), **place.get("env", {})}
     environment = {key: value for key, value in environment.items() if value is not None}
@@ -158,87 +159,11 @@ def _process(case: Any, work: Path, temporary: Path, log: Path) -> int:
             command, cwd=work, env=environment, stdout=output, stderr=output, preexec_fn=prepare, start_new_session=True
         )
         try:
-            if "signal" in place:
-                _compute(process, place["seconds"])
-                workers = _children(process)
-                if process.poll() is None:
-                    process.send_signal(place["signal"])
-                code = process.wait(STUCK)
-                psutil.wait_procs(workers, SLOW)
-                return code
-            return process.wait(STUCK)
+            return place["ending"](process) if "ending" in place else (process.wait(STUCK), [])
         except subprocess.TimeoutExpired:
             os.killpg(process.pid, signal.SIGKILL)
             process.wait()
-            return 124
-
-
-def _children(process: "subprocess.Popen[bytes]") -> list[psutil.Process]:
-    with contextlib.suppress(psutil.NoSuchProcess):
-        return list(psutil.Process(process.pid).children(recursive=True))
-    return []
-
-
-def _compute(process: "subprocess.Popen[bytes]", seconds: float) -> None:
-    """Return when the process has computed for so long, on all cores together, or rests (a server), or has ended."""
-    end, last, moved = time.perf_counter() + STUCK, 0.0, time.perf_counter()
-    with contextlib.suppress(psutil.NoSuchProcess):
-        watched = psutil.Process(process.pid)
-        while process.poll() is None and time.perf_counter() < end:
-            spent = watched.cpu_times()
-            total = spent.user + spent.system
-            if total > last:
-                last, moved = total, time.perf_counter()
-            if total >= seconds or time.perf_counter() > moved + REST:
-                return
-            time.sleep(0.01)
-
-
-def _next_run(work: Path, temporary: Path) -> None:
-    """What the next run does before its work: sweep what a kill left, here and among the temporary files."""
-    from querysplat_cli.scene.drafts import SCRATCH, sweep
-    from querysplat_cli.scene.files import check_writable
-
-    for folder in (work, *(path for path in work.iterdir() if path.is_dir())):
-        check_writable(folder)
-    sweep(temporary, SCRATCH)
-
-
-def _half_written(work: Path) -> list[str]:
-    """Faults of the files after a kill: each is the old one or the new one, and whole."""
-    from querysplat_cli.pipeline.read_scene import read_scene
-    from querysplat_cli.runtime.errors import QuerySplatError
-
-    faults = []
-    for path in sorted(path for path in work.rglob("*") if path.is_file()):
-        try:
-            _read(path)
-            if path.suffix == ".ply" and path.with_suffix("").is_dir():
-                read_scene(path)
-        except (QuerySplatError, ValueError, OSError, SafetensorError) as error:
-            faults.append(f"half-written: {path.relative_to(work)}: {error}")
-    return faults
-
-
-def _read(path: Path) -> None:
-    """Read the whole file. Raises an error of the library or of the package where it is not whole."""
-    from querysplat_cli.pipeline.gaussian_files import read_gaussians
-
-    if path.suffix in (".ply", ".spz"):
-        read_gaussians(path)
-    elif path.suffix == ".safetensors":
-        load_file(path)
-    elif path.suffix == ".json":
-        json.loads(path.read_text())
-    elif path.suffix == ".jsonl":
-        [json.loads(line) for line in path.read_text().splitlines()]
-    elif path.suffix == ".npz":
-        dict(np.load(path))
-    elif path.suffix == ".png":
-        with Image.open(path) as picture:
-            picture.load()
-    elif path.suffix == ".html" and not path.read_text().rstrip().endswith("</html>"):
-        raise ValueError("it has no end")
+            return 124, []
 
 
 def _faults(
@@ -262,6 +187,8 @@ def _faults(
         faults.append(f"touched {touched[:3]}")
     if case.kind == "kill" and any(Path(name).parts[0].startswith(".") for name in after):
         faults.append("a draft was left")
-    if case.kind == "kill" and any(name not in after and Path(name).parts[0] != "out" for name in before):
+    if case.kind == "kill" and {Path(name).parts[0] for name in before} - {Path(name).parts[0] for name in after}:
         faults.append("something was lost")
+    if case.kind == "kill" and any(name not in after and not name.startswith(REPLACED) for name in before):
+        faults.append("files were lost")
     return faults

@@ -7,13 +7,27 @@ from dataclasses import replace
 from hostile.case import Case
 from hostile.files import cameras, gaussians
 from hostile.kills import kills
+from hostile.levels import levels
 from hostile.options import options
 from hostile.photos import photos, pictures, weights
 from hostile.scenes import scene_folder, settings, shown
 from hostile.situations import situations
 from hostile.sound import Sound
 
-FAMILIES = gaussians, cameras, pictures, photos, weights, scene_folder, shown, settings, options, situations, kills
+FAMILIES = (
+    gaussians,
+    levels,
+    cameras,
+    pictures,
+    photos,
+    weights,
+    scene_folder,
+    shown,
+    settings,
+    options,
+    situations,
+    kills,
+)
 
 
 def all_cases(sound: Sound) -> Iterator[Case]:

@@ -15,37 +15,35 @@ from hostile.case import Case, several
 from hostile.sound import TRAINING, Sound
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL)
-TIMES = 6
+TIMES = 5
 """How often each signal ends each command."""
-FIRST = 0.8
-"""CPU seconds before which no command is ended: Python needs a moment until it can catch a signal."""
-WRITTEN = ("out", "out.ply", "out.spz", "out.html", "out.png", "passes", "s", "s.ply")
+OF_TERMINALS = (signal.SIGINT, signal.SIGHUP)
+"""Signals that a terminal sends to a command and its workers together; half of the times they are sent so."""
+WRITTEN = ("out", "out.ply", "out.spz", "out.lod", "out.html", "out.png", "out.mp4", "passes", "s", "s.ply")
 
 
 @dataclass(frozen=True)
 class Killed:
-    """A command, and the CPU seconds in which it is ended. Clocks would tell how busy the machine is.
-
-    Most commands take so many seconds on the machine of docs/reliability.md. The demo takes longer.
-
-    `over` writes what the command finds there, into the folder of the case.
-    """
+    """A command. `over` writes what it finds there, into the folder of the case. A `server` waits until it is ended."""
 
     command: tuple[str, ...]
-    seconds: float
     over: Callable[[Sound, Path], object] = lambda sound, folder: None
+    server: bool = False
 
 
 def kills(sound: Sound) -> Iterator[Case]:
-    """Each command, ended by each signal at instants that are drawn; half of them are in its second half."""
+    """Each command, ended by each signal at shares of its length that are drawn; half of them are in its second half.
+
+    `attempt_kill` makes instants of them.
+    """
     for i in range(TIMES):
         for what, killed in _commands(sound).items():
             for number in SIGNALS:
-                earliest = FIRST if i % 2 else killed.seconds / 2
-                seconds = random.Random(f"{what} {number} {i}").uniform(earliest, killed.seconds)
+                share = random.Random(f"{what} {number} {i}").uniform(0.0 if i % 2 else 0.5, 1.0)
                 codes = frozenset({0, -9 if number == signal.SIGKILL else 128 + number})
-                text = f"{what}: {number.name} after {seconds:.2f} CPU s"
-                place = {"signal": int(number), "seconds": seconds}
+                text = f"{what}: {number.name} at {share:.1%}"
+                place = {"signal": int(number), "share": share, "situation": what, "server": killed.server}
+                place["group"] = i % 2 == 1 and number in OF_TERMINALS
                 yield Case("kills", text, _writer(sound, killed), killed.command, codes, WRITTEN, "kill", place)
 
 
@@ -65,28 +63,38 @@ def _commands(sound: Sound) -> dict[str, Killed]:
     train = ("train", "--config", "training.toml", "-o", "out", "--workers", "1")
     cameras = str(sound.room / "transforms.json")
     posed = (str(sound.room / "images"), "--poses", cameras, "-o", "s.ply", "--force")
+    film = ("render", "s.ply", "-o", "out.mp4", "--size", "160x120", "--frames", "24")
+    levels = ("convert", "s.ply", "out.lod", "--levels", "1")
+    info = ("info", "s.ply", "--plot", "out.png")
+    demo = ("demo", "-o", "out", "--photos", "3")
     return {
-        "reconstruct": Killed(("reconstruct", photo, "-o", "out.ply", *small), 5.4),
-        "reconstruct over a scene": Killed(("reconstruct", *posed, *small), 6.0),
-        "tto": Killed(("tto", "s", "--steps", "10"), 5.6),
-        "render": Killed(("render", "s.ply", "-o", "out", "--cameras", "orbit", "--size", "320x240"), 3.8),
-        "render over a folder": Killed(("render", "s.ply", "-o", "out", "--force"), 3.1, _pictures),
-        "convert": Killed(("convert", "s.ply", "out.spz"), 3.4),
-        "convert over a file": Killed(("convert", "s.ply", "out.spz", "--force"), 3.4, _spz),
-        "inspect": Killed(("inspect", "s", "-o", "out"), 5.8),
-        "inspect over a folder": Killed(("inspect", "s", "-o", "out", "--force"), 5.8, _pictures),
-        "info": Killed(("info", "s.ply", "--plot", "out.png"), 3.3),
-        "view": Killed(("view", "s.ply", "--no-browser"), 2.0),
-        "export": Killed(("export", "s.ply", "-o", "out.html"), 2.9),
-        "export over a file": Killed(("export", "s.ply", "-o", "out.html", "--force"), 2.6, _html),
-        "poses": Killed(("poses", cameras, cameras, "--plot", "out.png"), 2.8),
-        "poses --colmap": Killed(("poses", str(sound.room), "--colmap"), 3.6),
-        "eval": Killed(evaluate, 7.0),
-        "eval, again": Killed(evaluate, 5.0, _evaluated),
-        "train": Killed(train, 7.0, _training),
-        "train --resume": Killed((*train, "--resume"), 6.1, _trained),
-        "weights": Killed(("weights", "--verify"), 2.0),
-        "demo": Killed(("demo", "-o", "out", "--photos", "3"), 7.0),
+        "reconstruct": Killed(("reconstruct", photo, "-o", "out.ply", *small)),
+        "reconstruct over a scene": Killed(("reconstruct", *posed, *small)),
+        "tto": Killed(("tto", "s", "--steps", "10")),
+        "demo": Killed(demo),
+        "demo over a demo": Killed((*demo, "--force"), _demo),
+        "view": Killed(("view", "s.ply", "--no-browser"), server=True),
+        "export": Killed(("export", "s.ply", "-o", "out.html")),
+        "export over a file": Killed(("export", "s.ply", "-o", "out.html", "--force"), _html),
+        "render": Killed(("render", "s.ply", "-o", "out", "--cameras", "orbit", "--size", "320x240")),
+        "render over a folder": Killed(("render", "s.ply", "-o", "out", "--force"), _pictures),
+        "render a film": Killed(film),
+        "convert": Killed(("convert", "s.ply", "out.spz")),
+        "convert over a file": Killed(("convert", "s.ply", "out.spz", "--force"), _spz),
+        "convert to levels": Killed(levels),
+        "convert over levels": Killed((*levels, "--force"), _levels),
+        "info": Killed(info),
+        "info over a picture": Killed((*info, "--force"), _picture),
+        "inspect": Killed(("inspect", "s", "-o", "out")),
+        "inspect over a folder": Killed(("inspect", "s", "-o", "out", "--force"), _pictures),
+        "eval": Killed(evaluate),
+        "eval, again": Killed(evaluate, _evaluated),
+        "poses": Killed(("poses", cameras, cameras, "--plot", "out.png")),
+        "poses --colmap": Killed(("poses", str(sound.room), "--colmap")),
+        "train": Killed(train, _training),
+        "train --resume": Killed((*train, "--resume"), _trained),
+        "weights": Killed(("weights", "--verify")),
+        "doctor": Killed(("doctor",)),
     }
 
 
@@ -100,8 +108,20 @@ def _spz(sound: Sound, folder: Path) -> None:
     (folder / "out.spz").write_bytes(sound.bytes("few.spz"))
 
 
+def _levels(sound: Sound, folder: Path) -> None:
+    shutil.copytree(sound.folder / "few.lod", folder / "out.lod")
+
+
+def _picture(sound: Sound, folder: Path) -> None:
+    (folder / "out.png").write_bytes(sound.bytes("photos/0.png"))
+
+
 def _html(sound: Sound, folder: Path) -> None:
     (folder / "out.html").write_text("<html></html>")
+
+
+def _demo(sound: Sound, folder: Path) -> None:
+    _begun(sound, folder, _commands(sound)["demo"].command, "out/scene.ply")
 
 
 def _evaluated(sound: Sound, folder: Path) -> None:

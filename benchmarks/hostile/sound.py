@@ -11,12 +11,15 @@ import numpy as np
 import torch
 
 from querysplat_cli.cli import run
+from querysplat_cli.prune.merging import halved
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera
 from querysplat_cli.scene.formats.colmap import write_colmap
 from querysplat_cli.scene.formats.compressed import write_spz
 from querysplat_cli.scene.formats.gltf import write_glb
+from querysplat_cli.scene.formats.lod_tree import divided
 from querysplat_cli.scene.formats.ply import write_ply
 from querysplat_cli.scene.formats.sog import write_sog
+from querysplat_cli.scene.formats.streamed_sog import Level, write_streamed
 from querysplat_cli.scene.formats.transforms import read_transforms, write_transforms
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.sparse_points import NAME, SparsePoints, write_sparse_points
@@ -113,6 +116,7 @@ def make(folder: Path) -> None:
     few = gaussians(20)
     for write, name in ((write_ply, "few.ply"), (write_spz, "few.spz"), (write_sog, "few.sog"), (write_glb, "few.glb")):
         write(folder / name, few)
+    _streamed(folder / "few.lod", few)
     listed = read_transforms(folder / "transforms.json")
     for text in (False, True):
         place = folder / ("text" if text else "binary")
@@ -125,6 +129,16 @@ def make(folder: Path) -> None:
         cv2.imwrite(str(pictures / f"{i}.png"), np.roll(pixels, i))
     _captured_room(folder / "room")
     write_film(folder / "film.mp4")
+
+
+def _streamed(folder: Path, gaussians: Gaussians) -> None:
+    """A streamed SOG of two levels in several chunks, with a tree and an environment."""
+    body = gaussians[torch.arange(len(gaussians)) < 16]
+    division, leaf = divided(body.means.double().numpy(), 4)
+    finest = Level(body, torch.from_numpy(leaf))
+    folder.mkdir()
+    levels = [finest, Level(*halved(finest.gaussians, finest.leaf))]
+    write_streamed(folder, levels, division, gaussians[torch.arange(len(gaussians)) >= 16], chunk=8)
 
 
 def _photos(folder: Path, scene: Scene, count: int) -> Cameras:

@@ -7,9 +7,11 @@ from pathlib import Path
 import pytest
 
 from hostile import attempt as runs
-from hostile.attempt import attempt
+from hostile.attempt import Outcome, attempt
 from hostile.case import REFUSED, Case, one_file
 from hostile.damage import drawn_json, drawn_ply
+from hostile.killing import Length, attempt_kill
+from hostile.whole import half_written
 
 REFUSAL = Case("x", "a missing file", one_file("mine.txt", b"1"), ("info", "none.ply"), REFUSED)
 
@@ -56,7 +58,42 @@ def test_faults_of_a_process(program: str, fault: str, tmp_path: Path, monkeypat
 )
 def test_half_written_files_are_faults(name: str, content: bytes, tmp_path: Path) -> None:
     (tmp_path / name).write_bytes(content)
-    assert len(runs._half_written(tmp_path)) == 1
+    assert len(half_written(tmp_path)) == 1
+
+
+WAITING = """
+import os, signal, sys, time
+signal.signal(signal.SIGTERM, lambda *_: os._exit(143))
+while time.process_time() < 0.4: pass
+"""
+HEEDLESS = "import os, signal, time\nsignal.signal(15, lambda *_: None)\nwhile time.process_time() < 3: pass"
+
+
+def killed(program: str, length: float, folder: Path, monkeypatch: pytest.MonkeyPatch) -> Outcome:
+    """The outcome of a SIGTERM at nearly the end of a program that is thought to take so many CPU seconds."""
+    monkeypatch.setattr(runs, "PROGRAM", (sys.executable, "-c", program))
+    place = {"signal": 15, "share": 0.99, "situation": "a", "server": False, "group": False}
+    case = Case("kills", "a: SIGTERM", one_file("mine.txt", b"1"), (), frozenset({0, 143}), kind="kill", place=place)
+    return attempt_kill(case, folder, {"a": Length(0.0, length)} if length else {})
+
+
+def test_a_kill_is_drawn_earlier_until_it_reaches_the_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = killed(WAITING, 2.0, tmp_path, monkeypatch)
+    assert (found.reached, found.code, found.faults) == (True, 143, [])
+    assert len(found.instants) > 1
+    assert found.instants == sorted(found.instants, reverse=True)
+
+
+def test_the_length_of_a_command_is_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = killed(WAITING, 0.0, tmp_path, monkeypatch)
+    assert found.reached
+    assert found.instants[0] < 0.6
+
+
+def test_a_command_that_goes_on_after_a_signal_is_a_fault(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = killed(HEEDLESS, 1.0, tmp_path, monkeypatch)
+    assert not found.reached
+    assert [fault[:8] for fault in found.faults] == ["went on "]
 
 
 def test_hypothesis_draws_the_same_each_time() -> None:

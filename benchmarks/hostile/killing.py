@@ -1,0 +1,143 @@
+"""Sends a signal to a running command. How long the command takes is measured first, in its very situation."""
+
+import contextlib
+import os
+import random
+import resource
+import signal
+import subprocess
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import psutil
+
+from hostile.attempt import SLOW, STUCK, Outcome, attempt
+from hostile.case import Case
+
+LAST = 0.95
+"""Share of a command's length in which it is ended. The same command takes a little more or less the next time."""
+TRIES = 6
+"""How often a signal is drawn for a case, each time an earlier one, until the command is there to be ended."""
+SERVED = 8.0
+"""Seconds in which a server is ended, by the clock: it waits, and computes nothing."""
+REST = 5.0
+"""Seconds without computing after which a process is not waited for any longer."""
+AFTERWARDS = 1.0
+"""CPU seconds that a command may take after a signal that it does not heed: it is done, and Python ends."""
+Ending = Callable[["subprocess.Popen[bytes]"], tuple[int, list[str]]]
+
+
+@dataclass(frozen=True)
+class Length:
+    """CPU seconds, of workers too, after which a command catches signals, and after which it ends."""
+
+    start: float
+    end: float
+
+
+def attempt_kill(case: Case, scratch: Path, lengths: dict[str, Length]) -> Outcome:
+    """Run a case of a kill, with earlier and earlier signals until one reaches the command while it runs.
+
+    `lengths` are what is known of the situations, and are added to.
+    """
+    place = case.place
+    if not place["server"] and place["situation"] not in lengths:
+        lengths[place["situation"]] = _measured(case, scratch)
+    length = Length(0.0, SERVED) if place["server"] else lengths[place["situation"]]
+    ended = {-9, 128 + place["signal"]} | ({0} if place["server"] else set())
+    drawn, share, instants = random.Random(case.what), place["share"], []
+    while True:
+        instants.append(round(length.start + share * (LAST * length.end - length.start), 2))
+        outcome = attempt(replace(case, place={"ending": _killer(case, instants[-1])}), scratch)
+        reached = outcome.code in ended
+        if reached or outcome.faults or len(instants) == TRIES:
+            return replace(outcome, reached=reached, instants=instants)
+        share *= drawn.uniform(0.3, 0.9)
+
+
+def _measured(case: Case, scratch: Path) -> Length:
+    """How long the command takes the second time: the first may compile."""
+    found = Length(0.0, 0.0)
+
+    def watch(process: "subprocess.Popen[bytes]") -> tuple[int, list[str]]:
+        nonlocal found
+        found = _watched(process, STUCK, server=False)
+        return process.wait(STUCK), []
+
+    for _ in range(2):
+        outcome = attempt(replace(case, place={"ending": watch}), scratch)
+        if outcome.code != 0:
+            raise RuntimeError(f"{case.place['situation']} fails: {outcome}")
+    return found
+
+
+def _killer(case: Case, instant: float) -> Ending:
+    """Ends a process, and finds out whether it went on as if nothing had come."""
+    number, server = case.place["signal"], case.place["server"]
+
+    def end(process: "subprocess.Popen[bytes]") -> tuple[int, list[str]]:
+        before = _of_ended()
+        _watched(process, instant, server=server)
+        spent, workers = _spent(process.pid), _workers(process.pid)
+        running = process.poll() is None
+        if running:
+            (os.killpg if case.place["group"] else os.kill)(process.pid, number)
+        code = process.wait(STUCK)
+        psutil.wait_procs(workers, SLOW)
+        late = _of_ended() - before - spent
+        most = AFTERWARDS if code == 0 and not server else SLOW
+        return code, [f"went on for {late:.1f} CPU s"] if running and late > most else []
+
+    return end
+
+
+def _watched(process: "subprocess.Popen[bytes]", seconds: float, *, server: bool) -> Length:
+    """Return when the process has computed for so long (a server: has been there), and catches signals, or has ended.
+
+    A process that computes no more is not waited for. Returns when it began to catch signals, and what it took.
+    """
+    began = moved = time.perf_counter()
+    start, end = None, 0.0
+    while process.poll() is None and time.perf_counter() < began + STUCK:
+        now = time.perf_counter()
+        spent = now - began if server else _spent(process.pid)
+        if spent > end:
+            end, moved = spent, now
+        if start is None and _catches(process.pid):
+            start = spent
+        if start is not None and (spent >= seconds or (seconds < STUCK and now > moved + REST)):
+            break
+        time.sleep(0.02)
+    return Length(start or 0.0, end)
+
+
+def _catches(pid: int) -> bool:
+    """Whether the process handles SIGTERM: it has loaded the command line."""
+    with contextlib.suppress(OSError):
+        for line in Path(f"/proc/{pid}/status").read_text().splitlines():
+            if line.startswith("SigCgt:"):
+                return bool(int(line.split()[1], 16) >> (signal.SIGTERM - 1) & 1)
+    return False
+
+
+def _spent(pid: int) -> float:
+    """CPU seconds of a process and its workers, of those that ended too."""
+    total = 0.0
+    with contextlib.suppress(psutil.NoSuchProcess):
+        for process in (psutil.Process(pid), *_workers(pid)):
+            total += sum(process.cpu_times()[:4])
+    return total
+
+
+def _workers(pid: int) -> list[psutil.Process]:
+    with contextlib.suppress(psutil.NoSuchProcess):
+        return list(psutil.Process(pid).children(recursive=True))
+    return []
+
+
+def _of_ended() -> float:
+    """CPU seconds of all children of this process that ended, and of theirs."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
