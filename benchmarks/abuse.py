@@ -26,6 +26,7 @@ from pathlib import Path
 from hostile.attempt import Outcome, attempt, captured
 from hostile.killing import Length, attempt_kill
 from hostile.report import page, table
+from hostile.results import Results, read, write
 
 MOST_MEMORY = 8 << 30
 """The address space of the process of the cases. A case that wants more fails by that, and not by the machine's end."""
@@ -39,7 +40,8 @@ def serve(folder: Path, options: argparse.Namespace) -> None:
     resource.setrlimit(resource.RLIMIT_AS, (MOST_MEMORY, resource.RLIM_INFINITY))
     results = os.fdopen(os.dup(1), "w")
     sound = Sound(folder)
-    done = {(each.family, each.what) for each in read(options.read)} if options.resume else set()
+    known = read(options.read).outcomes if options.resume else {}
+    done = {key for key, each in known.items() if not each.faults}
     every = (case for case in all_cases(sound) if any(text in case.what for text in options.only))
     some = (case for case in every if not options.family or case.family in options.family)
     chosen = [case for case in some if (case.family, case.what) not in done]
@@ -98,9 +100,12 @@ def parsed() -> argparse.Namespace:
     parser.add_argument("--write", type=Path, help="write the page here")
     parser.add_argument("--json", type=Path, help="write every outcome here")
     parser.add_argument(
-        "--read", type=Path, nargs="*", default=[], help="join the outcomes in these files; later ones win"
+        "--read", type=Path, nargs="*", default=[],
+        help="join the outcomes in these files; a family of a later file takes the place of that of another commit",
+    )  # fmt: skip
+    parser.add_argument(
+        "--resume", action="store_true", help="run the cases that --read does not have, or has with faults"
     )
-    parser.add_argument("--resume", action="store_true", help="run the cases that --read does not have")
     parser.add_argument("--only", nargs="*", default=[""], help="only cases with one of these in their description")
     parser.add_argument("--family", nargs="*", default=[], help="only these families")
     parser.add_argument("--sound", type=Path, help="keep the sound files in this folder, for the next time")
@@ -115,10 +120,10 @@ def main() -> None:
     if options.serve:
         serve(options.serve, options)
         return
-    found = read(options.read)
+    results = read(options.read)
     if options.resume or not options.read:
-        found += run_cases(options)
-    report(list({(each.family, each.what): each for each in found}.values()), options)
+        results.add(run_cases(options))
+    report(results, options)
 
 
 def run_cases(options: argparse.Namespace) -> list[Outcome]:
@@ -142,19 +147,16 @@ def run_cases(options: argparse.Namespace) -> list[Outcome]:
     return found
 
 
-def read(files: list[Path]) -> list[Outcome]:
-    return [Outcome(**each) for file in files if file.exists() for each in json.loads(file.read_text())]
-
-
-def report(found: list[Outcome], options: argparse.Namespace) -> None:
+def report(results: Results, options: argparse.Namespace) -> None:
     """Write what was asked for, print the table, and exit."""
+    found = results.every
     faulty = sum(bool(each.faults) for each in found)
     if options.json:
-        options.json.write_text(json.dumps([asdict(each) for each in found], indent=0) + "\n")
+        write(options.json, results)
     if options.write:
         command = "python benchmarks/abuse.py --write docs/reliability.md --json benchmarks/results/abuse.json"
-        options.write.write_text(page(found, command, __doc__.split("\n\n", 2)[2].strip()))
-    print(table(found))
+        options.write.write_text(page(results, command, __doc__.split("\n\n", 2)[2].strip()))
+    print(table(results))
     print(f"{len(found) - faulty} of {len(found)} cases are clean", file=sys.stderr)
     sys.exit(faulty > 0)
 

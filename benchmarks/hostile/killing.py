@@ -7,9 +7,9 @@ import resource
 import signal
 import subprocess
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import psutil
 
@@ -24,14 +24,11 @@ SERVED = 8.0
 """Seconds in which a server is ended, by the clock: it waits, and computes nothing."""
 REST = 5.0
 """Seconds without computing after which a process is not waited for any longer."""
-AFTERWARDS = 1.0
-"""CPU seconds that a command may take after a signal that it does not heed: it is done, and Python ends."""
-Ending = Callable[["subprocess.Popen[bytes]"], tuple[int, list[str]]]
 
 
 @dataclass(frozen=True)
 class Length:
-    """CPU seconds, of workers too, after which a command catches signals, and after which it ends."""
+    """CPU seconds, of workers too, in which a command catches signals. When it is done, it ignores them."""
 
     start: float
     end: float
@@ -46,12 +43,12 @@ def attempt_kill(case: Case, scratch: Path, lengths: dict[str, Length]) -> Outco
     if not place["server"] and place["situation"] not in lengths:
         lengths[place["situation"]] = _measured(case, scratch)
     length = Length(0.0, SERVED) if place["server"] else lengths[place["situation"]]
-    ended = {-9, 128 + place["signal"]} | ({0} if place["server"] else set())
     drawn, share, instants = random.Random(case.what), place["share"], []
     while True:
         instants.append(round(length.start + share * (LAST * length.end - length.start), 2))
-        outcome = attempt(replace(case, place={"ending": _killer(case, instants[-1])}), scratch)
-        reached = outcome.code in ended
+        killer = _Killer(place, instants[-1])
+        outcome = attempt(replace(case, place={"ending": killer}), scratch)
+        reached = killer.reached
         if reached or outcome.faults or len(instants) == TRIES:
             return replace(outcome, reached=reached, instants=instants)
         share *= drawn.uniform(0.3, 0.9)
@@ -73,40 +70,44 @@ def _measured(case: Case, scratch: Path) -> Length:
     return found
 
 
-def _killer(case: Case, instant: float) -> Ending:
-    """Ends a process, and finds out whether it went on as if nothing had come."""
-    number, server = case.place["signal"], case.place["server"]
+class _Killer:
+    """Ends a process. It was `reached` when it ended by the signal, which came while it caught signals."""
 
-    def end(process: "subprocess.Popen[bytes]") -> tuple[int, list[str]]:
+    def __init__(self, place: dict[str, Any], instant: float) -> None:
+        self._place, self._instant = place, instant
+        self.reached = False
+
+    def __call__(self, process: "subprocess.Popen[bytes]") -> tuple[int, list[str]]:
+        """The exit code, and what is wrong with the end: it came late, or as if there had been no signal."""
+        number, server = self._place["signal"], self._place["server"]
         before = _of_ended()
-        _watched(process, instant, server=server)
+        _watched(process, self._instant, server=server)
         spent, workers = _spent(process.pid), _workers(process.pid)
-        running = process.poll() is None
+        running = process.poll() is None and _catches(process.pid)
         if running:
-            (os.killpg if case.place["group"] else os.kill)(process.pid, number)
+            (os.killpg if self._place["group"] else os.kill)(process.pid, number)
         code = process.wait(STUCK)
         psutil.wait_procs(workers, SLOW)
+        self.reached = running and (code in (-9, 128 + number) or (server and code == 0))
         late = _of_ended() - before - spent
-        most = AFTERWARDS if code == 0 and not server else SLOW
-        return code, [f"went on for {late:.1f} CPU s"] if running and late > most else []
-
-    return end
+        return code, [f"went on for {late:.1f} CPU s"] if running and (late > SLOW or not self.reached) else []
 
 
 def _watched(process: "subprocess.Popen[bytes]", seconds: float, *, server: bool) -> Length:
-    """Return when the process has computed for so long (a server: has been there), and catches signals, or has ended.
+    """Return when the process has computed for so long (a server: has been there), and catches signals, or is done.
 
-    A process that computes no more is not waited for. Returns when it began to catch signals, and what it took.
+    A process that computes no more is not waited for. Returns from when on it caught signals, and what it took.
     """
     began = moved = time.perf_counter()
     start, end = None, 0.0
     while process.poll() is None and time.perf_counter() < began + STUCK:
         now = time.perf_counter()
-        spent = now - began if server else _spent(process.pid)
+        spent, catches = now - began if server else _spent(process.pid), _catches(process.pid)
+        if start is not None and not catches:
+            break
         if spent > end:
             end, moved = spent, now
-        if start is None and _catches(process.pid):
-            start = spent
+        start = spent if start is None and catches else start
         if start is not None and (spent >= seconds or (seconds < STUCK and now > moved + REST)):
             break
         time.sleep(0.02)
@@ -114,7 +115,7 @@ def _watched(process: "subprocess.Popen[bytes]", seconds: float, *, server: bool
 
 
 def _catches(pid: int) -> bool:
-    """Whether the process handles SIGTERM: it has loaded the command line."""
+    """Whether the process handles SIGTERM: it has loaded the command line, and is not done."""
     with contextlib.suppress(OSError):
         for line in Path(f"/proc/{pid}/status").read_text().splitlines():
             if line.startswith("SigCgt:"):

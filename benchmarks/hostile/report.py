@@ -1,13 +1,15 @@
-"""The table and the page of what the cases did."""
+"""The tables and the page of what the cases did."""
 
-from datetime import date
-
-from common.output import machine, markdown
+from common.output import markdown
 from hostile.attempt import Outcome
+from hostile.results import Results
+
+SIGNALS = ("INT", "TERM", "HUP", "KILL")
 
 
-def table(found: list[Outcome]) -> str:
+def table(results: Results) -> str:
     """One row for each family."""
+    found = results.every
     rows = []
     for family in dict.fromkeys(each.family for each in found):
         some = [each for each in found if each.family == family]
@@ -18,8 +20,10 @@ def table(found: list[Outcome]) -> str:
             f"{code}: {sum(each.code == code for each in some)}" for code in sorted({e.code for e in some})
         )
         clean = sum(not each.faults for each in some)
-        rows.append([family, len(some), clean, *counts, others, codes, f"{max(each.seconds for each in some):.1f} s"])
-    total = ["**all**", *(sum(row[column] for row in rows) for column in range(1, 7)), "", ""]
+        made = f"{results.made[family].commit}, {results.made[family].date}"
+        slowest = f"{max(each.seconds for each in some):.1f} s"
+        rows.append([family, len(some), clean, *counts, others, codes, slowest, made])
+    total = ["**all**", *(sum(row[column] for row in rows) for column in range(1, 7)), "", "", ""]
     head = (
         "inputs",
         "number",
@@ -30,16 +34,55 @@ def table(found: list[Outcome]) -> str:
         "other faults",
         "exit codes",
         "slowest",
+        "commit, day",
     )
     return markdown(head, [*rows, total])
 
 
-def page(found: list[Outcome], command: str, intro: str) -> str:
+def kill_table(found: list[Outcome]) -> str:
+    """One row for each command that is killed."""
+    rows = []
+    for command in dict.fromkeys(each.what.split(":")[0] for each in found):
+        some = [each for each in found if each.what.split(":")[0] == command]
+        reached = [each for each in some if each.reached]
+        counts = [sum(f": SIG{name} " in each.what for each in reached) for name in SIGNALS]
+        instants = [each.instants[-1] for each in reached]
+        between = f"{min(instants):.1f} to {max(instants):.1f}" if instants else "–"
+        rows.append([f"`{command}`", len(some), len(reached), *counts, _again(some), between])
+    total = ["**all**", *(sum(row[column] for row in rows) for column in range(1, 8)), ""]
+    return markdown(("command", "kills", "reached it", *SIGNALS, "drawn again", "CPU s at the signal"), [*rows, total])
+
+
+def _again(kills: list[Outcome]) -> int:
+    """How many signals came too late, and were drawn again."""
+    return sum(len(each.instants) - 1 for each in kills)
+
+
+def _on_kills(found: list[Outcome]) -> str:
+    reached = sum(each.reached for each in found)
+    return (
+        f"{reached} of {len(found)} kills ended a command that was running. How long each command takes in its "
+        "situation is measured in the same run, in CPU seconds of it and its workers. A signal is sent after a share "
+        "of 95 % of that, which is drawn, half of the times from the second half. Where the command was done before "
+        f"it came, an earlier instant was drawn: {_again(found)} times. What counts is the exit code: 130, 143 and 129 "
+        "of a command that INT, TERM and HUP ended, −9 of one that KILL ended; `view`, which serves until Ctrl-C, ends "
+        "with 0 after INT, and its instants are seconds by the clock. Every second INT and HUP goes to the workers as "
+        "well, as from a terminal. None is sent before the command line is loaded, which takes a fifth of a second: "
+        "until then, Python itself ends; and none when the command is done, and Python ends.\n\n"
+        "A command that ends as if there had been no signal, or computes for ten seconds after it, is not clean. After "
+        "a KILL comes what the next run does first: it sweeps what was left; after the others nothing may be left. "
+        "Then every file is read: each must be the old one or the new one, and whole."
+    )
+
+
+def page(results: Results, command: str, intro: str) -> str:
     """The page for docs/. `intro` says what a case is, and when it is clean."""
+    found = results.every
     faulty = [each for each in found if each.faults]
     seconds = sum(each.seconds for each in found)
     kills = [each for each in found if each.family == "kills"]
-    done = sum(each.code == 0 for each in kills)
+    machines = " and ".join(dict.fromkeys(each.machine for each in results.made.values()))
+    days = " and ".join(sorted({each.date for each in results.made.values()}))
     examples = []
     for family in dict.fromkeys(each.family for each in found):
         refused = [each for each in found if each.family == family and each.message and each.code in (2, 3, 4)]
@@ -48,18 +91,15 @@ def page(found: list[Outcome], command: str, intro: str) -> str:
         ]
     parts = [
         "# Reliability",
-        f"Made by\n\n    {command}\n\non {machine()}, other work beside, on {date.today()}, in {seconds / 60:.0f} "
-        f"minutes of the cases' own time. It was run in parts, which `--family` chose and `--read` joined. "
-        f"{len(found) - len(faulty):,} of {len(found):,} cases are clean.",
+        f"Made by\n\n    {command}\n\non {machines}, other work beside, on {days}, in {seconds / 60:.0f} minutes of "
+        "the cases' own time. It was run in parts, which `--family` chose and `--read` joined; the table says of which "
+        f"commit each part is. {len(found) - len(faulty):,} of {len(found):,} cases are clean.",
         intro.replace("\n", " "),
-        table(found),
-        "A signal is sent to each of 21 commands six times for each of four signals, half of the times in the second "
-        f"half of its computing. {done} of these {len(kills)} runs were done before it came, or had written their "
-        f"result, and ended with exit code 0; {len(kills) - done} were ended by it. "
-        "None is ended in its first 0.8 CPU seconds, in which Python itself "
-        "starts. After a kill comes what the next run does first: it sweeps what was left. Then every file is read: "
-        "each must be the old one or the new one, and whole. Every case with its message, exit code, time and files "
-        "is in `benchmarks/results/abuse.json`.",
+        table(results),
+        "Every case with its message, exit code, time and files is in `benchmarks/results/abuse.json`.",
+        "## Kills",
+        _on_kills(kills),
+        kill_table(kills),
         "## Cases that are not clean",
         markdown(("inputs", "case", "faults"), [(e.family, f"`{e.what}`", "; ".join(e.faults)) for e in faulty])
         if faulty
