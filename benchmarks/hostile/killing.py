@@ -35,27 +35,27 @@ class Length:
 
 
 def attempt_kill(case: Case, scratch: Path, lengths: dict[str, Length]) -> Outcome:
-    """Run a case of a kill, with earlier and earlier signals until one reaches the command while it runs.
+    """Run one case of a kill, with earlier and earlier signals until one reaches the command while it runs.
 
-    `lengths` are what is known of the situations, and are added to.
+    `lengths` are what is known of the situations. They are added to, and mended where a command was done sooner.
     """
-    place = case.place
-    if not place["server"] and place["situation"] not in lengths:
-        lengths[place["situation"]] = _measured(case, scratch)
-    length = Length(0.0, SERVED) if place["server"] else lengths[place["situation"]]
+    place, situation = case.place, case.place["situation"]
+    if situation not in lengths:
+        lengths[situation] = Length(0.0, SERVED) if place["server"] else _measured(case, scratch)
     drawn, share, instants = random.Random(case.what), place["share"], []
     while True:
+        length = lengths[situation]
         instants.append(round(length.start + share * (LAST * length.end - length.start), 2))
         killer = _Killer(place, instants[-1])
         outcome = attempt(replace(case, place={"ending": killer}), scratch)
-        reached = killer.reached
-        if reached or outcome.faults or len(instants) == TRIES:
-            return replace(outcome, reached=reached, instants=instants)
+        if killer.reached or outcome.faults or len(instants) == TRIES:
+            return replace(outcome, reached=killer.reached, instants=instants)
+        lengths[situation] = replace(length, end=min(length.end, killer.watched.end))
         share *= drawn.uniform(0.3, 0.9)
 
 
 def _measured(case: Case, scratch: Path) -> Length:
-    """How long the command takes the second time: the first may compile."""
+    """How long the command takes when no signal comes."""
     found = Length(0.0, 0.0)
 
     def watch(process: "subprocess.Popen[bytes]") -> tuple[int, list[str]]:
@@ -63,10 +63,9 @@ def _measured(case: Case, scratch: Path) -> Length:
         found = _watched(process, STUCK, server=False)
         return process.wait(STUCK), []
 
-    for _ in range(2):
-        outcome = attempt(replace(case, place={"ending": watch}), scratch)
-        if outcome.code != 0:
-            raise RuntimeError(f"{case.place['situation']} fails: {outcome}")
+    outcome = attempt(replace(case, place={"ending": watch}), scratch)
+    if outcome.code != 0:
+        raise RuntimeError(f"{case.place['situation']} fails: {outcome}")
     return found
 
 
@@ -75,13 +74,13 @@ class _Killer:
 
     def __init__(self, place: dict[str, Any], instant: float) -> None:
         self._place, self._instant = place, instant
-        self.reached = False
+        self.reached, self.watched = False, Length(0.0, 0.0)
 
     def __call__(self, process: "subprocess.Popen[bytes]") -> tuple[int, list[str]]:
         """The exit code, and what is wrong with the end: it came late, or as if there had been no signal."""
         number, server = self._place["signal"], self._place["server"]
         before = _of_ended()
-        _watched(process, self._instant, server=server)
+        self.watched = _watched(process, self._instant, server=server)
         spent, workers = _spent(process.pid), _workers(process.pid)
         running = process.poll() is None and _catches(process.pid)
         if running:

@@ -16,7 +16,7 @@ from hostile.sound import TRAINING, Sound
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGKILL)
 TIMES = 5
-"""How often each signal ends each command."""
+"""How often each signal ends a command. The demo takes minutes, and is ended less often."""
 OF_TERMINALS = (signal.SIGINT, signal.SIGHUP)
 """Signals that a terminal sends to a command and its workers together; half of the times they are sent so."""
 WRITTEN = ("out", "out.ply", "out.spz", "out.lod", "out.html", "out.png", "out.mp4", "passes", "s", "s.ply")
@@ -24,11 +24,15 @@ WRITTEN = ("out", "out.ply", "out.spz", "out.lod", "out.html", "out.png", "out.m
 
 @dataclass(frozen=True)
 class Killed:
-    """A command. `over` writes what it finds there, into the folder of the case. A `server` waits until it is ended."""
+    """A command. `over` writes what it finds there, into the folder of the case. A `server` waits until it is ended.
+
+    Each signal ends it so many `times`.
+    """
 
     command: tuple[str, ...]
     over: Callable[[Sound, Path], object] = lambda sound, folder: None
     server: bool = False
+    times: int = TIMES
 
 
 def kills(sound: Sound) -> Iterator[Case]:
@@ -38,7 +42,7 @@ def kills(sound: Sound) -> Iterator[Case]:
     """
     for i in range(TIMES):
         for what, killed in _commands(sound).items():
-            for number in SIGNALS:
+            for number in SIGNALS if i < killed.times else ():
                 share = random.Random(f"{what} {number} {i}").uniform(0.0 if i % 2 else 0.5, 1.0)
                 codes = frozenset({0, -9 if number == signal.SIGKILL else 128 + number})
                 text = f"{what}: {number.name} at {share:.1%}"
@@ -71,8 +75,8 @@ def _commands(sound: Sound) -> dict[str, Killed]:
         "reconstruct": Killed(("reconstruct", photo, "-o", "out.ply", *small)),
         "reconstruct over a scene": Killed(("reconstruct", *posed, *small)),
         "tto": Killed(("tto", "s", "--steps", "10")),
-        "demo": Killed(demo),
-        "demo over a demo": Killed((*demo, "--force"), _demo),
+        "demo": Killed(demo, times=2),
+        "demo over a demo": Killed((*demo, "--force"), _demo, times=1),
         "view": Killed(("view", "s.ply", "--no-browser"), server=True),
         "export": Killed(("export", "s.ply", "-o", "out.html")),
         "export over a file": Killed(("export", "s.ply", "-o", "out.html", "--force"), _html),
