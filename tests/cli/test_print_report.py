@@ -1,12 +1,16 @@
 """What people read after `reconstruct` and `tto`."""
 
+import signal
+from contextlib import suppress
 from dataclasses import replace
 
 import pytest
 
+from querysplat_cli.cli import run
 from querysplat_cli.cli.print_report import exit_if_interrupted, lines, print_report
 from querysplat_cli.cli.verb import Printing
 from querysplat_cli.reporting.report import Report
+from querysplat_cli.runtime import signals
 from querysplat_cli.runtime.errors import QuerySplatError
 
 REPORT = Report(
@@ -68,3 +72,20 @@ def test_a_scene_that_was_saved_after_an_interruption_is_not_called_lost() -> No
     with pytest.raises(QuerySplatError, match="stopped early") as caught:
         exit_if_interrupted(replace(REPORT, tto=[{"interrupted": True}]))
     assert (caught.value.code, caught.value.hint) == (130, "The scene has what the optimisation had reached.")
+
+
+def test_what_a_command_says_of_an_interruption_is_kept(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`demo` saves what Ctrl-C left of its scene, and once ended with 0 then."""
+
+    def interrupted(*arguments: object) -> Report:
+        with suppress(KeyboardInterrupt):
+            signals.interrupt(signal.SIGTERM)
+        return replace(REPORT, tto=[{"interrupted": True}])
+
+    monkeypatch.setattr("querysplat_cli.commands.demo.run_demo", interrupted)
+    monkeypatch.setattr("querysplat_cli.cli.print_report.print_report", lambda *_: None)
+    monkeypatch.setattr(signals._State, "received", None)
+    assert run(["demo", "-q"]) == 143
+    assert "The scene has what the optimisation had reached." in capsys.readouterr().err

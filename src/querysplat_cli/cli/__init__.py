@@ -33,7 +33,8 @@ def run(arguments: list[str]) -> int:
         return _stopped()
     except Exception as error:
         # Libraries that are interrupted, while they are imported above all, raise errors of their own.
-        return _stopped() if signals.caught() else _told(error)
+        ours = isinstance(error, QuerySplatError) and error.code == signals.exit_code()
+        return _stopped() if signals.caught() and not ours else _told(error)
     return _stopped() if code else ExitCode.DONE
 
 
