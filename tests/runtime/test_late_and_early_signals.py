@@ -21,6 +21,21 @@ try:
 except KeyboardInterrupt:
     raise SystemExit(signals.exit_code())
 """
+WHILE_TORCH_IS_IMPORTED = """
+import os, signal, sys, tempfile, time
+from pathlib import Path
+from querysplat_cli.runtime import signals
+
+with tempfile.TemporaryDirectory() as folder:
+    Path(folder, "torch.py").write_text("import os, time; os.kill(os.getpid(), 1); time.sleep(0.2); whole = True")
+    sys.path.insert(0, folder)
+    signals.catch()
+    try:
+        import torch
+        time.sleep(20)
+    except KeyboardInterrupt:
+        raise SystemExit(signals.exit_code() if hasattr(sys.modules.get("torch"), "whole") else 1)
+"""
 IN_A_DESTRUCTOR = """
 import os, signal, time
 from querysplat_cli.runtime import signals
@@ -56,6 +71,11 @@ def ended(program: str) -> int:
 
 def test_sigterm_waits_for_the_import_of_pycolmap() -> None:
     assert ended(WHILE_PYCOLMAP_IS_IMPORTED) == 143
+
+
+def test_a_signal_waits_for_the_import_of_torch() -> None:
+    """SIGHUP made its C++ call terminate()."""
+    assert ended(WHILE_TORCH_IS_IMPORTED) == 129
 
 
 def test_sigterm_in_a_destructor_is_not_lost() -> None:

@@ -9,6 +9,8 @@ from contextlib import contextmanager
 
 SOON = 0.05
 """Seconds after which a signal that Python swallowed is sent again."""
+UNBROKEN = ("torch", "pycolmap")
+"""Packages whose import is not broken off: an error that Python raises in their C++ ends the process with SIGABRT."""
 ENDING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 
@@ -33,18 +35,29 @@ def _send_again(swallowed: "sys.UnraisableHookArgs") -> None:
     if swallowed.exc_type is not KeyboardInterrupt or _State.received is None:
         sys.__unraisablehook__(swallowed)
         return
-    timer = threading.Timer(SOON, os.kill, (os.getpid(), _State.received))
+    _come_again(_State.received)
+
+
+def _come_again(number: int) -> None:
+    timer = threading.Timer(SOON, os.kill, (os.getpid(), number))
     timer.daemon = True
     timer.start()
 
 
 def interrupt(number: int, frame: object = None) -> None:
-    """A handler: raises KeyboardInterrupt, now or at the end of `held`."""
+    """A handler: raises KeyboardInterrupt, now, at the end of `held`, or soon after an import of `UNBROKEN`."""
     _State.received = number
     if _State.holding:
         _State.waiting = True
+    elif any(map(_is_half_imported, UNBROKEN)):
+        _come_again(number)
     else:
         raise KeyboardInterrupt
+
+
+def _is_half_imported(name: str) -> bool:
+    spec = getattr(sys.modules.get(name), "__spec__", None)
+    return bool(getattr(spec, "_initializing", False))
 
 
 @contextmanager
