@@ -2,7 +2,7 @@
 
 from common.output import markdown
 from hostile.attempt import Outcome
-from hostile.results import Results
+from hostile.results import Made, Results
 
 SIGNALS = ("INT", "TERM", "HUP", "KILL")
 
@@ -58,15 +58,17 @@ def _again(kills: list[Outcome]) -> int:
     return sum(len(each.instants) - 1 for each in kills)
 
 
-def _on_kills(found: list[Outcome]) -> str:
+def _on_kills(found: list[Outcome], made: Made) -> str:
     reached = sum(each.reached for each in found)
     return (
-        f"{reached} of {len(found)} kills ended a command that was running. How long each command takes in its "
-        "situation is measured in the same run, in CPU seconds of it and its workers. A signal is sent after a share "
-        "of 95 % of that, which is drawn, half of the times from the second half. Where the command was done before "
-        f"it came, an earlier instant was drawn: {_again(found)} times. What counts is the exit code: 130, 143 and 129 "
-        "of a command that INT, TERM and HUP ended, −9 of one that KILL ended; `view`, which serves until Ctrl-C, ends "
-        "with 0 after INT, and its instants are seconds by the clock. Every second INT and HUP goes to the workers as "
+        f"Made by `python benchmarks/abuse.py --family kills` at commit {made.commit}, on {made.machine}, other work "
+        f"beside, on {made.date}. {reached} of {len(found)} kills ended a command that was running.\n\n"
+        "How long each command takes in its situation is measured in the same run, in CPU seconds of it and its "
+        "workers. A signal is sent after a share of 95 % of that, which is drawn, half of the times from the second "
+        "half. Where the command was done before it came, an earlier instant was drawn: "
+        f"{_again(found)} times. What counts is the exit code: 130, 143 and 129 of a command that INT, TERM and HUP "
+        "ended, −9 of one that KILL ended; `view`, which serves until Ctrl-C, ends with 0 after INT, and its instants "
+        "are seconds by the clock. Every second INT and HUP goes to the workers as "
         "well, as from a terminal. None is sent before the command line is loaded, which takes a fifth of a second: "
         "until then, Python itself ends; and none when the command is done, and Python ends.\n\n"
         "A command that ends as if there had been no signal, or computes for ten seconds after it, is not clean. After "
@@ -98,7 +100,7 @@ def page(results: Results, command: str, intro: str) -> str:
         table(results),
         "Every case with its message, exit code, time and files is in `benchmarks/results/abuse.json`.",
         "## Kills",
-        _on_kills(kills),
+        _on_kills(kills, results.made["kills"]),
         kill_table(kills),
         "## Cases that are not clean",
         markdown(("inputs", "case", "faults"), [(e.family, f"`{e.what}`", "; ".join(e.faults)) for e in faulty])
