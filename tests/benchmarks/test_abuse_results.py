@@ -1,0 +1,61 @@
+"""How parts of `benchmarks/abuse.py` are joined, and what its page says of kills."""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+from hostile.attempt import Outcome
+from hostile.report import kill_table, page
+from hostile.results import Made, Results, made_now, read, write
+
+
+def outcome(family: str, what: str, code: int = 0, instants: tuple[float, ...] = ()) -> Outcome:
+    return Outcome(family, what, code, 1.0, "", [], [], bool(code), list(instants))
+
+
+def written(path: Path, commit: str, *found: Outcome) -> Path:
+    made = {each.family: Made(commit, "2026-11-23", "a machine") for each in found}
+    write(path, Results({(each.family, each.what): each for each in found}, made))
+    return path
+
+
+def test_a_family_takes_the_place_of_that_of_another_commit(tmp_path: Path) -> None:
+    old = written(tmp_path / "a.json", "1", outcome("PLY", "a"), outcome("kills", "a"), outcome("kills", "b"))
+    new = written(tmp_path / "b.json", "2", outcome("kills", "c"))
+    found = read([old, new, tmp_path / "none.json"])
+    assert list(found.outcomes) == [("PLY", "a"), ("kills", "c")]
+    assert (found.made["PLY"].commit, found.made["kills"].commit) == ("1", "2")
+
+
+def test_halves_of_a_family_are_joined_and_later_ones_win(tmp_path: Path) -> None:
+    first = written(tmp_path / "a.json", "1", outcome("kills", "a"), outcome("kills", "b"))
+    second = written(tmp_path / "b.json", "1", outcome("kills", "b", 130), outcome("kills", "c"))
+    assert [each.code for each in read([first, second]).every] == [0, 130, 0]
+
+
+def test_what_goes_on_at_another_commit_names_both(tmp_path: Path) -> None:
+    results = read([written(tmp_path / "a.json", "1", outcome("kills", "a"))])
+    results.add([outcome("kills", "b"), outcome("kills", "c")])
+    assert results.made["kills"].commit == f"1, {made_now().commit}"
+
+
+def test_fields_of_kills_are_left_out_elsewhere(tmp_path: Path) -> None:
+    path = written(tmp_path / "a.json", "1", outcome("PLY", "a"), outcome("kills", "b", 130, (2.0, 1.0)))
+    plain, kill = json.loads(path.read_text())["outcomes"]
+    assert "instants" not in plain
+    assert kill == asdict(read([path]).outcomes["kills", "b"])
+
+
+def test_kills_that_reached_a_command_are_counted_by_command() -> None:
+    kills = [
+        outcome("kills", "doctor: SIGINT at 90.0%", 130, (2.0, 1.0)),
+        outcome("kills", "doctor: SIGKILL at 10.0%", -9, (0.5,)),
+        outcome("kills", "info: SIGTERM at 99.0%", 0, (2.0, 1.0, 0.5)),
+    ]
+    rows = kill_table(kills).splitlines()[2:]
+    assert rows[0] == "| `doctor` | 2 | 2 | 1 | 0 | 0 | 1 | 1 | 0.5 to 1.0 |"
+    assert rows[1] == "| `info` | 1 | 0 | 0 | 0 | 0 | 0 | 2 | – |"
+    made = {"kills": Made("abc", "2026-11-23", "a machine")}
+    shown = page(Results({("kills", each.what): each for each in kills}, made), "make", "What is clean.")
+    assert "2 of 3 kills ended a command that was running" in shown
+    assert "at commit abc, on a machine, other work beside, on 2026-11-23" in shown
