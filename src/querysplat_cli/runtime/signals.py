@@ -9,8 +9,8 @@ from contextlib import contextmanager
 
 SOON = 0.05
 """Seconds after which a signal that Python swallowed is sent again."""
-UNBROKEN = ("torch", "pycolmap")
-"""Packages whose import is not broken off: an error that Python raises in their C++ ends the process with SIGABRT."""
+UNBROKEN = {"torch", "numpy", "scipy", "pycolmap", "cv2", "numba", "av", "PIL", "matplotlib"}
+"""Packages whose imports are not broken off: native code drops an error that Python raises in it, or aborts."""
 ENDING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 
@@ -45,19 +45,22 @@ def _come_again(number: int) -> None:
 
 
 def interrupt(number: int, frame: object = None) -> None:
-    """A handler: raises KeyboardInterrupt, now, at the end of `held`, or soon after an import of `UNBROKEN`."""
+    """A handler: raises KeyboardInterrupt, now, at the end of `held`, or soon after an import of one of `UNBROKEN`."""
     _State.received = number
     if _State.holding:
         _State.waiting = True
-    elif any(map(_is_half_imported, UNBROKEN)):
+    elif _is_half_imported():
         _come_again(number)
     else:
         raise KeyboardInterrupt
 
 
-def _is_half_imported(name: str) -> bool:
-    spec = getattr(sys.modules.get(name), "__spec__", None)
-    return bool(getattr(spec, "_initializing", False))
+def _is_half_imported() -> bool:
+    """Whether a module of `UNBROKEN` is being imported."""
+    ours = (module for name, module in tuple(sys.modules.items()) if name.partition(".")[0] in UNBROKEN)
+    # Not by getattr: some modules have a __getattr__ of their own, which may do anything.
+    specs = (getattr(module, "__dict__", {}).get("__spec__") for module in ours)
+    return any(getattr(spec, "_initializing", False) for spec in specs)
 
 
 @contextmanager
