@@ -62,7 +62,8 @@ def _on_kills(found: list[Outcome], made: Made) -> str:
     reached = sum(each.reached for each in found)
     return (
         f"Made by `python benchmarks/abuse.py --family kills` at commit {made.commit}, on {made.machine}, other work "
-        f"beside, on {made.date}. {reached} of {len(found)} kills ended a command that was running.\n\n"
+        f"beside, on {made.date}. {reached} of {len(found)} kills ended a command that was running. "
+        f"{made.again} of them were not clean at first, and ran again when the package was mended.\n\n"
         "How long each command takes in its situation is measured in the same run, in CPU seconds of it and its "
         "workers. A signal is sent after a share of 95 % of that, which is drawn, half of the times from the second "
         "half. Where the command was done before it came, an earlier instant was drawn: "

@@ -3,7 +3,7 @@
 import json
 import subprocess
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from datetime import date
 from pathlib import Path
 
@@ -16,11 +16,15 @@ OF_KILLS = ("reached", "instants")
 
 @dataclass(frozen=True)
 class Made:
-    """When and where the outcomes of a family were made; several commits where one run went on with another."""
+    """When and where the outcomes of a family were made; several commits where one run went on with another.
+
+    `again` counts cases that were not clean and ran again, when the package was mended.
+    """
 
     commit: str
     date: str
     machine: str
+    again: int = 0
 
 
 @dataclass(frozen=True)
@@ -38,10 +42,10 @@ class Results:
         """Add outcomes of now; they take the places of those with the same description."""
         now = made_now()
         for outcome in found:
-            self.outcomes[outcome.family, outcome.what] = outcome
-            before = self.made.get(outcome.family, now).commit
-            commit = before if now.commit in before.split(", ") else f"{before}, {now.commit}"
-            self.made[outcome.family] = Made(commit, now.date, now.machine)
+            key = outcome.family, outcome.what
+            again = int(key in self.outcomes and bool(self.outcomes[key].faults))
+            self.outcomes[key] = outcome
+            self.made[outcome.family] = _joined(self.made.get(outcome.family, now), replace(now, again=again))
 
 
 def made_now() -> Made:
@@ -54,19 +58,26 @@ def made_now() -> Made:
 def read(files: Sequence[Path]) -> Results:
     """What is in these files. A family of a later file takes the place of that of another commit.
 
-    Of the same commit they are joined, and later outcomes take the places of those with the same description.
+    With a commit in common they are joined, and later outcomes take the places of those with the same description.
     """
     results = Results()
     for content in (json.loads(file.read_text()) for file in files if file.exists()):
         for family, entry in content["made"].items():
             made = Made(**entry)
-            if results.made.get(family, made).commit != made.commit:
+            before = results.made.get(family, made)
+            if not set(before.commit.split(", ")) & set(made.commit.split(", ")):
                 for key in [key for key in results.outcomes if key[0] == family]:
                     del results.outcomes[key]
-            results.made[family] = made
+                del results.made[family]
+            results.made[family] = _joined(before, made) if family in results.made else made
         for each in content["outcomes"]:
             results.outcomes[each["family"], each["what"]] = Outcome(**each)
     return results
+
+
+def _joined(before: Made, after: Made) -> Made:
+    commits = dict.fromkeys([*before.commit.split(", "), *after.commit.split(", ")])
+    return Made(", ".join(commits), after.date, after.machine, before.again + after.again)
 
 
 def write(file: Path, results: Results) -> None:

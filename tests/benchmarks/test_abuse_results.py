@@ -1,7 +1,7 @@
 """How parts of `benchmarks/abuse.py` are joined, and what its page says of kills."""
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 from hostile.attempt import Outcome
@@ -31,12 +31,25 @@ def test_halves_of_a_family_are_joined_and_later_ones_win(tmp_path: Path) -> Non
     first = written(tmp_path / "a.json", "1", outcome("kills", "a"), outcome("kills", "b"))
     second = written(tmp_path / "b.json", "1", outcome("kills", "b", 130), outcome("kills", "c"))
     assert [each.code for each in read([first, second]).every] == [0, 130, 0]
+    third = written(tmp_path / "c.json", "1, 2", outcome("kills", "d"))
+    found = read([third, first])
+    assert len(found.every) == 3
+    assert found.made["kills"].commit == "1, 2"
 
 
 def test_what_goes_on_at_another_commit_names_both(tmp_path: Path) -> None:
     results = read([written(tmp_path / "a.json", "1", outcome("kills", "a"))])
     results.add([outcome("kills", "b"), outcome("kills", "c")])
     assert results.made["kills"].commit == f"1, {made_now().commit}"
+
+
+def test_what_was_not_clean_and_ran_again_is_counted(tmp_path: Path) -> None:
+    faulty = replace(outcome("kills", "a"), faults=["traceback"])
+    results = read([written(tmp_path / "a.json", "1", faulty, outcome("kills", "b"))])
+    results.add([outcome("kills", "a"), outcome("kills", "c")])
+    assert results.made["kills"].again == 1
+    write(tmp_path / "b.json", results)
+    assert read([tmp_path / "b.json"]).made["kills"].again == 1
 
 
 def test_fields_of_kills_are_left_out_elsewhere(tmp_path: Path) -> None:
