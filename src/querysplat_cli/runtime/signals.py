@@ -7,8 +7,8 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-SOON = 0.05
-"""Seconds after which a signal that Python swallowed is sent again."""
+SOON = 0.01
+"""Seconds after which a signal that Python swallowed, or that came during an import, is sent again."""
 UNBROKEN = {"torch", "numpy", "scipy", "pycolmap", "cv2", "numba", "av", "PIL", "matplotlib"}
 """Packages whose imports are not broken off: native code drops an error that Python raises in it, or aborts."""
 ENDING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
