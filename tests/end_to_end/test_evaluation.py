@@ -162,7 +162,7 @@ def test_a_stopped_run_leaves_whole_cases(room: Path, tmp_path: Path) -> None:
     """A cluster's scheduler stops a job by SIGTERM."""
     command = [sys.executable, "-m", "querysplat_cli", "eval", str(room), "-o", str(tmp_path / "out"), *OPTIONS]
     with subprocess.Popen([*command, "--cases", "50"], stderr=subprocess.PIPE, text=True) as process:
-        limit = time.monotonic() + 60
+        limit = time.monotonic() + 300  # the machine may be busy
         while not files(tmp_path / "out") and time.monotonic() < limit:
             time.sleep(0.1)
         os.kill(process.pid, signal.SIGTERM)
