@@ -67,6 +67,11 @@ class _Edited:
     def result_views(self) -> ComparedViews:
         return replace(self.views, frame=self.place.after(self.views.frame))
 
+    @property
+    def entries(self) -> list[dict[str, Any]]:
+        """What each step left out, and what it cost."""
+        return [step.entry(level) for step, level in zip(self.steps, self.levels, strict=False)]
+
 
 def convert_gaussians(request: Conversion, stages: Stages) -> dict[str, Any]:
     """Write the Gaussians, and the scene folder beside them where they are turned, scaled or cut.
@@ -94,7 +99,7 @@ def convert_gaussians(request: Conversion, stages: Stages) -> dict[str, Any]:
         **written,
         "left_out": len(gaussians) - written["gaussians"],
         "bytes": {"source": bytes_of(request.source), "target": size},
-        "steps": [step.entry(level) for step, level in zip(found.steps, found.levels, strict=False)],
+        "steps": found.entries,
         "psnr": None if request.geometry else _psnr_entry(views, found.levels[0], after),
     }
 
@@ -129,10 +134,8 @@ def _write(path: Path, request: Conversion, found: _Edited, stages: Stages) -> t
 
 def _write_folder(drafts: Sequence[Path], request: Conversion, found: _Edited, after: float) -> None:
     """Write the scene's folder for the Gaussians in the first draft, whose PSNR is `after`, to the second one."""
-    gone = [
-        by_conversion(step.what, step.gone, found.here.sh.shape[1], round(level - step.psnr, 3))
-        for step, level in zip(found.steps, found.levels, strict=False)
-    ]
+    bands = found.here.sh.shape[1]
+    gone = [by_conversion(step["what"], step["gaussians"], bands, step["lost"]) for step in found.entries]
     if request.target.suffix.lower() in WRITERS:
         gone += of_kind(drafts[0], found.placed[found.kept], round(found.levels[-1] - after, 3))
     written = found.result_views.here(read_gaussians(drafts[0]))
