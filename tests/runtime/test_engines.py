@@ -13,6 +13,7 @@ import pytest
 from querysplat_cli.runtime.cluster import find_engine, read_cluster
 from querysplat_cli.runtime.engine import InProcess, report_progress
 from querysplat_cli.runtime.errors import ExitCode, QuerySplatError
+from querysplat_cli.runtime.workers import cores
 
 JOBS = ["a", "b", "c"]
 
@@ -28,6 +29,7 @@ def handler(folder: Path) -> Callable[[str], None]:
         if job == "deadly":
             os.kill(os.getpid(), signal.SIGKILL)
         (folder / job).write_text(str(os.getpid()))
+        (folder / f"{job}.threads").write_text(os.environ.get("NUMBA_NUM_THREADS", ""))
 
     return handle
 
@@ -61,6 +63,16 @@ def test_what_is_missing_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
         find_engine("local:2")
     assert caught.value.code == ExitCode.MISSING_PART
     assert isinstance(find_engine(None), InProcess)
+
+
+def test_workers_share_the_cores_and_the_main_process_keeps_its_own(tmp_path: Path) -> None:
+    """Dask left NUMBA_NUM_THREADS in the main process, where Numba then refused to compile for its running threads."""
+    pytest.importorskip("distributed")
+    before = dict(os.environ)
+    work(find_engine("local:2"), tmp_path, JOBS)
+    assert dict(os.environ) == before
+    share = before.get("NUMBA_NUM_THREADS", str(max(1, cores() // 2)))
+    assert {(tmp_path / f"{job}.threads").read_text() for job in JOBS} == {share}
 
 
 def test_a_killed_worker_loses_its_job_and_nothing_else(tmp_path: Path) -> None:

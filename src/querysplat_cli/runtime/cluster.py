@@ -11,7 +11,7 @@ from uuid import uuid4
 from querysplat_cli.runtime.engine import Done, Engine, Handler, Heard, InProcess, reporting_to, unheard
 from querysplat_cli.runtime.errors import MissingPart, QuerySplatError
 from querysplat_cli.runtime.optional_parts import install_command
-from querysplat_cli.runtime.workers import THREAD_LIMITS, cores
+from querysplat_cli.runtime.workers import shared_cores
 
 KINDS = "local:N, tcp://HOST:PORT or slurm:N"
 PROGRESS = "querysplat-progress"
@@ -121,7 +121,7 @@ def _client(cluster: str) -> Iterator[Any]:
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # a lost worker is no news for users
     kind, _, rest = cluster.partition(":")
     if kind == "local":
-        with _local(int(rest)) as workers, Client(workers) as client:
+        with shared_cores(int(rest)), _local(int(rest)) as workers, Client(workers) as client:
             yield client
     elif kind == "slurm":
         with _slurm(int(rest)) as workers, Client(workers) as client:
@@ -138,13 +138,11 @@ def _client(cluster: str) -> Iterator[Any]:
 
 
 def _local(workers: int) -> Any:
-    """Processes on this machine, which share its cores, unless the user has set a limit of threads."""
+    """Processes on this machine, with the environment of this one."""
     import dask.config
     from distributed import LocalCluster
 
-    share = str(max(1, cores() // workers))
-    limits = {f"distributed.nanny.pre-spawn-environ.{name}": share for name in THREAD_LIMITS}
-    with dask.config.set(limits):
+    with dask.config.set({"distributed.nanny.pre-spawn-environ": {}}):  # Dask has limits of threads of its own
         return LocalCluster(
             n_workers=workers,
             threads_per_worker=1,

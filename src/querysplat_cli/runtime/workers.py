@@ -5,7 +5,8 @@ import queue
 import signal
 import sys
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from multiprocessing import get_context, parent_process
 from multiprocessing.connection import Connection, wait
 from typing import Any, Generic, TypeVar
@@ -57,7 +58,7 @@ class _Pool(Generic[Job]):
             threading.Thread(target=self._drive, args=(waiting, finished), daemon=True)
             for _ in range(min(self._count, len(jobs)))
         ]
-        with _shared_cores(len(threads)):
+        with shared_cores(len(threads)):
             try:
                 for thread in threads:
                     thread.start()
@@ -160,16 +161,19 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-class _shared_cores:
-    """Inside this context, new processes are limited to their share of the cores."""
+@contextmanager
+def shared_cores(workers: int) -> Iterator[None]:
+    """Inside this context, new processes are limited to their share of the cores, unless the user has set a limit.
 
-    def __init__(self, workers: int) -> None:
-        share = str(max(1, cores() // max(1, workers)))
-        self._limits = {name: share for name in THREAD_LIMITS if name not in os.environ} if workers > 1 else {}
-
-    def __enter__(self) -> None:
-        os.environ.update(self._limits)
-
-    def __exit__(self, *exception: object) -> None:
-        for name in self._limits:
+    The limits are variables of this process's own environment, and Numba refuses to compile while they differ from
+    the number of its running threads. So they are gone again afterwards, with all that Dask adds.
+    """
+    before = set(os.environ)
+    share = str(max(1, cores() // max(1, workers)))
+    if workers > 1:
+        os.environ.update({name: share for name in THREAD_LIMITS if name not in before})
+    try:
+        yield
+    finally:
+        for name in set(os.environ) - before:
             del os.environ[name]
