@@ -62,12 +62,14 @@ def test_half_written_files_are_faults(name: str, content: bytes, tmp_path: Path
 
 
 WAITING = """
-import os, signal, sys, time
+import os, signal, time
+began = time.process_time()
 signal.signal(signal.SIGTERM, lambda *_: os._exit(143))
-while time.process_time() < 0.4: pass
+while time.process_time() < began + 0.4: pass
 signal.signal(signal.SIGTERM, signal.SIG_IGN)
-while time.process_time() < 0.8: pass
+while time.process_time() < began + 1.6: pass
 """
+"""Python itself may take half a second to start where other work runs beside."""
 HEEDLESS = "import os, signal, time\nsignal.signal(15, lambda *_: None)\nwhile time.process_time() < 3: pass"
 
 
@@ -89,7 +91,7 @@ def test_a_kill_is_drawn_earlier_until_it_reaches_the_command(tmp_path: Path, mo
 def test_the_length_of_a_command_is_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     found = killed(WAITING, 0.0, tmp_path, monkeypatch)
     assert found.reached
-    assert found.instants[0] < 0.5
+    assert found.instants[0] < 1.6
 
 
 def test_a_command_that_goes_on_after_a_signal_is_a_fault(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
