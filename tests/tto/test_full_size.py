@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from torch.nn import functional as F
 from tto_scenes import wall
 
 from querysplat_cli.runtime.choices import FullSizeLevel
@@ -115,6 +116,33 @@ def test_gradients_are_over_changing_backgrounds_and_losses_over_grey() -> None:
     assert [step.loss for step in steps] == pytest.approx([target.value(faint, [0])] * 6, rel=1e-5)
 
 
+def test_halved_views_add_half_of_their_gradient() -> None:
+    """As a loss of its own has it, on pictures that are halved already, over the same background."""
+    views, some = views_at(SIZE)
+    smaller = replace(
+        views,
+        images=F.avg_pool2d(views.images.float() / 255, 2),
+        masks=views.masks[:, ::2, ::2],
+        sizes=((SIZE // 2, SIZE // 2),) * 4,
+    )
+
+    def gradient(what: Views, where: Cameras, halved: float) -> list[torch.Tensor]:
+        target = RenderingLoss.for_solid_scenes(what, where, torch.Generator().manual_seed(1))
+        return tensors(replace(target, halved=halved).value_and_gradient(coarse(), [2]).gradient)
+
+    half = gradient(smaller, some.resized(SIZE // 2, SIZE // 2), 0.0)
+    for whole, both, other in zip(gradient(views, some, 0.0), gradient(views, some, 1.0), half, strict=True):
+        torch.testing.assert_close(both, whole + 0.5 * other, rtol=1e-4, atol=1e-7)
+
+
+@pytest.mark.parametrize("level", ["standard", "high", "max"])
+def test_large_photos_of_long_plans_are_seen_from_farther_away_too(level: FullSizeLevel) -> None:
+    large, small = (plan_full_size(level, photos, 40_000) for photos in (LARGE, replace(LARGE, height=360, width=480)))
+    assert {each.halved for each in large.stages} == {FULL_SIZE_POLICY.levels[level].halved}
+    assert {each.halved for each in small.stages} == {0.0}
+    assert large.round is None or large.round.halved == FULL_SIZE_POLICY.levels[level].halved
+
+
 def test_the_plan_goes_from_coarse_to_fine() -> None:
     plan = plan_full_size("high", LARGE, 50_000)
     assert [each.max_size for each in plan.stages] == [800, 1600]
@@ -146,7 +174,7 @@ def test_photos_without_more_pixels_are_shown_less_often() -> None:
 
     for level in ("standard", "high"):
         assert passes(level, 448) == passes(level, 300) == FULL_SIZE_POLICY.levels[level].passes
-        assert passes(level, 448) < passes(level, 640) <= FULL_SIZE_POLICY.most_passes
+        assert passes(level, 448) < passes(level, 800) <= FULL_SIZE_POLICY.most_passes
 
 
 @pytest.mark.parametrize("level", ["high", "max"])
@@ -184,15 +212,27 @@ def test_standard_shows_each_photo_often_enough_in_its_seconds() -> None:
 
 
 def test_many_photos_have_more_gaussians_up_to_a_number() -> None:
+    """Those of 480 pixels have too few pixels to be worth more than the numbers for each photo."""
     limits = FULL_SIZE_POLICY.levels["standard"]
-    plans = [plan_full_size("standard", replace(LARGE, count=count), 40_000) for count in (6, 25, 30, 90)]
+    small = replace(LARGE, height=360, width=480)
+    plans = [plan_full_size("standard", replace(small, count=count), 40_000) for count in (6, 25, 30, 90)]
     found = [plan.stages[-1].gaussians for plan in plans]
     assert found == [
-        limits.shared_gaussians,
+        min(limits.shared_gaussians, 6 * 360 * 480 / FULL_SIZE_POLICY.least_pixels_per_gaussian),
         limits.shared_gaussians,
         30 * limits.gaussians_per_photo,
         limits.gaussians,
     ]
+
+
+def test_large_photos_have_more_gaussians_as_far_as_the_time_lasts() -> None:
+    few, many = (plan_full_size("standard", replace(LARGE, count=count), 40_000) for count in (6, 12))
+    assert few.stages[-1].gaussians == FULL_SIZE_POLICY.levels["standard"].shared_gaussians
+    assert many.stages[-1].gaussians > 1.5 * few.stages[-1].gaussians
+    assert many.stages[-1].max_size == few.stages[-1].max_size
+    short, long = (plan_full_size("high", LARGE, 50_000, seconds=seconds).stages[-1] for seconds in (120.0, 1000.0))
+    assert short.max_size == long.max_size == LARGE.width
+    assert short.gaussians < long.gaussians == FULL_SIZE_POLICY.levels["high"].gaussians
 
 
 def test_photos_hardly_larger_than_the_working_pictures_are_used_at_that_size() -> None:

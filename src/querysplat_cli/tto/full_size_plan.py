@@ -33,11 +33,15 @@ class Photos:
 
 @dataclass(frozen=True)
 class FullSizeStage:
-    """One run in Gaussian space on photos of at most `max_size` pixels, splitting until there are `gaussians`."""
+    """One run in Gaussian space on photos of at most `max_size` pixels, splitting until there are `gaussians`.
+
+    halved: the share of its steps that see their photo at half of that size, too.
+    """
 
     max_size: int
     settings: TtoSettings
     gaussians: int
+    halved: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -67,11 +71,12 @@ def plan_full_size(
     largest = min(max(photos.height, photos.width), limits.size)
     megapixels = photos.count * photos.pixels(largest) / 1e6
     allowed = limits.planned_seconds(photos.count, megapixels) if seconds is None else seconds
-    limit = limits.most_gaussians(photos.count)
-    size = _size(photos, largest, max(gaussians, limit), allowed)
+    sure = limits.sure_gaussians(photos.count)
+    size = _size(photos, largest, max(gaussians, sure), allowed)
     pixels = photos.pixels(size)
-    target = limit if most is None else min(most, limit)
-    target = max(gaussians, min(target, int(photos.count * pixels / policy.pixels_per_gaussian)))
+    worth = min(limits.gaussians, photos.count * pixels / limits.pixels_each, _affordable(photos, pixels, allowed))
+    target = min(max(sure, int(worth)), limits.gaussians if most is None else most)
+    target = max(gaussians, min(target, int(photos.count * pixels / policy.least_pixels_per_gaussian)))
     most_passes = min(policy.most_passes, limits.passes * max(1.0, size / photos.working) ** 2)
     if photos.count <= TTO_POLICY.few_views:
         most_passes = min(most_passes, TTO_POLICY.passes)
@@ -79,7 +84,9 @@ def plan_full_size(
     stages, expected = [], 0.0
     for number, (share, part) in enumerate(shares, start=1):
         more = round(gaussians * (target / gaussians) ** (number / len(shares)))
-        cost = _step_seconds(pixels * share**2, more)
+        enlarged = round(size * share) >= policy.least_enlargement * photos.working
+        halved = limits.halved if enlarged else 0.0
+        cost = _step_seconds(pixels * share**2, more) + halved * _step_seconds(pixels * share**2 / 4, more)
         passes = most_passes * photos.count / len(shares)
         steps = max(1, int(passes if seconds is not None else min(allowed * part / cost, passes)))
         settings = TtoSettings(
@@ -90,7 +97,7 @@ def plan_full_size(
             keep_cover=1 < photos.count <= TTO_POLICY.few_views,
             densify_after=policy.splits,
         )
-        stages.append(FullSizeStage(round(size * share), settings, more))
+        stages.append(FullSizeStage(round(size * share), settings, more, halved))
         expected += steps * cost
     if sum(stage.settings.steps for stage in stages) > policy.dropout_passes * photos.count:
         stages = [replace(stage, settings=replace(stage.settings, dropout=policy.dropout)) for stage in stages]
@@ -98,7 +105,7 @@ def plan_full_size(
         return FullSizePlan(tuple(stages), expected if seconds is None else seconds, level=level)
     last = stages[-1].settings
     again = replace(last, steps=policy.round_passes * photos.count, lr=policy.learning_rate / 2)
-    return FullSizePlan(tuple(stages), expected, FullSizeStage(size, again, target), limits.most_rounds, level)
+    return FullSizePlan(tuple(stages), expected, replace(stages[-1], settings=again), limits.most_rounds, level)
 
 
 def _size(photos: Photos, largest: int, gaussians: int, seconds: float) -> int:
@@ -107,10 +114,18 @@ def _size(photos: Photos, largest: int, gaussians: int, seconds: float) -> int:
     It is that of the working pictures where the photos can be hardly larger.
     """
     policy = FULL_SIZE_POLICY
-    each = seconds / (policy.fewest_passes * photos.count)
-    pixels = max(0.0, each - _step_seconds(0.0, gaussians)) / policy.step_seconds[1]
+    pixels = max(0.0, _longest_step(photos, seconds) - _step_seconds(0.0, gaussians)) / policy.step_seconds[1]
     size = min(largest, int(largest * math.sqrt(pixels / photos.pixels(largest))))
     return size if size >= policy.least_enlargement * photos.working else photos.smallest
+
+
+def _affordable(photos: Photos, pixels: float, seconds: float) -> float:
+    """The Gaussians at which the time lasts for `FullSizePolicy.fewest_passes` over photos of so many pixels."""
+    return (_longest_step(photos, seconds) - _step_seconds(pixels, 0)) / FULL_SIZE_POLICY.step_seconds[2]
+
+
+def _longest_step(photos: Photos, seconds: float) -> float:
+    return seconds / (FULL_SIZE_POLICY.fewest_passes * photos.count)
 
 
 def _stages(working: int, size: int) -> tuple[tuple[float, float], ...]:

@@ -21,14 +21,20 @@ class LevelPolicy:
     passes: float
     """How often each photo is shown at most that is no larger than the working pictures; larger ones more often, as
     their pixels are more."""
+    shared_gaussians: int
+    """Splitting may reach so many whatever the photos,"""
+    pixels_each: float
+    """or one for so many pixels of all photos, as far as the time then shows each photo
+    `FullSizePolicy.fewest_passes` times,"""
     most_seconds: float = math.inf
     """However many pixels there are."""
     seconds_per_photo: float = 0.0
     """The plan may take so long for each photo, where that is more than all of the above."""
-    gaussians_per_photo: float = math.inf
-    """Splitting may reach so many for each photo,"""
-    shared_gaussians: int = 0
-    """or so many, if that is more."""
+    gaussians_per_photo: float = 0.0
+    """or so many for each photo, up to `gaussians` in any case."""
+    halved: float = 0.0
+    """Share of the steps that see their photo at half of its size, too, where photos are larger than the working
+    pictures (`RenderingLoss.halved`)."""
     most_rounds: int = 0
     """Rounds after the stages at most; they end when the loss stops falling."""
 
@@ -37,7 +43,8 @@ class LevelPolicy:
         base, each_megapixel = self.seconds
         return max(min(base + each_megapixel * megapixels, self.most_seconds), self.seconds_per_photo * photos)
 
-    def most_gaussians(self, photos: int) -> int:
+    def sure_gaussians(self, photos: int) -> int:
+        """What splitting may reach for so many photos, however few pixels they have."""
         return int(min(self.gaussians, max(self.shared_gaussians, self.gaussians_per_photo * photos)))
 
 
@@ -56,19 +63,39 @@ class FullSizePolicy:
                 140_000,
                 (20.0, 0.0),
                 passes=20.0,
+                shared_gaussians=70_000,
+                pixels_each=60.0,
                 seconds_per_photo=1.7,
                 gaussians_per_photo=2_800.0,
-                shared_gaussians=70_000,
             ),
-            "high": LevelPolicy(1600, 200_000, (60.0, 10.0), passes=50.0, most_seconds=900.0),
-            "max": LevelPolicy(WHOLE, 500_000, (60.0, 10.0), passes=50.0, most_rounds=8),
+            "high": LevelPolicy(
+                1600,
+                600_000,
+                (60.0, 10.0),
+                passes=50.0,
+                shared_gaussians=200_000,
+                pixels_each=30.0,
+                most_seconds=900.0,
+                halved=1 / 3,
+            ),
+            "max": LevelPolicy(
+                WHOLE,
+                1_000_000,
+                (60.0, 10.0),
+                passes=50.0,
+                shared_gaussians=500_000,
+                pixels_each=30.0,
+                halved=1 / 3,
+                most_rounds=8,
+            ),
         }
     )
     """50 passes with dropout, instead of 14 without, take three times the seconds. Held out on grey at 448 pixels they
     bring fortress from 30.35 to 30.70 dB, dtu106 from 28.53 to 28.63, fox from 23.59 to 23.67; SSIM gains 0.004 to
     0.008. 20 instead of 14 bring 0.09 dB (docs/quality.md).
 
-    What `standard` spends on each photo of many was chosen on fox (docs/quality.md).
+    What `standard` spends on each photo of many was chosen on fox, and the pixels for each Gaussian on fox and kermit
+    (docs/quality.md).
 
     The seconds of `high` are about 430 for 20 photos of 1,600 × 1,200, so that the whole command takes about ten
     minutes on two quiet cores."""
@@ -93,7 +120,7 @@ class FullSizePolicy:
     with 0.1."""
     dropout_passes: float = 20.0
     """A plan that shows each photo more often than this has dropout."""
-    pixels_per_gaussian: float = 10.0
+    least_pixels_per_gaussian: float = 10.0
     """Pixels of all photos together for each Gaussian that splitting may reach."""
     step_seconds: tuple[float, float, float] = (0.01, 0.8e-7, 0.65e-6)
     """What a step takes, for each pixel of its view, and for each Gaussian; measured on two cores. The plan counts on

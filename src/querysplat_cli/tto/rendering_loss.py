@@ -6,6 +6,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch.nn import functional as F
 
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
@@ -16,6 +17,9 @@ from querysplat_cli.splat.render import Rendering, RenderSettings, render
 from querysplat_cli.splat.similarity import photometric_loss, photometric_value
 from querysplat_cli.tto.exposure_refit import RefittedExposures
 from querysplat_cli.tto.policy import TTO_POLICY
+
+HALF_WEIGHT = 0.5
+"""Of views at half of the size in the loss, beside the whole ones (docs/quality.md)."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +63,9 @@ class RenderingLoss:
     finest: cameras whose pixels bound how thin optimisation may make a Gaussian (`splat/smoothing.py`; None: nothing
         bounds that).
     perceptual: LPIPS with its weights (None: it is left out).
+    halved: share of the gradients that have, beside the views, the same ones at half of the size, by `HALF_WEIGHT`;
+        `backgrounds` draws them. Gaussians smaller than a pixel are drawn larger than they are, so that a scene of many
+        has other colours from farther away.
     """
 
     views: Views
@@ -69,6 +76,7 @@ class RenderingLoss:
     exposures: RefittedExposures | None = None
     finest: Cameras | None = None
     perceptual: Perceptual | None = None
+    halved: float = 0.0
 
     @classmethod
     def for_solid_scenes(
@@ -106,6 +114,7 @@ class RenderingLoss:
         asked = self.cameras.w2c.requires_grad
         w2c, K = (field.detach().requires_grad_(asked) for field in (self.cameras.w2c, self.cameras.K))
         cameras = replace(self.cameras, w2c=w2c, K=K)
+        halve = self.halved > 0 and bool(torch.rand((), generator=self.backgrounds) < self.halved)
         losses, errors = [], []
         for view in chosen:
             rendering = self._render(leaves, cameras, view)
@@ -115,7 +124,8 @@ class RenderingLoss:
                 rendering = self._exposed(rendering, view)
             picture = self._picture(rendering, behind, view)
             distance = self._distance(picture, photo)
-            ((photometric_loss(picture, *photo) + distance) / len(chosen)).backward()
+            smaller = HALF_WEIGHT * self._half_loss(leaves, cameras, behind, view) if halve else 0.0
+            ((photometric_loss(picture, *photo) + distance + smaller) / len(chosen)).backward()
             value, error = self._compared(rendering, photo, view)
             losses.append(value + float(distance.detach()))
             errors.append(error)
@@ -124,6 +134,15 @@ class RenderingLoss:
 
     def _render(self, gaussians: Gaussians, cameras: Cameras, view: int) -> Rendering:
         return render(gaussians, cameras[[view]], settings=self.settings)
+
+    def _half_loss(self, gaussians: Gaussians, cameras: Cameras, behind: Tensor | None, view: int) -> Tensor:
+        """L1 + 0.2·D-SSIM of a view at half of the size; pixels count where none of theirs is masked."""
+        photo, mask = self._photo(view)
+        size = cameras.height // 2, cameras.width // 2
+        photo = F.interpolate(photo, size, mode="area")
+        mask = F.interpolate(mask[:, None].float(), size, mode="area")[:, 0] == 1
+        picture = self._exposed(self._render(gaussians, cameras.resized(*size), view), view).over(behind)
+        return photometric_loss(picture * mask[:, None], photo * mask[:, None], mask)
 
     def _exposed(self, rendering: Rendering, view: int) -> Rendering:
         return self.exposures.exposed(rendering, view) if self.exposures else rendering
