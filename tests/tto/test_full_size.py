@@ -132,7 +132,7 @@ def test_halved_views_add_half_of_their_gradient() -> None:
 
     half = gradient(smaller, some.resized(SIZE // 2, SIZE // 2), 0.0)
     for whole, both, other in zip(gradient(views, some, 0.0), gradient(views, some, 1.0), half, strict=True):
-        torch.testing.assert_close(both, whole + 0.5 * other, rtol=1e-4, atol=1e-7)
+        torch.testing.assert_close(both, whole + TTO_POLICY.half * other, rtol=1e-4, atol=1e-7)
 
 
 @pytest.mark.parametrize("level", ["standard", "high", "max"])

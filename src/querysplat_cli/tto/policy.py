@@ -26,6 +26,8 @@ class TtoPolicy:
     """For learned queries, as in the authors' release."""
     lpips: float = 0.05
     """Weight of LPIPS in the loss, where it takes part (the paper and the release)."""
+    half: float = 0.5
+    """Weight in the loss of views at half of their size, where they take part (docs/quality.md)."""
     views_per_step: int = 3
     """Views that one step renders, where there are more."""
     few_views: int = 4

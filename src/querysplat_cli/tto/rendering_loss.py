@@ -18,9 +18,6 @@ from querysplat_cli.splat.similarity import photometric_loss, photometric_value
 from querysplat_cli.tto.exposure_refit import RefittedExposures
 from querysplat_cli.tto.policy import TTO_POLICY
 
-HALF_WEIGHT = 0.5
-"""Of views at half of the size in the loss, beside the whole ones (docs/quality.md)."""
-
 
 @dataclass(frozen=True)
 class LossAndGradient:
@@ -63,7 +60,7 @@ class RenderingLoss:
     finest: cameras whose pixels bound how thin optimisation may make a Gaussian (`splat/smoothing.py`; None: nothing
         bounds that).
     perceptual: LPIPS with its weights (None: it is left out).
-    halved: share of the gradients that have, beside the views, the same ones at half of the size, by `HALF_WEIGHT`;
+    halved: share of the gradients that have, beside the views, the same ones at half of the size, by `TtoPolicy.half`;
         `backgrounds` draws them. Gaussians smaller than a pixel are drawn larger than they are, so that a scene of many
         has other colours from farther away.
     """
@@ -124,7 +121,7 @@ class RenderingLoss:
                 rendering = self._exposed(rendering, view)
             picture = self._picture(rendering, behind, view)
             distance = self._distance(picture, photo)
-            smaller = HALF_WEIGHT * self._half_loss(leaves, cameras, behind, view) if halve else 0.0
+            smaller = TTO_POLICY.half * self._half_loss(leaves, cameras, behind, view) if halve else 0.0
             ((photometric_loss(picture, *photo) + distance + smaller) / len(chosen)).backward()
             value, error = self._compared(rendering, photo, view)
             losses.append(value + float(distance.detach()))
