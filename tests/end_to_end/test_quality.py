@@ -19,8 +19,8 @@ SMALL = ["--max-size", "160", "--tto", "4", "--quiet"]
 QUICK = replace(
     full_size_plan.FULL_SIZE_POLICY,
     levels={
-        "standard": LevelPolicy(320, 70_000, (0.5, 0.0), 14.0),
-        "high": LevelPolicy(320, 200_000, (0.8, 0.0), 50.0),
+        "standard": LevelPolicy(320, 70_000, (0.5, 0.0), 14.0, 70_000, 60.0),
+        "high": LevelPolicy(320, 200_000, (0.8, 0.0), 50.0, 200_000, 30.0),
     },
     fewest_passes=0.2,
 )
