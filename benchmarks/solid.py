@@ -16,7 +16,7 @@ import torch
 from common.output import Table
 from querysplat_cli.pipeline.read_scene import read_scene, read_scene_gaussians
 from querysplat_cli.reporting.view_scores import score
-from querysplat_cli.scene.paths import interpolate
+from querysplat_cli.scene.paths import halfway
 from querysplat_cli.splat.conventions import MID_GREY
 from querysplat_cli.splat.render import render
 
@@ -35,9 +35,9 @@ def main() -> None:
         gaussians = read_scene_gaussians(path, scene)
         views, cameras = scene.heldout or (scene.views, scene.cameras)
         psnrs = [score(gaussians, views, cameras, level).psnr for level in BACKGROUNDS.values()]
-        between = interpolate(scene.cameras, 2 * len(scene.views) - 1)[1::2]
+        between = halfway(scene.cameras)
         with torch.no_grad():
-            alphas = torch.stack([render(gaussians, between[[i]]).alpha for i in range(len(between.w2c))])
+            alphas = torch.stack([render(gaussians, between[[i]]).alpha for i in range(len(between))])
         table.add(path.stem, *psnrs, float(alphas.min()), float((alphas < SOLID).double().mean()))
 
 

@@ -218,7 +218,7 @@ def test_many_photos_have_more_gaussians_up_to_a_number() -> None:
     plans = [plan_full_size("standard", replace(small, count=count), 40_000) for count in (6, 25, 30, 90)]
     found = [plan.stages[-1].gaussians for plan in plans]
     assert found == [
-        min(limits.shared_gaussians, 6 * 360 * 480 / FULL_SIZE_POLICY.least_pixels_per_gaussian),
+        limits.shared_gaussians,
         limits.shared_gaussians,
         30 * limits.gaussians_per_photo,
         limits.gaussians,

@@ -92,6 +92,11 @@ def interpolate(cameras: Cameras, frames: int) -> Cameras:
     return _cameras(path, K, cameras)
 
 
+def halfway(cameras: Cameras) -> Cameras:
+    """A camera between each and the next one on the path of `interpolate`; a single camera itself."""
+    return interpolate(cameras, 2 * len(cameras) - 1)[1::2] if len(cameras) > 1 else cameras
+
+
 def on_the_line(pair: Cameras, share: float) -> Cameras:
     """The camera at `share` of the way from one to the other, beyond them below 0 and above 1; it turns evenly."""
     c2w = pair.c2w.double().numpy()

@@ -26,6 +26,10 @@ class Photos:
         """The longer side that pictures have at least, in pixels."""
         return min(self.working, max(self.height, self.width))
 
+    def enlarged(self, size: int, share: float = 1.0) -> bool:
+        """Whether pictures at a share of this longer side are large enough for a stage beside the working ones."""
+        return share * size >= FULL_SIZE_POLICY.least_enlargement * self.working
+
     def pixels(self, size: int) -> float:
         """Of one photo whose longer side has `size` pixels."""
         return self.height * self.width * (size / max(self.height, self.width)) ** 2
@@ -80,13 +84,13 @@ def plan_full_size(
     most_passes = min(policy.most_passes, limits.passes * max(1.0, size / photos.working) ** 2)
     if photos.count <= TTO_POLICY.few_views:
         most_passes = min(most_passes, TTO_POLICY.passes)
-    shares = _stages(photos.working, size)
+    shares = _stages(photos, size)
+    halved = limits.halved if photos.enlarged(size) else 0.0
     stages, expected = [], 0.0
     for number, (share, part) in enumerate(shares, start=1):
         more = round(gaussians * (target / gaussians) ** (number / len(shares)))
-        enlarged = round(size * share) >= policy.least_enlargement * photos.working
-        halved = limits.halved if enlarged else 0.0
-        cost = _step_seconds(pixels * share**2, more) + halved * _step_seconds(pixels * share**2 / 4, more)
+        seen = pixels * share**2
+        cost = _step_seconds(seen, more) + halved * _step_seconds(seen / 4, more)
         passes = most_passes * photos.count / len(shares)
         steps = max(1, int(passes if seconds is not None else min(allowed * part / cost, passes)))
         settings = TtoSettings(
@@ -116,7 +120,7 @@ def _size(photos: Photos, largest: int, gaussians: int, seconds: float) -> int:
     policy = FULL_SIZE_POLICY
     pixels = max(0.0, _longest_step(photos, seconds) - _step_seconds(0.0, gaussians)) / policy.step_seconds[1]
     size = min(largest, int(largest * math.sqrt(pixels / photos.pixels(largest))))
-    return size if size >= policy.least_enlargement * photos.working else photos.smallest
+    return size if photos.enlarged(size) else photos.smallest
 
 
 def _affordable(photos: Photos, pixels: float, seconds: float) -> float:
@@ -128,10 +132,10 @@ def _longest_step(photos: Photos, seconds: float) -> float:
     return seconds / (FULL_SIZE_POLICY.fewest_passes * photos.count)
 
 
-def _stages(working: int, size: int) -> tuple[tuple[float, float], ...]:
+def _stages(photos: Photos, size: int) -> tuple[tuple[float, float], ...]:
     """The stages whose pictures are large enough, each with its share of the size and of the seconds."""
     *coarse, last = FULL_SIZE_POLICY.stages
-    kept = [stage for stage in coarse if stage[0] * size >= FULL_SIZE_POLICY.least_enlargement * working]
+    kept = [stage for stage in coarse if photos.enlarged(size, stage[0])]
     whole = sum(part for _, part in (*kept, last))
     return tuple((share, part / whole) for share, part in (*kept, last))
 

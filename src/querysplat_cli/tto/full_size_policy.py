@@ -26,12 +26,12 @@ class LevelPolicy:
     pixels_each: float
     """or one for so many pixels of all photos, as far as the time then shows each photo
     `FullSizePolicy.fewest_passes` times,"""
+    gaussians_per_photo: float = 0.0
+    """or so many for each photo, up to `gaussians` in any case."""
     most_seconds: float = math.inf
     """However many pixels there are."""
     seconds_per_photo: float = 0.0
     """The plan may take so long for each photo, where that is more than all of the above."""
-    gaussians_per_photo: float = 0.0
-    """or so many for each photo, up to `gaussians` in any case."""
     halved: float = 0.0
     """Share of the steps that see their photo at half of its size, too, where photos are larger than the working
     pictures (`RenderingLoss.halved`)."""
@@ -121,7 +121,7 @@ class FullSizePolicy:
     dropout_passes: float = 20.0
     """A plan that shows each photo more often than this has dropout."""
     least_pixels_per_gaussian: float = 10.0
-    """Pixels of all photos together for each Gaussian that splitting may reach."""
+    """Pixels of all photos together for each Gaussian that splitting may reach, at least."""
     step_seconds: tuple[float, float, float] = (0.01, 0.8e-7, 0.65e-6)
     """What a step takes, for each pixel of its view, and for each Gaussian; measured on two cores. The plan counts on
     these figures and never on a clock, so that the same seed gives the same scene however busy the machine is."""

@@ -121,7 +121,7 @@ class RenderingLoss:
                 rendering = self._exposed(rendering, view)
             picture = self._picture(rendering, behind, view)
             distance = self._distance(picture, photo)
-            smaller = TTO_POLICY.half * self._half_loss(leaves, cameras, behind, view) if halve else 0.0
+            smaller = TTO_POLICY.half * self._half_loss(leaves, cameras, behind, view, photo) if halve else 0.0
             ((photometric_loss(picture, *photo) + distance + smaller) / len(chosen)).backward()
             value, error = self._compared(rendering, photo, view)
             losses.append(value + float(distance.detach()))
@@ -132,14 +132,15 @@ class RenderingLoss:
     def _render(self, gaussians: Gaussians, cameras: Cameras, view: int) -> Rendering:
         return render(gaussians, cameras[[view]], settings=self.settings)
 
-    def _half_loss(self, gaussians: Gaussians, cameras: Cameras, behind: Tensor | None, view: int) -> Tensor:
+    def _half_loss(
+        self, gaussians: Gaussians, cameras: Cameras, behind: Tensor | None, view: int, photo: tuple[Tensor, Tensor]
+    ) -> Tensor:
         """L1 + 0.2·D-SSIM of a view at half of the size; pixels count where none of theirs is masked."""
-        photo, mask = self._photo(view)
         size = cameras.height // 2, cameras.width // 2
-        photo = F.interpolate(photo, size, mode="area")
-        mask = F.interpolate(mask[:, None].float(), size, mode="area")[:, 0] == 1
+        smaller = F.interpolate(photo[0], size, mode="area")
+        mask = F.interpolate(photo[1][:, None].float(), size, mode="area")[:, 0] == 1
         picture = self._exposed(self._render(gaussians, cameras.resized(*size), view), view).over(behind)
-        return photometric_loss(picture * mask[:, None], photo * mask[:, None], mask)
+        return photometric_loss(picture * mask[:, None], smaller * mask[:, None], mask)
 
     def _exposed(self, rendering: Rendering, view: int) -> Rendering:
         return self.exposures.exposed(rendering, view) if self.exposures else rendering

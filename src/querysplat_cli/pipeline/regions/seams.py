@@ -15,7 +15,7 @@ from querysplat_cli.runtime.errors import ImpossibleScene
 from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.scene.paths import interpolate
+from querysplat_cli.scene.paths import halfway
 from querysplat_cli.splat.blending_weights import blending_weights
 from querysplat_cli.splat.conventions import MID_GREY
 from querysplat_cli.splat.render import render
@@ -52,8 +52,7 @@ def disagreement(seam: Seam, cameras: Cameras, scenes: Sequence[Gaussians]) -> f
     `scenes` are those of the regions of `seam`, whole. No photo was taken there, so both have to be right to
     agree. Pixels that either leaves empty do not count.
     """
-    shared = cameras[list(seam.photos)]
-    between = interpolate(shared, 2 * len(shared) - 1)[1::2] if len(shared) > 1 else shared
+    between = halfway(cameras[list(seam.photos)])
     some = evenly_spaced(range(len(between)), PIPELINE_POLICY.seam_views)
     errors, count = 0.0, 0
     for view in some:
