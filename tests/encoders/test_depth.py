@@ -8,8 +8,8 @@ from synthetic import Plane, camera, photograph, texture
 from querysplat_cli.encoders.base import Geometry, PosedViews
 from querysplat_cli.encoders.classical.consistency import carve, confirm, lent
 from querysplat_cli.encoders.classical.depth import estimate_geometry
+from querysplat_cli.encoders.classical.depth_policy import DEPTH_POLICY
 from querysplat_cli.encoders.classical.neighbours import choose_sources, inverse_range
-from querysplat_cli.encoders.classical.policy import DEPTH_POLICY
 from querysplat_cli.encoders.classical.semiglobal import aggregate_costs, best_planes
 from querysplat_cli.encoders.classical.sweep import WORST_COST, cost_volume, plane_homography
 from querysplat_cli.scene.cameras import Cameras
@@ -130,6 +130,26 @@ def test_a_depth_range_of_one_to_a_thousand():
     assert limits.near > 1
     geometry = seen_depth(wide)
     assert float(geometry.depth.max()) <= 1.001 / limits.far
+
+
+def test_a_post_before_a_wall_is_measured_though_few_points_lie_on_it():
+    """Posts and the ground before the camera had a few points of thousands, and were put too far away for it."""
+    post = Plane((-0.12, -0.3, 1.4), (0.24, 0, 0), (0, 0.6, 0), texture(3, 256))
+    scene, truth = posed([TWO_LAYERS[0], post], [(0, 0, 0), (0.12, 0, 0), (-0.12, 0.02, 0), (0, 0.12, 0)])
+    wall, near = scene.points[scene.points[:, 2] > 2].repeat(12, 1), scene.points[scene.points[:, 2] < 2][:4]
+    assert len(near) == 4
+
+    def with_points(points: torch.Tensor) -> PosedViews:
+        return PosedViews(scene.views, scene.cameras, points, tuple(torch.arange(len(points)) for _ in truth))
+
+    without, with_one = (inverse_range(with_points(torch.cat([wall, near[:n]])), 0) for n in (0, 1))
+    assert with_one.near == pytest.approx(without.near, rel=0.01)
+    assert without.near < 1 / 1.4
+    assert inverse_range(with_points(near[:2]), 0).near == pytest.approx(1, rel=1e-3)
+    found = with_points(torch.cat([wall, near]))
+    assert inverse_range(found, 0).near == pytest.approx(1, rel=1e-3)
+    error = np.abs(seen_depth(found).depth[0].numpy() / truth[0] - 1)
+    assert np.median(error[truth[0] < 2]) < 0.02
 
 
 def test_masked_pixels_do_not_vote_and_have_no_confidence(slanted):

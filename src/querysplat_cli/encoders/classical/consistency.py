@@ -4,7 +4,7 @@ import cv2
 import numba as nb
 import numpy as np
 
-from querysplat_cli.encoders.classical.policy import DEPTH_POLICY
+from querysplat_cli.encoders.classical.depth_policy import DEPTH_POLICY
 
 # Plain numbers, since a compiled kernel cannot read a dataclass.
 _LEAST_AGREEMENT, _MOST_AGREEMENT = DEPTH_POLICY.agreement

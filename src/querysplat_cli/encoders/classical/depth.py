@@ -8,11 +8,11 @@ import torch
 
 from querysplat_cli.encoders.base import Geometry, PosedViews
 from querysplat_cli.encoders.classical.consistency import blurred, carve, confirm, lent
+from querysplat_cli.encoders.classical.depth_policy import DEPTH_POLICY
 from querysplat_cli.encoders.classical.fill_depth import fill_depth
 from querysplat_cli.encoders.classical.neighbours import InverseRange, choose_sources, inverse_range, nearest_views
 from querysplat_cli.encoders.classical.patch_features import PATCH, patch_features
 from querysplat_cli.encoders.classical.patchmatch import Planes, Source, refine_planes
-from querysplat_cli.encoders.classical.policy import DEPTH_POLICY
 from querysplat_cli.encoders.classical.semiglobal import aggregate_costs, best_planes
 from querysplat_cli.encoders.classical.sweep import cost_volume
 from querysplat_cli.runtime.progress import Progress

@@ -3,7 +3,7 @@
 import cv2
 import numpy as np
 
-from querysplat_cli.encoders.classical.policy import DEPTH_POLICY
+from querysplat_cli.encoders.classical.depth_policy import DEPTH_POLICY
 from querysplat_cli.scene.local_planes import local_planes
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from querysplat_cli.encoders.base import PosedViews
-from querysplat_cli.encoders.classical.policy import DEPTH_POLICY
+from querysplat_cli.encoders.classical.depth_policy import DEPTH_POLICY
 
 
 @dataclass(frozen=True)
@@ -29,8 +29,20 @@ def inverse_range(posed: PosedViews, view: int) -> InverseRange:
         z = np.concatenate([_depths(posed, v, rows) for v, rows in enumerate(posed.visibility)])
     if not len(z):
         return InverseRange(policy.farther_than_points, policy.nearer_than_points, 1.0)
-    farthest, middle, nearest = (float(p) for p in np.percentile(1 / z, (1, 50, 99.5)))
-    return InverseRange(policy.farther_than_points * farthest, policy.nearer_than_points * nearest, middle)
+    farthest, middle, nearest = (float(p) for p in np.percentile(1 / z, (1, 50, policy.nearest_point)))
+    near, together = policy.nearer_than_points * nearest, _nearest_together(1 / z)
+    if together > near:  # a post in front of a house has a few points of thousands
+        near = policy.nearer_than_points * together
+    return InverseRange(policy.farther_than_points * farthest, near, middle)
+
+
+def _nearest_together(inverse: np.ndarray) -> float:
+    """The largest inverse depth from which on several points have nearly one depth; 0 without any."""
+    falling = np.sort(inverse)[::-1]
+    last = DEPTH_POLICY.points_together - 1
+    starts = falling[: max(len(falling) - last, 0)]
+    together = starts[DEPTH_POLICY.nearly_one_depth * falling[last:] >= starts]
+    return float(together[0]) if len(together) else 0.0
 
 
 def choose_sources(posed: PosedViews, view: int) -> list[int]:

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numba as nb
 import numpy as np
 
+from querysplat_cli.encoders.classical.depth_policy import DEPTH_POLICY
 from querysplat_cli.encoders.classical.neighbours import InverseRange
-from querysplat_cli.encoders.classical.policy import DEPTH_POLICY
 
 # Plain numbers, since a compiled kernel cannot read a dataclass.
 _REFINEMENT_REACH = DEPTH_POLICY.refinement_reach

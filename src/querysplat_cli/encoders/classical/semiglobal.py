@@ -3,7 +3,7 @@
 import numba as nb
 import numpy as np
 
-from querysplat_cli.encoders.classical.policy import DEPTH_POLICY
+from querysplat_cli.encoders.classical.depth_policy import DEPTH_POLICY
 
 # Plain numbers, since a compiled kernel cannot read a dataclass.
 _SMALL_STEP = DEPTH_POLICY.small_step

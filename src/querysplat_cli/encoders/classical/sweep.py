@@ -8,7 +8,7 @@ one view is usually visible in another, and a single good match is easily an acc
 import numba as nb
 import numpy as np
 
-from querysplat_cli.encoders.classical.policy import DEPTH_POLICY
+from querysplat_cli.encoders.classical.depth_policy import DEPTH_POLICY
 
 WORST_COST = 127
 """Cost of no correlation at all, in the 8-bit volume; 0 is a perfect match."""
