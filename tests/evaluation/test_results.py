@@ -90,7 +90,7 @@ def test_a_splits_figure_is_the_mean_over_views_and_the_average_that_over_splits
         assert {row["psnr"] for row in csv.DictReader(file) if row["group"] == "interp"} == {"25.0", "11.0"}
     text = (tmp_path / "summary.md").read_text()
     assert "| free_tto=0 | 30.00 / 0.500 / – | 18.00 / 0.500 / – |" in text
-    assert "no LPIPS" in text
+    assert "No LPIPS" in text
     assert "no overlap" in text
 
 

@@ -13,7 +13,7 @@ import pytest
 from querysplat_cli.runtime.cluster import find_engine, read_cluster
 from querysplat_cli.runtime.engine import InProcess, report_progress
 from querysplat_cli.runtime.errors import ExitCode, QuerySplatError
-from querysplat_cli.runtime.workers import cores
+from querysplat_cli.runtime.workers import Workers, cores
 
 JOBS = ["a", "b", "c"]
 
@@ -39,6 +39,10 @@ def work(engine: object, folder: Path, jobs: list[str]) -> tuple[dict[str, str |
     heard: set[str] = set()
     engine.run(handler, folder, jobs, lambda job, why: ends.update({job: why}), lambda job, *_: heard.add(job))  # type: ignore[attr-defined]
     return ends, heard
+
+
+def test_processes_of_this_machine_are_heard(tmp_path: Path) -> None:
+    assert work(Workers(2), tmp_path, JOBS) == (dict.fromkeys(JOBS), set(JOBS))
 
 
 def test_in_process(tmp_path: Path) -> None:

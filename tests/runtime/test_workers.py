@@ -10,6 +10,7 @@ from pathlib import Path
 import psutil
 import pytest
 
+from querysplat_cli.runtime.engine import unheard
 from querysplat_cli.runtime.workers import THREAD_LIMITS, Workers, _Pool
 
 
@@ -52,7 +53,7 @@ def test_an_interruption_stops_every_worker(tmp_path: Path) -> None:
 
     start = time.monotonic()
     with pytest.raises(KeyboardInterrupt):
-        workers.run(["a", "sleep", "sleep"], interrupted)
+        workers.run(["a", "sleep", "sleep"], interrupted, unheard)
     assert time.monotonic() - start < 30
     assert workers._running
     assert not any(process.is_alive() for process in workers._running)

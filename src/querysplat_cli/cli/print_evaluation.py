@@ -26,7 +26,7 @@ def print_evaluation(summary: dict[str, Any], output: Path, printing: Printing) 
         for table in _tables(summary, views):
             say(table, printing)
     for text in summary["lpips"]:
-        say(f"LPIPS: {text}", printing)
+        say(text, printing)
     if summary["failures"]:
         say(f"{len(summary['failures'])} failures, listed in {output / 'summary.md'}", printing)
     say(f"{output / 'summary.md'}, .csv and .json; a folder for each case", printing)

@@ -8,6 +8,7 @@ from traceback import format_exc
 from typing import Any
 
 from querysplat_cli.evaluation.case import CaseRunner
+from querysplat_cli.evaluation.count import Counter, to_do
 from querysplat_cli.evaluation.judge import Judge
 from querysplat_cli.evaluation.keeping import Keeping
 from querysplat_cli.evaluation.metrics import Meter
@@ -24,15 +25,13 @@ from querysplat_cli.runtime.choices import FurtherMetric
 from querysplat_cli.runtime.cluster import find_engine
 from querysplat_cli.runtime.compiler import DEPTH_KERNELS, SCENE_KERNELS, start_compiling, wait_until_compiled
 from querysplat_cli.runtime.device import find_device
+from querysplat_cli.runtime.engine import report_progress
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.runtime.workers import Workers
 from querysplat_cli.scene.files import check_writable
 from querysplat_cli.scene.formats.dataset import find_scenes
 from querysplat_cli.splat.lpips import LpipsFiles, find_lpips, load_lpips
-
-MANY_SCENES = 100
-"""With more scenes to make, the message says how to make fewer."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +76,7 @@ def evaluate(request: EvalRequest, stages: Stages, say: Callable[[str], None]) -
         table = plan_rows(request, scenes.values(), say)
     jobs = plan_jobs(request, splits, scenes, table, lpips)
     _write_splits(request.out, splits)
-    say(_count(jobs, len(splits), request.workers))
+    say(to_do(jobs, len(splits), request.workers))
     setup = Setup(
         request.out,
         Protocol(request.protocol),
@@ -89,21 +88,19 @@ def evaluate(request: EvalRequest, stages: Stages, say: Callable[[str], None]) -
         request.predictions,
     )
     with stages("cases") as progress:
-        finished = 0
+        counter = Counter(jobs, progress)
 
         def done(job: Job, died: str | None) -> None:
-            nonlocal finished
-            finished += 1
             if died:
                 say(f"{job.split}, {job.case.name}: {died}")
                 for row in job.rows:
                     row_folder = RowFolder(request.out, row.name, job.split)
                     if not row_folder.is_done(job.case.name):
                         write_failure(row_folder.case(job.case.name), job.case.scene, died, asked=job.asked)
-            progress(f"{finished} of {len(jobs)}: {job.split}, {job.case.name}", finished / len(jobs))
+            counter.done(job)
 
         if jobs:
-            find_engine(request.cluster, Workers(request.workers), say).run(handler, setup, jobs, done)
+            find_engine(request.cluster, Workers(request.workers), say).run(handler, setup, jobs, done, counter.heard)
     with stages("summary"):
         return summarise(request.out)
 
@@ -121,7 +118,8 @@ def _work(setup: Setup, meter: Meter, job: Job) -> None:
     judge: Judge | None = None
     runner: CaseRunner | None = None
     apart: dict[str, list[str]] = {}
-    for row in job.rows:
+    for number, row in enumerate(job.rows):
+        report_progress(row.name, number / len(job.rows))
         folder = RowFolder(setup.out, row.name, job.split).case(job.case.name)
         try:
             judge = judge or Judge(job.groups, job.cameras, setup.protocol, meter, fitted=setup.fitted)
@@ -138,13 +136,6 @@ def _work(setup: Setup, meter: Meter, job: Job) -> None:
         except Exception as error:
             why = f"a bug: {type(error).__name__}: {error}"
             write_failure(folder, job.case.scene, why, format_exc(), asked=job.asked, apart=apart)
-
-
-def _count(jobs: Sequence[Job], splits: int, workers: int) -> str:
-    """How much is to be done, before it begins."""
-    scenes = sum(len(job.rows) for job in jobs)
-    text = f"{len(jobs):,} cases of {splits} splits, {scenes:,} scenes to make, {workers} at a time"
-    return f"{text}; --cases N takes N cases of each split" if scenes > MANY_SCENES else text
 
 
 def _write_splits(out: Path, splits: Sequence[Split]) -> None:

@@ -181,4 +181,4 @@ def not_none(values: Iterable[float | None]) -> list[float]:
 
 def _about_lpips(config: dict[str, Any]) -> str:
     about = config["lpips"]
-    return f"with {about['net']}" if "net" in about else str(about["missing"])
+    return f"LPIPS with {about['net']}" if "net" in about else str(about["missing"])

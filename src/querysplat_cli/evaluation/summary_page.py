@@ -18,7 +18,7 @@ was fitted to the finished scene. Cells are PSNR in dB / SSIM / LPIPS, the avera
 def markdown(summary: dict[str, Any]) -> str:
     """The averages, the splits, what is quoted, and what failed."""
     parts = [f"Protocol: {', '.join(summary['protocol'])}. Machine: {'; '.join(summary['machine'])}.", ""]
-    parts += [f"LPIPS: {text}." for text in summary["lpips"]]
+    parts += [f"{text[0].upper()}{text[1:]}." for text in summary["lpips"]]
     parts += ["", "Each cell is PSNR in dB / SSIM / LPIPS, the mean over the views that were scored."]
     for views in sorted({row["views"] for row in summary["averages"]}):
         rows = [row for row in summary["averages"] if row["views"] == views]

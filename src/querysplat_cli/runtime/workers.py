@@ -7,12 +7,13 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from multiprocessing import get_context, parent_process
 from multiprocessing.connection import Connection, wait
 from typing import Any, Generic, TypeVar
 
 from querysplat_cli.runtime import signals
-from querysplat_cli.runtime.engine import Done, Handler, Heard, unheard
+from querysplat_cli.runtime.engine import Done, Handler, Heard, reporting_to, unheard
 
 Job = TypeVar("Job")
 THREAD_LIMITS = ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "MKL_NUM_THREADS")
@@ -31,12 +32,22 @@ class Workers:
         self._count = count
 
     def run(self, handler: Handler, setup: Any, jobs: Sequence[Any], done: Done, heard: Heard = unheard) -> None:
-        """See `Engine`. `done` is never called twice at a time, and jobs are not heard.
+        """See `Engine`. Neither `done` nor `heard` is called while one of them runs.
 
         On an exception, all processes are stopped; Ctrl-C and a scheduler's SIGTERM are one. Call it from the main
         thread.
         """
-        _Pool(self._count, handler, setup).run(jobs, done)
+        _Pool(self._count, handler, setup).run(jobs, done, heard)
+
+
+@dataclass(frozen=True)
+class _Word(Generic[Job]):
+    """What a process says of a job: its progress, or that it ended, and why if the process ended with it."""
+
+    job: Job
+    ended: bool = True
+    why: str | None = None
+    progress: tuple[str, float] = ("", 0.0)
 
 
 class _Pool(Generic[Job]):
@@ -48,22 +59,28 @@ class _Pool(Generic[Job]):
         self._stopped = False
         self._starting = threading.Lock()
 
-    def run(self, jobs: Sequence[Job], done: Callable[[Job, str | None], None]) -> None:
+    def run(self, jobs: Sequence[Job], done: Done, heard: Heard) -> None:
         before = signal.signal(signal.SIGTERM, signals.interrupt)
         waiting: queue.SimpleQueue[Job] = queue.SimpleQueue()
         for job in jobs:
             waiting.put(job)
-        finished: queue.SimpleQueue[tuple[Job, str | None]] = queue.SimpleQueue()
+        words: queue.SimpleQueue[_Word[Job]] = queue.SimpleQueue()
         threads = [
-            threading.Thread(target=self._drive, args=(waiting, finished), daemon=True)
+            threading.Thread(target=self._drive, args=(waiting, words), daemon=True)
             for _ in range(min(self._count, len(jobs)))
         ]
         with shared_cores(len(threads)):
             try:
                 for thread in threads:
                     thread.start()
-                for _ in jobs:
-                    done(*finished.get())
+                ended = 0
+                while ended < len(jobs):
+                    word = words.get()
+                    if word.ended:
+                        ended += 1
+                        done(word.job, word.why)
+                    else:
+                        heard(word.job, *word.progress)
                 for thread in threads:
                     thread.join()
             finally:
@@ -73,7 +90,7 @@ class _Pool(Generic[Job]):
                         thread.join()
                 signal.signal(signal.SIGTERM, before or signal.SIG_DFL)
 
-    def _drive(self, waiting: "queue.SimpleQueue[Job]", finished: "queue.SimpleQueue[tuple[Job, str | None]]") -> None:
+    def _drive(self, waiting: "queue.SimpleQueue[Job]", words: "queue.SimpleQueue[_Word[Job]]") -> None:
         worker = None
         while not self._stopped:
             try:
@@ -83,19 +100,20 @@ class _Pool(Generic[Job]):
             try:
                 worker = worker or self._start()
             except Exception as error:  # no process, or nothing that it could be sent; `run` waits for a word
-                finished.put((job, f"no process could be started for it: {error}"))
+                words.put(_Word(job, why=f"no process could be started for it: {error}"))
                 continue
             if worker is None:
                 break
             process, pipe = worker
             try:
                 pipe.send(job)
-                pipe.recv()
-                finished.put((job, None))
+                while (progress := pipe.recv()) is not None:
+                    words.put(_Word(job, ended=False, progress=progress))
+                words.put(_Word(job))
             except (EOFError, OSError):
                 process.join()
                 worker = None
-                finished.put((job, _last_words(process.exitcode)))
+                words.put(_Word(job, why=_last_words(process.exitcode)))
         if worker:
             worker[1].close()
             worker[0].join()
@@ -136,7 +154,8 @@ def _serve(pipe: Connection, handler: Callable[[Any], Callable[[Any], None]], se
             job = pipe.recv()
         except EOFError:
             return
-        handle(job)
+        with reporting_to(lambda text, fraction: pipe.send((text, fraction))):
+            handle(job)
         pipe.send(None)
 
 
