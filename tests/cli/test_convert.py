@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from querysplat_cli.cli import run
 from querysplat_cli.cli.convert import lines as convert_lines
+from querysplat_cli.pipeline.gaussian_files import file_of_scene, read_gaussians
 from querysplat_cli.runtime.errors import ExitCode
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.formats.dataset import find_scenes
@@ -210,6 +211,34 @@ def test_nothing_is_replaced_unasked(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert run(["convert", str(tmp_path / "a.ply"), str(tmp_path / "b.ply")]) == ExitCode.BAD_INPUT
     assert (tmp_path / "b.ply").read_text() == "mine"
     assert "there already" in capsys.readouterr().err
+
+
+def test_the_folder_of_a_scene_stands_for_its_gaussians(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_gaussians(tmp_path / "s.ply", [[0.0, 0.0, 1.0], [1.0, 0.0, 1.0]])
+    (tmp_path / "s").mkdir()
+    assert run(["convert", str(tmp_path / "s"), str(tmp_path / "other.spz"), "-q"]) == 0
+    assert len(read_gaussians(tmp_path / "other.spz")) == 2
+    assert run(["convert", str(tmp_path / "s"), str(tmp_path / "other.txt")]) == ExitCode.BAD_INPUT
+    assert "neither a transforms.json" in capsys.readouterr().err
+
+
+def test_of_two_files_the_scenes_own_is_the_one_that_its_report_names(tmp_path: Path) -> None:
+    """A scene of .spz that was also converted to .ply was optimised into the .ply alone."""
+    for kind in ("ply", "spz"):
+        (tmp_path / f"s.{kind}").touch()
+    assert file_of_scene(tmp_path / "s") == tmp_path / "s.ply"
+    (tmp_path / "s").mkdir()
+    for report, kind in (('{"ply": "moved/s.spz"}', "spz"), ('{"ply": 3}', "ply"), ("[]", "ply"), ("{", "ply")):
+        (tmp_path / "s" / "report.json").write_text(report)
+        assert file_of_scene(tmp_path / "s") == tmp_path / f"s.{kind}"
+
+
+@pytest.mark.parametrize(("given", "said"), [("photo.jpg", "not a kind of file"), ("photos", "makes a scene of them")])
+def test_photos_are_no_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str], given: str, said: str) -> None:
+    (tmp_path / "photo.jpg").touch()
+    (tmp_path / "photos").mkdir()
+    assert run(["info", str(tmp_path / given)]) == ExitCode.BAD_INPUT
+    assert said in capsys.readouterr().err
 
 
 def test_poses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

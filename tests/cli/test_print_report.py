@@ -1,8 +1,10 @@
 """What people read after `reconstruct` and `tto`."""
 
+import os
 import signal
 from contextlib import suppress
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -56,6 +58,27 @@ def test_before_and_after() -> None:
         "PSNR 23.00 → 24.00 dB, SSIM 0.700 on the photos; PSNR 26.00 dB, SSIM 0.800 on the photos at 1600 px; "
         "PSNR 20.00 dB, SSIM 0.600 on held-out photos"
     )
+
+
+def test_what_comes_next_after_an_optimisation_that_gained_nothing() -> None:
+    matching = {"pairs": 3, "matcher": None}
+    worse = {**REPORT.quality, "before": {"input": 24.5, "heldout": None}}
+    said = list(lines(replace(REPORT, quality=worse, matching=matching)))
+    assert said[-1] == "next: querysplat view s.ply"
+    assert not any("SIFT" in line for line in said)  # that was said when the scene was made
+    assert any("SIFT" in line for line in lines(replace(REPORT, matching=matching)))
+
+
+def test_a_shell_in_the_folder_that_was_replaced_enters_it_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "s"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    assert list(lines(REPORT))[-1].startswith("next: querysplat view s.ply")
+    folder.rmdir()
+    assert list(lines(REPORT))[-1].startswith("next: cd . && querysplat view s.ply")
+    os.chdir(tmp_path)
 
 
 def test_names_are_no_markup(capsys: pytest.CaptureFixture[str]) -> None:

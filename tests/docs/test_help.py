@@ -88,6 +88,7 @@ def test_the_version_is_that_of_the_package(capsys: pytest.CaptureFixture[str]) 
         (["reconstruct", "a", "--ouput", "x"], "reconstruct has no option --ouput", "Did you mean --output?"),
         (["tto", "a", "--holdout-every", "4"], "tto has no option --holdout-every", "an option of reconstruct."),
         (["render", "a", "--zzz"], "render has no option --zzz", "See `querysplat render --help`."),
+        (["--json"], "querysplat has no option --json", "as in `querysplat reconstruct --json`."),
         (["--verson"], "querysplat has no option --verson", "Did you mean --version?"),
         (["."], "No such command '.'.", "querysplat reconstruct ."),
     ],

@@ -100,7 +100,13 @@ def test_colmap_gets_the_photos_of_a_scene(
     (tmp_path / "s" / "photos.json").unlink()
     assert run(["poses", str(tmp_path / "s"), "--colmap"]) == ExitCode.BAD_INPUT
     assert seen.pop() == [(name, 96) for name in names]
-    shutil.rmtree(tmp_path / "s" / "images")
+    (tmp_path / "s" / "images").rename(tmp_path / "pics")
+    content = json.loads((tmp_path / "s" / "cameras.json").read_text())
+    for frame in content["frames"]:
+        frame["file_path"] = frame["file_path"].replace("images/", "pics/")
+    (tmp_path / "listed.json").write_text(json.dumps(content))
+    assert run(["poses", str(tmp_path / "listed.json"), "--colmap"]) == ExitCode.BAD_INPUT
+    assert seen.pop() == [(name, 96) for name in names]
     (tmp_path / "s" / "preview.png").unlink()
     capsys.readouterr()
     assert run(["poses", str(tmp_path / "s" / "cameras.json"), "--colmap"]) == ExitCode.BAD_INPUT

@@ -120,6 +120,14 @@ def test_missing_permission_is_reported_in_words(tmp_path: Path) -> None:
         raise PermissionError(errno.EACCES, "Permission denied")
 
 
+@pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="no /proc here")
+@pytest.mark.parametrize("folder", [Path("/proc"), Path("/proc/here")])
+def test_a_place_where_no_file_can_be_made_is_named_without_the_draft(folder: Path) -> None:
+    with pytest.raises(QuerySplatError, match=r"/proc\S*: nothing can be written there|no permission") as caught:
+        check_writable(folder)
+    assert "querysplat-" not in caught.value.message
+
+
 def test_a_file_where_a_folder_is_needed(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(QuerySplatError, match="a file is where a folder is needed"):

@@ -50,6 +50,12 @@ def test_a_scene_without_a_finite_gaussian_is_not_written(tmp_path: Path) -> Non
     assert not list(tmp_path.iterdir())
 
 
+def test_a_name_of_another_kind_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(QuerySplatError, match="not the name of a"):
+        write_ply(tmp_path / "scene.spz", gaussians(3, 0))
+    assert not list(tmp_path.iterdir())
+
+
 def test_the_header_and_the_columns_are_the_standard_ones(tmp_path: Path) -> None:
     """Read back by plyfile alone: names, types, f_rest colour by colour, logits and logarithms."""
     path = tmp_path / "scene.ply"

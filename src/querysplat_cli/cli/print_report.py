@@ -11,6 +11,7 @@ from querysplat_cli.reporting.omissions import PRECISION
 from querysplat_cli.reporting.report import Report
 from querysplat_cli.runtime import signals
 from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.words import counted
 
 LONGEST_STAGES = 3
 """How many stages are named beside the whole time."""
@@ -32,9 +33,9 @@ def exit_if_interrupted(report: Report) -> None:
 
 def lines(report: Report) -> Iterator[str]:
     """Five lines, and one more each for photos that were left out, for what a network matched, and for a warning."""
-    yield f"{report.gaussians:,} Gaussians from {_counted(len(report.views['used']), 'photo')}"
+    yield f"{report.gaussians:,} Gaussians from {counted(len(report.views['used']), 'photo')}"
     yield from left_out(report.views["left_out"])
-    if report.matching:
+    if report.matching and not report.quality.get("before"):
         yield _matching(report.matching)
     yield from report.resumed
     if report.regions:
@@ -46,7 +47,7 @@ def lines(report: Report) -> Iterator[str]:
     yield _time(report)
     preview = Path(report.scene) / "preview.png"
     yield f"{_file(report)}; {preview} shows photos beside renders, report.json has the rest"
-    yield f"next: querysplat view {report.ply}, or querysplat tto {report.scene} for a better scene"
+    yield _next(report)
 
 
 def _regions(regions: list[dict[str, Any]], seams: list[dict[str, Any]]) -> str:
@@ -63,7 +64,7 @@ def _scale(scale: dict[str, Any]) -> str:
 
 
 def _matching(matching: dict[str, Any]) -> str:
-    pairs = _counted(matching["pairs"], "pair")
+    pairs = counted(matching["pairs"], "pair")
     if not matching["matcher"]:
         return f"SIFT finds few matches in {pairs} of photos; a network may find more: `querysplat weights` says how"
     before, after = matching["matches"]
@@ -95,12 +96,24 @@ def _file(report: Report) -> str:
     return f"{report.ply} ({report.bytes / 2**20:.2f} MiB{''.join(lost)})"
 
 
+def _next(report: Report) -> str:
+    """What to do now. A scene in whose folder the shell stands has a new folder under the same name."""
+    quality = report.quality
+    before, after = (quality.get("before") or {}).get("input"), (quality.get("input") or {}).get("psnr")
+    further = "" if before and after and after <= before else f", or querysplat tto {report.scene} for a better scene"
+    return f"next: {'' if _here() else 'cd . && '}querysplat view {report.ply}{further}"
+
+
+def _here() -> bool:
+    """Whether the current folder is still there."""
+    try:
+        return Path.cwd().is_dir()
+    except OSError:
+        return False
+
+
 def _time(report: Report) -> str:
     stages = {stage: seconds for stage, seconds in report.seconds.items() if stage != "total"}
     longest = sorted(stages, key=lambda stage: -stages[stage])[:LONGEST_STAGES]
     named = ", ".join(f"{stage} {stages[stage]:.1f} s" for stage in longest)
     return f"{report.seconds['total']:.1f} s ({named}), at most {report.peak_memory_gib:.2f} GiB of memory"
-
-
-def _counted(count: int, what: str) -> str:
-    return f"{count:,} {what}{'' if count == 1 else 's'}"

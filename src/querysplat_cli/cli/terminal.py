@@ -33,11 +33,11 @@ def print_json(result: Any, printing: Printing) -> None:
 
 def rows_table(title: str, rows: Iterable[tuple[str, str]], *, indent: int = 0) -> Table:
     """Two columns without borders: names and what they are."""
-    table = Table(title=title, title_justify="left", show_header=False, box=None, padding=(0, 2, 0, indent))
+    table = Table(title=title, title_justify="left", show_header=False, box=None, padding=(0, 2, 0, 0), pad_edge=False)
     table.add_column()
     table.add_column(overflow="fold")
     for name, text in rows:
-        table.add_row(name, Text(text))
+        table.add_row(f"{'':{indent}}{name}", Text(text))
     return table
 
 

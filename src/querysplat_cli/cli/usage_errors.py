@@ -7,6 +7,9 @@ from typing import Any
 CLOSE = 0.7
 """How alike a word and an option must be to be suggested, from 0 to 1 (difflib's ratio)."""
 
+MOST_VERBS = 4
+"""The verbs that have an option are named up to so many."""
+
 
 def explained(error: Any) -> tuple[str, str]:
     """The message and the hint of one of typer's errors, whose own class of usage errors is private."""
@@ -28,6 +31,8 @@ def _meant(option: str, context: Any) -> str:
     near = difflib.get_close_matches(option, _names(context.command), n=2, cutoff=CLOSE)
     verbs = getattr(context.find_root().command, "commands", {})
     elsewhere = [name for name, command in verbs.items() if option in _names(command)]
+    if len(elsewhere) > MOST_VERBS:
+        return f"It is an option of verbs, as in `querysplat {elsewhere[0]} {option}`. "
     if elsewhere:
         return f"It is an option of {' and '.join(elsewhere)}. "
     return f"Did you mean {' or '.join(near)}? " if near else ""

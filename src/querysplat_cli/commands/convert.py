@@ -9,14 +9,15 @@ from querysplat_cli.commands.convert_gaussians import convert_gaussians
 from querysplat_cli.commands.convert_levels import LEVELS
 from querysplat_cli.commands.convert_request import Conversion
 from querysplat_cli.commands.exported_points import observed_points, points_entry, points_without_photos
-from querysplat_cli.pipeline.gaussian_files import READERS, STREAMED, is_streamed
+from querysplat_cli.pipeline.gaussian_files import READERS, STREAMED, WRITERS, file_of_scene, is_streamed
 from querysplat_cli.pipeline.scene_folder import SCENE_FOLDER, keep_others, write_images
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import PhotoCamera, rescaled
-from querysplat_cli.scene.files import FolderKind, atomic_folder, refuse_existing
+from querysplat_cli.scene.files import FolderKind, atomic_folder, refuse_existing, with_name
 from querysplat_cli.scene.formats.colmap import copy_colmap, write_colmap
 from querysplat_cli.scene.formats.known import find_known_cameras, read_known_cameras
+from querysplat_cli.scene.formats.mesh import MESH_KINDS
 from querysplat_cli.scene.formats.transforms import write_transforms
 from querysplat_cli.scene.formats.transforms_frame import is_rigid
 from querysplat_cli.scene.match_cameras import match_cameras
@@ -37,6 +38,7 @@ def convert(request: Conversion, stages: Stages | None = None) -> dict[str, Any]
     axes of the result, and `prune_to` comes last. With `photos`, cameras and photos become a scene folder. Raises
     QuerySplatError, and writes nothing, on bad input.
     """
+    request = _with_file(request)
     given = [path.resolve() for path in (request.source, request.photos) if path]
     if request.target.is_dir() and any(path.is_relative_to(request.target.resolve()) for path in given):
         raise QuerySplatError(f"{request.target} holds what is to be converted", "Choose another target.")
@@ -51,6 +53,15 @@ def convert(request: Conversion, stages: Stages | None = None) -> dict[str, Any]
         what = "options that turn, scale or cut, --points, --mesh and --levels are for Gaussians"
         raise QuerySplatError(what, "Give a .ply, .spz, .sog or .glb.")
     return _convert_cameras(request)
+
+
+def _with_file(request: Conversion) -> Conversion:
+    """With the Gaussians of a scene in place of its folder, where the target is a file of Gaussians or of a mesh."""
+    kinds = {*WRITERS, STREAMED, *MESH_KINDS}
+    file = file_of_scene(with_name(request.source))
+    folder = request.source.is_dir() and not is_streamed(request.source)
+    wanted = folder and file.is_file() and request.target.suffix.lower() in kinds
+    return replace(request, source=file) if wanted else request
 
 
 def _kind_of_folder(request: Conversion) -> FolderKind | None:
@@ -73,7 +84,8 @@ def _convert_cameras(request: Conversion) -> dict[str, Any]:
     if request.target.suffix.lower() == ".json" and not request.photos:
         write_transforms(request.target, cameras)
     elif request.target.suffix:
-        raise QuerySplatError(f"{request.target}: not a kind of file for cameras", "Use a .json, or a folder.")
+        hint = "Use a .json, or a folder; for Gaussians, give their file."
+        raise QuerySplatError(f"{request.target}: not a kind of file for cameras", hint)
     elif request.photos:
         made = _make_scene_folder(request.target, cameras, request.photos)
         return {**made, "left_out": [*made["left_out"], *left_out]}

@@ -198,7 +198,7 @@ def _folder(request: Conversion) -> Path | None:
         return None
     if target.resolve() == source.resolve():
         raise QuerySplatError(
-            f"{source} belongs to {request.source}, and would not fit {request.target}",
+            f"{source} is the folder of {request.source}, and a changed scene needs one of its own",
             "Choose another name for TARGET.",
         )
     refuse_existing([target], force=request.force, kind=SCENE_FOLDER)

@@ -65,7 +65,7 @@ class Conversion:
     source: Annotated[
         Path,
         Option(
-            "Gaussians: a .ply, .spz, .sog or .glb, or the lod-meta.json of a streamed SOG. Cameras: a "
+            "Gaussians: a .ply, .spz, .sog or .glb, a scene folder, or the lod-meta.json of a streamed SOG. Cameras: a "
             "transforms.json, a COLMAP model or a scene folder.",
             argument=True,
         ),

@@ -23,7 +23,7 @@ from querysplat_cli.runtime.optional_parts import OPTIONAL_PARTS, OptionalPart
 
 COMPILED_MODULES = ("torch", "numba", "cv2", "pycolmap", "scipy", "av")
 """Required packages with native code, which can be installed and yet not load."""
-TESTED_PYTHON = ("3.11", "3.11")
+TESTED_PYTHON = ("3.11", "3.13")
 """The first and the last version of Python that the tests ran with."""
 LEAST_MEMORY = 1.5
 """GiB that seven to twenty photos take (docs/quickstart.md)."""

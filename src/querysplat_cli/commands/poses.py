@@ -7,11 +7,12 @@ from querysplat_cli.commands.requests import PosesRequest
 from querysplat_cli.evaluation.colmap_reference import estimate_with_colmap
 from querysplat_cli.evaluation.poses import compare_cameras, draw_trajectories
 from querysplat_cli.runtime.errors import QuerySplatError
-from querysplat_cli.runtime.progress import Stages
+from querysplat_cli.runtime.progress import Progress, Stages
 from querysplat_cli.scene.files import refuse_existing
-from querysplat_cli.scene.formats.known import read_known_cameras
+from querysplat_cli.scene.formats.known import find_known_cameras, read_known_cameras
+from querysplat_cli.scene.formats.transforms import listed_pictures
 from querysplat_cli.scene.photo_files import check_photo_files, read_photo_files
-from querysplat_cli.scene.photos import PICTURE_FOLDERS, find_photos, load_photos
+from querysplat_cli.scene.photos import PICTURE_FOLDERS, decoded_photos, find_photos, load_photos, none_usable
 from querysplat_cli.scene.views import Photo
 
 LONGEST_SIDE = 1600
@@ -31,8 +32,8 @@ def compare(request: PosesRequest, stages: Stages) -> tuple[dict[str, Any], str]
     if request.second:
         second, name = read_known_cameras(request.second), str(request.second)
     else:
-        with stages("photos"):
-            photos = _photos(request.first)
+        with stages("photos") as progress:
+            photos = _photos(request.first, progress)
         second, name = estimate_with_colmap(photos, seed=request.seed, stages=stages), "COLMAP"
     errors = compare_cameras(first, second)
     if request.plot:
@@ -40,7 +41,7 @@ def compare(request: PosesRequest, stages: Stages) -> tuple[dict[str, Any], str]
     return errors.summary(), name
 
 
-def _photos(place: Path) -> list[Photo]:
+def _photos(place: Path, progress: Progress) -> list[Photo]:
     """The photos that the cameras in or at `place` belong to.
 
     Those of a scene are the ones that it was made of. The small pictures in its folder have too little detail.
@@ -50,9 +51,16 @@ def _photos(place: Path) -> list[Photo]:
     if files:
         check_photo_files(files)
         return [file.load(LONGEST_SIDE) for file in files]
+    source = find_known_cameras(place)
+    listed = {} if source.is_dir() else listed_pictures(source)
+    if listed:
+        photos, left_out = decoded_photos(list(listed.values()), list(listed), LONGEST_SIDE, progress)
+        if not photos:
+            raise none_usable(left_out)
+        return photos
     beside = [folder / name for name in PICTURE_FOLDERS if (folder / name).is_dir()]
     try:
-        return load_photos(find_photos(beside[:1] or [folder]))[0]
+        return load_photos(find_photos(beside[:1] or [folder]), LONGEST_SIDE, progress)[0]
     except QuerySplatError as error:
         hint = f"Put the photos into {folder / PICTURE_FOLDERS[0]}, or compare with another set of cameras."
         raise QuerySplatError(f"--colmap needs the photos of {place}: {error.message}", hint) from error

@@ -2,12 +2,13 @@
 
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
+from pathlib import Path, PurePath
 
 import torch
 
 from querysplat_cli.runtime.choices import SpzVersion
 from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.json_files import read_json
 from querysplat_cli.scene.files import refuse_replacing, with_name
 from querysplat_cli.scene.formats.compressed import check_spz, read_spz, write_spz
 from querysplat_cli.scene.formats.gltf import read_glb, write_glb
@@ -73,9 +74,18 @@ def read_gaussians(path: Path) -> Gaussians:
     if kind not in READERS:
         raise QuerySplatError(f"{path}: not a kind of file for Gaussians", f"Give a {', '.join(READERS)}.")
     if not path.is_file():
-        raise QuerySplatError(f"{path}: no such file", "Give a .ply, .spz, .sog or .glb.")
+        raise _no_file(path)
     gaussians = READERS[kind](path)
     return transform_gaussians(gaussians, FLIPPED) if kind in Y_UP else gaussians
+
+
+def _no_file(path: Path) -> QuerySplatError:
+    """The error where `path` is missing, which may be what `file_of_scene` made of another file or of a folder."""
+    given, kinds = path.with_suffix(""), f"Give a {', '.join(READERS)}."
+    if given.is_file():
+        return QuerySplatError(f"{given}: not a kind of file for Gaussians", kinds)
+    of_photos = f" If {given} has photos, `querysplat reconstruct {given}` makes a scene of them."
+    return QuerySplatError(f"{path}: no such file", f"{kinds}{of_photos if given.is_dir() else ''}")
 
 
 def write_gaussians(path: Path, gaussians: Gaussians, spz_version: SpzVersion = "3") -> int:
@@ -93,7 +103,8 @@ def check_target(path: Path) -> None:
     if is_streamed(path):
         raise QuerySplatError(f"{path}: levels of detail are not written here", "Write a .ply, and convert it.")
     if kind not in WRITERS:
-        raise QuerySplatError(f"{path}: not a kind of file for Gaussians", f"Use {', '.join(WRITERS)}.")
+        levels = f" `querysplat convert` also writes {STREAMED}."
+        raise QuerySplatError(f"{path}: not a kind of file for Gaussians", f"Use {', '.join(WRITERS)}.{levels}")
     if path.is_dir():
         raise QuerySplatError(f"{path}: a folder has that name", "Choose another output.")
     if kind == ".spz":
@@ -101,13 +112,27 @@ def check_target(path: Path) -> None:
 
 
 def file_of_scene(path: Path) -> Path:
-    """The Gaussians of a scene; `path` is its folder, or the file itself. Of a folder it is the .ply unless there is
-    none, and another kind is there.
+    """The Gaussians of a scene; `path` is its folder, or the file itself.
+
+    Of several files beside a folder, that of the kind that its report names is the scene's, else the .ply.
     """
     if is_streamed(path) or (path.suffix.lower() in READERS and not path.is_dir()):
         return path
-    files = [path.with_name(f"{path.name}{kind}") for kind in READERS]
-    return next((file for file in files if file.is_file()), files[0])
+    named = [path.with_name(f"{path.name}{kind}") for kind in READERS]
+    files = [file for file in named if file.is_file()]
+    if len(files) > 1:
+        kind = _reported_kind(path)
+        return next((file for file in files if file.suffix == kind), files[0])
+    return (files or named)[0]
+
+
+def _reported_kind(folder: Path) -> str:
+    """The suffix of the Gaussians in a scene folder's report; "" where it has none that can be read."""
+    try:
+        report = read_json(folder / "report.json")
+    except QuerySplatError:
+        return ""
+    return PurePath(str(report.get("ply"))).suffix.lower() if isinstance(report, dict) else ""
 
 
 def folder_of_scene(path: Path) -> Path:

@@ -42,6 +42,8 @@ def find_photos(inputs: Sequence[Path]) -> list[Path]:
     largest `images`, `images_2`, `images_4` or `images_8` (a DL3DV, nerfstudio or COLMAP
     scene). Raises QuerySplatError when an input is missing or has neither pictures nor films.
     """
+    if not inputs:
+        raise QuerySplatError("no photos were given", "Give a folder of photos, or photos.")
     found: dict[Path, Path] = {}
     for path in inputs:
         if not path.exists():

@@ -61,9 +61,11 @@ def write_ply(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = 
     """Write `gaussians` to `path`, whole or not at all; returns how many are in the file.
 
     Rows with a NaN or an infinity are left out, so that number can be less than `len(gaussians)`. Raises
-    QuerySplatError when no row is left.
+    QuerySplatError when no row is left, or for a name of another kind.
     """
     path = Path(path)
+    if path.suffix.lower() != ".ply":
+        raise QuerySplatError(f"{path}: not the name of a .ply", "`querysplat convert` makes other kinds of a .ply.")
     rows = export_rows(gaussians)
     finite = rows[torch.isfinite(rows).all(1)]
     if not len(finite):

@@ -55,6 +55,15 @@ def read_transforms(path: Path, *, fisheye: bool = False) -> dict[str, PhotoCame
     }
 
 
+def listed_pictures(path: Path) -> dict[str, Path]:
+    """The picture files that `path` lists and that are there, by the names of `read_transforms`. Raises like it."""
+    content = _load(path)
+    frames = [*content["frames"], *content.get("heldout_frames", [])]
+    names = short_names([PurePosixPath(_photo(path, frame)) for frame in frames])
+    files = {name: path.parent / str(frame["file_path"]) for name, frame in zip(names, frames, strict=True)}
+    return {name: file for name, file in files.items() if names_a_photo(str(file)) and file.is_file()}
+
+
 def write_cameras(
     path: Path,
     cameras: Cameras,
