@@ -138,6 +138,15 @@ def test_frames_that_are_not_on_disk_keep_the_numbers_of_the_others(tmp_path: Pa
     assert scene.notes == ("1 of 5 listed frames are not on disk",)
 
 
+def test_a_picture_that_is_listed_twice_is_one_frame(tmp_path: Path) -> None:
+    """The list of its paths was longer than that of the cameras, which ended in a traceback."""
+    write_scene(tmp_path / "scene1", "images")
+    (tmp_path / "scene1" / "transforms.json").write_text(json.dumps(listing([1, 2, 2, 3])))
+    scene = find_scenes([tmp_path])[0]
+    assert [Path(frame.name).name for frame in scene.frames] == [f"frame_{n:05d}.png" for n in (1, 2, 3)]
+    assert {frame.name for frame in scene.frames} == set(scene.cameras)
+
+
 def test_frames_are_in_natural_order_whatever_the_list_says(tmp_path: Path) -> None:
     write_scene(tmp_path / "scene1")
     order = [3, 1, 5, 2, 4]

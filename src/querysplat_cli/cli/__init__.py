@@ -1,6 +1,5 @@
 """The command line: one small file per verb, imported without torch or pycolmap."""
 
-import os
 import sys
 import traceback
 
@@ -8,7 +7,7 @@ import typer
 
 from querysplat_cli.cli.app import app
 from querysplat_cli.cli.usage_errors import explained
-from querysplat_cli.runtime import signals
+from querysplat_cli.runtime import current_folder, signals
 from querysplat_cli.runtime.errors import ExitCode, QuerySplatError, is_out_of_memory
 from querysplat_cli.runtime.limits import more_memory
 from querysplat_cli.runtime.streams import tolerate_closed_streams
@@ -64,10 +63,8 @@ def _stopped() -> int:
 
 def _check_current_folder() -> None:
     """Raise QuerySplatError where the current folder was removed: MKL ends the process with words of its own."""
-    try:
-        os.getcwd()
-    except OSError:
-        raise QuerySplatError("the current folder was removed", "Enter it again with `cd .`, or another one.") from None
+    if not current_folder.is_there():
+        raise QuerySplatError("the current folder was removed", "Enter it again with `cd .`, or another one.")
 
 
 def _forget_handled_interrupt() -> None:

@@ -9,7 +9,7 @@ from querysplat_cli.cli.verb import Printing
 from querysplat_cli.cli.words import decibels, left_out
 from querysplat_cli.reporting.omissions import PRECISION
 from querysplat_cli.reporting.report import Report
-from querysplat_cli.runtime import signals
+from querysplat_cli.runtime import current_folder, signals
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.words import counted
 
@@ -101,15 +101,7 @@ def _next(report: Report) -> str:
     quality = report.quality
     before, after = (quality.get("before") or {}).get("input"), (quality.get("input") or {}).get("psnr")
     further = "" if before and after and after <= before else f", or querysplat tto {report.scene} for a better scene"
-    return f"next: {'' if _here() else 'cd . && '}querysplat view {report.ply}{further}"
-
-
-def _here() -> bool:
-    """Whether the current folder is still there."""
-    try:
-        return Path.cwd().is_dir()
-    except OSError:
-        return False
+    return f"next: {'' if current_folder.is_there() else 'cd . && '}querysplat view {report.ply}{further}"
 
 
 def _time(report: Report) -> str:

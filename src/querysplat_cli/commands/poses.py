@@ -10,9 +10,9 @@ from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Progress, Stages
 from querysplat_cli.scene.files import refuse_existing
 from querysplat_cli.scene.formats.known import find_known_cameras, read_known_cameras
-from querysplat_cli.scene.formats.transforms import listed_pictures
+from querysplat_cli.scene.formats.transforms import listed_paths
 from querysplat_cli.scene.photo_files import check_photo_files, read_photo_files
-from querysplat_cli.scene.photos import PICTURE_FOLDERS, decoded_photos, find_photos, load_photos, none_usable
+from querysplat_cli.scene.photos import PICTURE_FOLDERS, find_photos, load_photos, names_a_photo
 from querysplat_cli.scene.views import Photo
 
 LONGEST_SIDE = 1600
@@ -52,12 +52,11 @@ def _photos(place: Path, progress: Progress) -> list[Photo]:
         check_photo_files(files)
         return [file.load(LONGEST_SIDE) for file in files]
     source = find_known_cameras(place)
-    listed = {} if source.is_dir() else listed_pictures(source)
-    if listed:
-        photos, left_out = decoded_photos(list(listed.values()), list(listed), LONGEST_SIDE, progress)
-        if not photos:
-            raise none_usable(left_out)
-        return photos
+    paths = {} if source.is_dir() else listed_paths(source)
+    listed = {name: source.parent / path for name, path in paths.items() if names_a_photo(path)}
+    there = {name: file for name, file in listed.items() if file.is_file()}
+    if there:
+        return load_photos(list(there.values()), LONGEST_SIDE, progress, list(there))[0]
     beside = [folder / name for name in PICTURE_FOLDERS if (folder / name).is_dir()]
     try:
         return load_photos(find_photos(beside[:1] or [folder]), LONGEST_SIDE, progress)[0]

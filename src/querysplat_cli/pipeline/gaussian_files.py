@@ -33,6 +33,7 @@ WRITERS: dict[str, Writer] = {
     ".sog": write_sog,
     ".glb": write_glb,
 }
+GIVE = f"Give a {', '.join(READERS)}."
 Y_UP = {".spz", ".glb"}
 """Kinds whose specification says that y points up."""
 STREAMED = ".lod"
@@ -72,7 +73,7 @@ def read_gaussians(path: Path) -> Gaussians:
         return read_streamed(path)
     kind = path.suffix.lower()
     if kind not in READERS:
-        raise QuerySplatError(f"{path}: not a kind of file for Gaussians", f"Give a {', '.join(READERS)}.")
+        raise _no_gaussians(path)
     if not path.is_file():
         raise _no_file(path)
     gaussians = READERS[kind](path)
@@ -81,11 +82,15 @@ def read_gaussians(path: Path) -> Gaussians:
 
 def _no_file(path: Path) -> QuerySplatError:
     """The error where `path` is missing, which may be what `file_of_scene` made of another file or of a folder."""
-    given, kinds = path.with_suffix(""), f"Give a {', '.join(READERS)}."
+    given = path.with_suffix("")
     if given.is_file():
-        return QuerySplatError(f"{given}: not a kind of file for Gaussians", kinds)
+        return _no_gaussians(given)
     of_photos = f" If {given} has photos, `querysplat reconstruct {given}` makes a scene of them."
-    return QuerySplatError(f"{path}: no such file", f"{kinds}{of_photos if given.is_dir() else ''}")
+    return QuerySplatError(f"{path}: no such file", f"{GIVE}{of_photos if given.is_dir() else ''}")
+
+
+def _no_gaussians(path: Path) -> QuerySplatError:
+    return QuerySplatError(f"{path}: not a kind of file for Gaussians", GIVE)
 
 
 def write_gaussians(path: Path, gaussians: Gaussians, spz_version: SpzVersion = "3") -> int:

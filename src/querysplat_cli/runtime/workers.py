@@ -42,12 +42,11 @@ class Workers:
 
 @dataclass(frozen=True)
 class _Word(Generic[Job]):
-    """What a process says of a job: its progress, or that it ended, and why if the process ended with it."""
+    """What a process says of a job: its progress, or else that it ended, and why if the process ended with it."""
 
     job: Job
-    ended: bool = True
+    progress: tuple[str, float] | None = None
     why: str | None = None
-    progress: tuple[str, float] = ("", 0.0)
 
 
 class _Pool(Generic[Job]):
@@ -76,11 +75,11 @@ class _Pool(Generic[Job]):
                 ended = 0
                 while ended < len(jobs):
                     word = words.get()
-                    if word.ended:
+                    if word.progress:
+                        heard(word.job, *word.progress)
+                    else:
                         ended += 1
                         done(word.job, word.why)
-                    else:
-                        heard(word.job, *word.progress)
                 for thread in threads:
                     thread.join()
             finally:
@@ -108,7 +107,7 @@ class _Pool(Generic[Job]):
             try:
                 pipe.send(job)
                 while (progress := pipe.recv()) is not None:
-                    words.put(_Word(job, ended=False, progress=progress))
+                    words.put(_Word(job, progress))
                 words.put(_Word(job))
             except (EOFError, OSError):
                 process.join()

@@ -57,15 +57,16 @@ def load_photos(
     paths: Sequence[Path],
     max_side: int = 1600,
     progress: Progress = lambda text, fraction: None,
+    names: Sequence[str] | None = None,
 ) -> tuple[list[Photo], list[LeftOut]]:
     """Decoded photos in the order of `paths`, and the files that are not usable as photos, with the reason.
 
     Sides longer than `max_side` pixels are reduced (area filter). Transparency is laid over white, and masked, unless a
     file in `masks` says what takes part (`scene/masks.py`). 16-bit values keep their high byte; of several frames the
-    first is taken; colour profiles are not applied. Photos with the same file name get as much of their folders in
-    their names as makes these unique. Raises QuerySplatError when there is no usable photo at all.
+    first is taken; colour profiles are not applied. Without `names`, photos have those of their files, with as much of
+    their folders as makes these unique. Raises QuerySplatError when there is no usable photo at all.
     """
-    photos, left_out = decoded_photos(paths, short_names(paths), max_side, progress)
+    photos, left_out = decoded_photos(paths, names or short_names(paths), max_side, progress)
     if not photos:
         raise none_usable(left_out)
     return photos, left_out

@@ -29,8 +29,9 @@ def inverse_range(posed: PosedViews, view: int) -> InverseRange:
         z = np.concatenate([_depths(posed, v, rows) for v, rows in enumerate(posed.visibility)])
     if not len(z):
         return InverseRange(policy.farther_than_points, policy.nearer_than_points, 1.0)
-    farthest, middle, nearest = (float(p) for p in np.percentile(1 / z, (1, 50, policy.nearest_point)))
-    near, together = policy.nearer_than_points * nearest, _nearest_together(1 / z)
+    inverse = 1 / z
+    farthest, middle, nearest = (float(p) for p in np.percentile(inverse, (1, 50, policy.nearest_point)))
+    near, together = policy.nearer_than_points * nearest, _nearest_together(inverse)
     if together > near:  # a post in front of a house has a few points of thousands
         near = policy.nearer_than_points * together
     return InverseRange(policy.farther_than_points * farthest, near, middle)

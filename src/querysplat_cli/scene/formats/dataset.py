@@ -8,11 +8,10 @@ from importlib.resources.abc import Traversable
 from pathlib import Path
 
 from querysplat_cli.runtime.errors import QuerySplatError
-from querysplat_cli.runtime.json_files import read_json
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.drafts import scratch_folder
 from querysplat_cli.scene.formats.colmap import MODEL_FOLDERS, read_colmap
-from querysplat_cli.scene.formats.transforms import read_transforms
+from querysplat_cli.scene.formats.transforms import listed_paths, read_transforms
 from querysplat_cli.scene.formats.transforms_frame import is_rigid
 from querysplat_cli.scene.photos import SUFFIXES, natural_key
 
@@ -195,8 +194,7 @@ def _copied_cameras(home: Traversable, scratch: Path) -> tuple[dict[str, PhotoCa
 
 
 def _listed(listing: Path) -> tuple[dict[str, PhotoCamera], list[str]]:
-    cameras, content = read_transforms(listing), read_json(listing)
-    return cameras, [frame["file_path"] for frame in [*content["frames"], *content.get("heldout_frames", [])]]
+    return read_transforms(listing), list(listed_paths(listing).values())
 
 
 def _copied(file: Traversable, folder: Path) -> Path:

@@ -47,21 +47,15 @@ def read_transforms(path: Path, *, fisheye: bool = False) -> dict[str, PhotoCame
     `fisheye`, OpenCV's fisheye lenses are read, too.
     """
     content = _load(path)
-    frames = [*content["frames"], *content.get("heldout_frames", [])]
-    names = short_names([PurePosixPath(_photo(path, frame)) for frame in frames])
     return {
         name: frame_camera(path, name, {**content, **frame}, fisheye=fisheye)
-        for name, frame in zip(names, frames, strict=True)
+        for name, frame in _named_frames(path, content).items()
     }
 
 
-def listed_pictures(path: Path) -> dict[str, Path]:
-    """The picture files that `path` lists and that are there, by the names of `read_transforms`. Raises like it."""
-    content = _load(path)
-    frames = [*content["frames"], *content.get("heldout_frames", [])]
-    names = short_names([PurePosixPath(_photo(path, frame)) for frame in frames])
-    files = {name: path.parent / str(frame["file_path"]) for name, frame in zip(names, frames, strict=True)}
-    return {name: file for name, file in files.items() if names_a_photo(str(file)) and file.is_file()}
+def listed_paths(path: Path) -> dict[str, str]:
+    """What `path` has as `file_path` of each photo, by the names of `read_transforms`. Raises like it."""
+    return {name: str(frame["file_path"]) for name, frame in _named_frames(path, _load(path)).items()}
 
 
 def write_cameras(
@@ -210,6 +204,13 @@ def _canvas(path: Path, stated: Any, sizes: Sequence[tuple[int, int]]) -> tuple[
 
 def _picture(photo: str, file: str) -> dict[str, str]:
     return {"file_path": f"images/{file}", **({} if file == photo else {"photo": photo})}
+
+
+def _named_frames(path: Path, content: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """The frames in `content` of `path`, held-out ones last, by the short names of their photos."""
+    frames = [*content["frames"], *content.get("heldout_frames", [])]
+    names = short_names([PurePosixPath(_photo(path, frame)) for frame in frames])
+    return dict(zip(names, frames, strict=True))
 
 
 def _photo(path: Path, frame: Any) -> str:
