@@ -1,11 +1,16 @@
-"""The photos that the package has for its demo."""
+"""The photos of the demo, and what a demo over a demo leaves."""
 
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
+import pytest
 
-from querysplat_cli.commands.demo import copy_shipped_photos
+from querysplat_cli.commands import demo
+from querysplat_cli.commands.demo import copy_shipped_photos, run_demo
 from querysplat_cli.commands.requests import DemoRequest
+from querysplat_cli.reporting.report import Report
+from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.photos import WHOLE, load_photo
 from querysplat_cli.scene.views import Photo
 from querysplat_cli.training.photographer import cast, walk
@@ -24,3 +29,33 @@ def test_shipped_photos_are_those_of_the_ray_caster(tmp_path: Path) -> None:
         assert isinstance(photo, Photo)
         taken = 255 * cast(scene, cameras[[number]])[0][0].permute(1, 2, 0).clamp(0, 1).numpy()
         assert np.abs(photo.pixels - taken).mean() < 3
+
+
+@pytest.mark.parametrize("end", [KeyboardInterrupt, RuntimeError])
+def test_a_demo_that_ends_early_leaves_the_photos_of_the_last_one(
+    end: type[BaseException], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """New photos do not fit the old scene."""
+    photos, seen = tmp_path / "photos", []
+    photos.mkdir()
+    (photos / "photo_01.jpg").write_bytes(b"mine")
+
+    def ended(*_: object) -> None:
+        seen.append(len(list(photos.iterdir())))
+        raise end
+
+    monkeypatch.setattr(demo, "reconstruct", ended)
+    with pytest.raises(end):
+        run_demo(DemoRequest(output=tmp_path, force=True), Stages())
+    assert seen == [DemoRequest.photos]
+    assert [path.name for path in tmp_path.iterdir()] == ["photos"]
+    assert [path.read_bytes() for path in photos.iterdir()] == [b"mine"]
+
+
+def test_a_demo_replaces_photos_when_it_is_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "photos").mkdir()
+    (tmp_path / "photos/photo_99.jpg").touch()
+    monkeypatch.setattr(demo, "reconstruct", lambda *_: Mock(spec=Report))
+    run_demo(DemoRequest(output=tmp_path, force=True), Stages())
+    assert len(list((tmp_path / "photos").iterdir())) == DemoRequest.photos
+    assert not (tmp_path / "photos/photo_99.jpg").exists()

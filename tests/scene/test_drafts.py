@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from querysplat_cli.runtime.errors import QuerySplatError
-from querysplat_cli.scene.drafts import DRAFTS, own_folder, scratch_folder, sweep
+from querysplat_cli.scene.drafts import DRAFTS, own_folder, put_aside, scratch_folder, sweep
 from querysplat_cli.scene.files import atomic_folder, atomic_path, atomic_together, check_writable, without_steps
 
 KILLED_BETWEEN_RENAMES = """
@@ -132,3 +132,38 @@ def test_paths_that_end_in_no_name_are_refused() -> None:
         without_steps(Path("/"))
     with pytest.raises(QuerySplatError, match=r"no such place|no name"):
         without_steps(Path("a\0b/c"))
+
+
+def fail_beside(place: Path, *, new: bool) -> None:
+    """End early while `place` is put aside, after something new was made there or before."""
+    with put_aside(place):
+        assert not place.exists()
+        if new:
+            place.mkdir()
+            (place / "new").touch()
+        raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize("new", [False, True])
+def test_what_was_put_aside_returns_after_an_exception(new: bool, tmp_path: Path) -> None:
+    place = tmp_path / "photos"
+    place.write_text("old")
+    with pytest.raises(KeyboardInterrupt):
+        fail_beside(place, new=new)
+    assert listing(tmp_path) == ["photos"]
+    assert place.read_text() == "old"
+
+
+def test_what_was_put_aside_is_gone_when_all_went_well(tmp_path: Path) -> None:
+    place = tmp_path / "photos"
+    place.write_text("old")
+    with put_aside(place):
+        place.write_text("new")
+    assert listing(tmp_path) == ["photos"]
+    assert place.read_text() == "new"
+
+
+def test_where_nothing_was_put_aside_what_is_new_stays(tmp_path: Path) -> None:
+    with pytest.raises(KeyboardInterrupt):
+        fail_beside(tmp_path / "photos", new=True)
+    assert listing(tmp_path) == ["photos", "photos/new"]

@@ -11,7 +11,8 @@ from querysplat_cli.pipeline.scene_folder import SCENE_FOLDER
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.reporting.report import Report
 from querysplat_cli.runtime.progress import Progress, Stages
-from querysplat_cli.scene.files import FolderKind, atomic_folder, refuse_existing
+from querysplat_cli.scene.drafts import put_aside
+from querysplat_cli.scene.files import FolderKind, atomic_folder, check_writable, refuse_existing, without_steps
 from querysplat_cli.scene.pictures import eight_bit, write_picture
 
 HOME = FolderKind(("*",))
@@ -22,19 +23,23 @@ PHOTOS = FolderKind(("photo_??.jpg", "photo_???.jpg"))
 def run_demo(request: DemoRequest, stages: Stages) -> Report:
     """Write JPEG photos to `photos` in the output folder, and their scene to scene.ply beside that.
 
-    The reconstruction gets the pictures alone, without the true cameras or depth.
+    The reconstruction gets the pictures alone, without the true cameras or depth. Photos and scene that are there
+    already stay as they are if it fails.
     """
     folder = request.output
     refuse_existing([folder], force=request.force, kind=HOME)
     refuse_existing([folder / "photos"], force=request.force, kind=PHOTOS)
     refuse_existing([folder / "scene"], force=request.force, kind=SCENE_FOLDER)
-    with stages("photograph") as progress, atomic_folder(folder / "photos") as draft:
-        if (request.photos, request.seed) == (DemoRequest.photos, DemoRequest.seed):
-            copy_shipped_photos(draft)
-        else:
-            take_photos(draft, request.photos, request.seed, progress)
-    settings = ReconstructSettings((folder / "photos",), folder / "scene.ply", seed=request.seed, force=True)
-    return reconstruct(settings, stages)
+    check_writable(folder)
+    photos = folder / "photos"
+    with put_aside(without_steps(photos)):
+        with stages("photograph") as progress, atomic_folder(photos) as draft:
+            if (request.photos, request.seed) == (DemoRequest.photos, DemoRequest.seed):
+                copy_shipped_photos(draft)
+            else:
+                take_photos(draft, request.photos, request.seed, progress)
+        settings = ReconstructSettings((photos,), folder / "scene.ply", seed=request.seed, force=True)
+        return reconstruct(settings, stages)
 
 
 def copy_shipped_photos(folder: Path) -> None:

@@ -52,6 +52,28 @@ def scratch_folder() -> Iterator[Path]:
 
 
 @contextmanager
+def put_aside(place: Path) -> Iterator[None]:
+    """Inside, the name `place`, an absolute path, is free for something new. After any exception all is as before.
+
+    Where nothing has that name, what is new stays in any case.
+    """
+    if not os.path.lexists(place):
+        yield
+        return
+    with own_folder(place.parent) as folder:
+        (folder / BEFORE).mkdir()
+        try:
+            os.rename(place, folder / BEFORE / place.name)
+            yield
+        except BaseException:
+            # The end of the folder for drafts gives back what was there.
+            if os.path.lexists(folder / BEFORE / place.name):
+                with suppress(OSError):
+                    os.rename(place, folder / place.name)
+            raise
+
+
+@contextmanager
 def claimed(place: Path) -> Iterator[None]:
     """Keep other processes from making `place`, an absolute path, while this one does.
 

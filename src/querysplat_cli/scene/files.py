@@ -229,10 +229,9 @@ def _in_words(error: Exception, place: Path) -> QuerySplatError | None:
     if reason in NO_SPACE or os.strerror(errno.ENOSPC) in str(error) or _silent_failure(error, path.parent):
         return QuerySplatError(f"{path}: the disk is full", "Free some space, or choose an output on another disk.")
     failed = Path(str(getattr(error, "filename", None)))
-    if failed.name.startswith(DRAFTS) or failed in place.parents:
-        return QuerySplatError(
-            f"{path}: nothing can be written there: {os.strerror(reason or 0)}", "Choose another output."
-        )
+    if reason and (failed.name.startswith(DRAFTS) or failed in place.parents):
+        why = f"{path}: nothing can be written there: {os.strerror(reason)}"
+        return QuerySplatError(why, "Choose another output.")
     return None
 
 
