@@ -62,14 +62,13 @@ def put_aside(place: Path) -> Iterator[None]:
         return
     with own_folder(place.parent) as folder:
         (folder / BEFORE).mkdir()
+        os.rename(place, folder / BEFORE / place.name)
         try:
-            os.rename(place, folder / BEFORE / place.name)
             yield
         except BaseException:
-            # The end of the folder for drafts gives back what was there.
-            if os.path.lexists(folder / BEFORE / place.name):
-                with suppress(OSError):
-                    os.rename(place, folder / place.name)
+            # The name is free then, and the end of the folder for drafts gives it back.
+            with suppress(OSError):
+                os.rename(place, folder / place.name)
             raise
 
 
