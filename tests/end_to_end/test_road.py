@@ -215,7 +215,6 @@ def test_ctrl_c_keeps_what_optimisation_reached(scene: tuple[Path, dict[str, Any
     assert after["quality"]["input"]["psnr"] > before["quality"]["input"]["psnr"]
 
 
-@pytest.mark.slow  # structure from motion gives other cameras once in about a hundred runs: CHANGELOG, known gaps
 def test_the_same_seed_gives_the_same_file(room: Path, tmp_path: Path) -> None:
     files = [tmp_path / name for name in ("one.ply", "two.ply")]
     for file in files:
