@@ -12,13 +12,15 @@ from querysplat_cli.encoders.base import Encoder, PosedViews
 from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.model.memories import Memories
 from querysplat_cli.pipeline.kept_parts import read_part, write_part
+from querysplat_cli.pipeline.full_size import LargePhotos
+from querysplat_cli.pipeline.policy import PIPELINE_POLICY
 from querysplat_cli.pipeline.regions.build import region_count
 from querysplat_cli.pipeline.regions.colours import common_exposures, recoloured
 from querysplat_cli.pipeline.regions.groups import Group, divide
 from querysplat_cli.pipeline.regions.join import join
 from querysplat_cli.pipeline.regions.owners import CoreViews, depth_maps, owners, small_cameras
 from querysplat_cli.pipeline.regions.scene import KeptRegions, RegionScene
-from querysplat_cli.pipeline.regions.seams import Seam, disagreement, find_seams, verdict
+from querysplat_cli.pipeline.regions.seams import Seam, disagreement, find_seams, parts_needed, verdict
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.queries.prepare import MemoryMap, PreparedQueries
 from querysplat_cli.runtime.errors import ImpossibleScene, QuerySplatError
@@ -71,6 +73,12 @@ def test_groups_without_points_go_by_the_cameras(street: PosedViews) -> None:
 def test_every_two_groups_with_a_photo_in_common_have_a_seam() -> None:
     groups = (Group((0, 1), (2,)), Group((2, 3), (1, 4)), Group((4, 5), ()))
     assert [(seam.regions, seam.photos) for seam in find_seams(groups)] == [((0, 1), (1, 2)), ((1, 2), (4,))]
+
+
+def test_photos_are_taken_together_as_far_as_memory_goes(street: PosedViews) -> None:
+    photos = LargePhotos(street.views, street.cameras)
+    enough = 40 * math.sqrt(PIPELINE_POLICY.joint_pixels / (VIEWS * 30 * 40))
+    assert [parts_needed(photos, size) for size in (20, 40, int(enough), int(enough) + 1)] == [1, 1, 1, 2]
 
 
 def test_regions_that_show_other_things_are_not_joined() -> None:
@@ -249,3 +257,6 @@ def test_two_regions_are_in_memory_at_a_time(street: PosedViews, tmp_path: Path)
     assert sum(entry["gaussians"] for entry in built.regions) == len(means)
     assert len(built.seams) == 3
     assert all(entry["psnr"] == pytest.approx(100) for entry in built.seams)
+    assert built.scene.full_size
+    (last,) = built.scene.full_size.runs
+    assert last["steps"] == PIPELINE_POLICY.joint_passes * VIEWS, "photos far from every seam take part, too"

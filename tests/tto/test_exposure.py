@@ -190,6 +190,16 @@ def test_photos_are_brought_to_the_scene_s_colours() -> None:
     assert float(error.max()) < 0.02
 
 
+def test_large_photos_are_brought_to_the_scene_s_colours_too() -> None:
+    """Their 8 bits stay 8 bits."""
+    exposures = changes()
+    taken = photos(exposures)
+    eight = replace(taken, images=(taken.images * 255).round().to(torch.uint8))
+    found = exposures.removed_from(eight)
+    assert found.images.dtype == torch.uint8
+    assert float((found.images / 255 - exposures.removed_from(taken).images).abs().max()) < 2 / 255
+
+
 def test_transformed_renders_are_renders_of_transformed_gaussians() -> None:
     """Over any background, also where the scene is half transparent."""
     thin, view = replace(coloured_wall(), opacities=torch.full((144,), 0.4)), 1

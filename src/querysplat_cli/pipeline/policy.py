@@ -61,12 +61,12 @@ class PipelinePolicy:
     """Where the pictures of two regions differ by more (a lower PSNR, in dB), a warning says so."""
     refused_seam_psnr: float = 10.0
     """Where they differ by more than this, no scene is made of them: pictures of unrelated things differ as much."""
-    seam_loss: float = 0.3
-    """A photo that a region alone shows better by more, in dB, sees a seam."""
-    seam_passes: int = 4
-    """How often the last optimisation over a seam takes each photo that sees it."""
-    seam_rate: float = 0.25
+    joint_passes: int = 4
+    """How often the last optimisation of joined regions takes each photo."""
+    joint_rate: float = 0.25
     """Its learning rate as a share of the usual one."""
+    joint_pixels: float = 1e8
+    """Pixels of all photos up to which it takes them together: at most 1.3 GB. More are taken part by part."""
 
 
 PIPELINE_POLICY = PipelinePolicy()

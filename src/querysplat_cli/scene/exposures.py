@@ -52,11 +52,14 @@ class Exposures(TensorDataclass):
         return Exposures(torch.cat([linear, offset], 2))
 
     def removed_from(self, views: Views) -> Views:
-        """The views in the colours of the scene, clipped to [0, 1]."""
-        back = torch.linalg.inv(self.matrices[:, :, :3]).to(views.images)
-        offset = self.matrices[:, :, 3].to(views.images)[:, :, None, None]
-        images = torch.einsum("vij,vjhw->vihw", back, views.images - offset).clamp(0, 1)
-        return replace(views, images=images * views.masks[:, None])
+        """The views in the colours of the scene, clipped to [0, 1], with as many bits as they have."""
+        images = torch.empty_like(views.images)
+        for view, matrix in enumerate(self.matrices):
+            picture = views.picture(view)
+            back, offset = torch.linalg.inv(matrix[:, :3]).to(picture), matrix[:, 3, None, None].to(picture)
+            picture = torch.einsum("ij,jhw->ihw", back, picture - offset).clamp(0, 1) * views.masks[view]
+            images[view] = (picture * 255).round() if images.dtype == torch.uint8 else picture
+        return replace(views, images=images)
 
 
 def write_exposures(path: Path, names: Sequence[str], exposures: Exposures) -> None:

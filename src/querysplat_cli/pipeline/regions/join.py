@@ -11,12 +11,11 @@ from querysplat_cli.encoders.base import Geometry, PosedViews
 from querysplat_cli.model.memories import Memories
 from querysplat_cli.pipeline.build import BuiltScene
 from querysplat_cli.pipeline.full_size import FullSize, LargePhotos
-from querysplat_cli.pipeline.policy import PIPELINE_POLICY
 from querysplat_cli.pipeline.regions.colours import common_exposures, recoloured
-from querysplat_cli.pipeline.regions.groups import Group
+from querysplat_cli.pipeline.regions.groups import Group, divide
 from querysplat_cli.pipeline.regions.owners import CoreViews, owners, small_cameras
 from querysplat_cli.pipeline.regions.scene import KeptRegions, RegionScene
-from querysplat_cli.pipeline.regions.seams import Seam, disagreement, find_seams, smoothed, verdict
+from querysplat_cli.pipeline.regions.seams import Seam, disagreement, find_seams, parts_needed, smoothed, verdict
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.queries.backdrop import shows_background
 from querysplat_cli.reporting.report import Report, tto_entries
@@ -62,10 +61,10 @@ def join(
     sources: Mapping[str, PhotoSource],
     progress: Progress,
 ) -> BuiltRegions:
-    """One scene of the regions of `groups`, optimised over their seams, with a backdrop behind it.
+    """One scene of the regions of `groups`, optimised as a whole, with a backdrop behind it.
 
-    The Gaussians of two regions and the photos of one or two are in memory at a time, beside the joint scene. Raises
-    ImpossibleScene where regions do not fit together.
+    Beside the joint scene, the Gaussians of two regions are in memory at a time, and then the photos of one part of the
+    last optimisation. Raises ImpossibleScene where regions do not fit together.
     """
     joint = _Joint.of(posed, groups, kept)
     scenes, seams = joint.scenes, find_seams(groups)
@@ -73,7 +72,8 @@ def join(
     photos = LargePhotos(posed.views, posed.cameras, files, joint.exposures)
     entries, warnings = _compared(seams, joint, posed, kept)
     size = max(scene.size for scene in scenes)
-    gaussians, smoothing = _smoothed(groups, seams, joint, photos, size, settings.seed, progress)
+    parts = divide(posed, min(len(groups), parts_needed(photos, size)))
+    gaussians, smoothing = _optimised(parts, photos, size, joint.gaussians, settings.seed, progress)
     runs = [*(entry for scene in scenes for entry in scene.entries["tto"]), *smoothing]
     scene = _scene(posed, joint)
     further = FullSize(gaussians, size, runs, _summary(scenes, len(gaussians)), False, joint.exposures)
@@ -140,35 +140,19 @@ def _compared(
     return entries, tuple(warnings)
 
 
-def _worse(groups: Sequence[Group], joint: _Joint, photos: LargePhotos) -> list[list[int]]:
-    """Of each region, its own photos that the joint scene shows worse than the region alone: these see seams."""
-    found = []
-    for group, scene in zip(groups, joint.scenes, strict=True):
-        core = list(group.core)
-        now = score(joint.gaussians, photos.views[core], photos.cameras[core]).views
-        before = scene.entries["quality"]["views"]
-        lost = [before[name]["psnr_cc"] - row["psnr_cc"] for name, row in now.items()]
-        found.append([row for row, each in zip(core, lost, strict=True) if each > PIPELINE_POLICY.seam_loss])
-    return found
-
-
-def _smoothed(
-    groups: Sequence[Group],
-    seams: Sequence[Seam],
-    joint: _Joint,
+def _optimised(
+    parts: Sequence[Group],
     photos: LargePhotos,
     size: int,
+    gaussians: Gaussians,
     seed: int,
     progress: Progress,
 ) -> tuple[Gaussians, list[dict[str, Any]]]:
-    """The joint scene after the optimisation over every seam, and its entries in the report."""
-    gaussians, runs = joint.gaussians, []
-    worse = _worse(groups, joint, photos)
-    for number, seam in enumerate(seams):
-        part = partial(_part, progress, number / len(seams), 1 / len(seams))
-        one, other = seam.regions
-        seeing = replace(seam, photos=tuple(sorted({*seam.photos, *worse[one], *worse[other]})))
-        gaussians, run, result = smoothed(seeing, photos, size, gaussians, seed=seed, progress=part)
+    """The joint scene after the last optimisation on the photos of every part, and its entries in the report."""
+    runs = []
+    for number, group in enumerate(parts):
+        shown = partial(_part, progress, number / len(parts), 1 / len(parts))
+        gaussians, run, result = smoothed(list(group.rows), photos, size, gaussians, seed=seed, progress=shown)
         (entry,) = tto_entries([(run, result)])
         runs.append({**entry, "max_size": size})
     return gaussians, runs

@@ -1,4 +1,4 @@
-"""Where two regions meet: how well they agree, and a last optimisation over the photos that see both."""
+"""Where two regions meet, how well they agree; and the last optimisation, after which seams are not seen."""
 
 import math
 from collections.abc import Sequence
@@ -78,22 +78,29 @@ def verdict(seam: Seam, decibels: float) -> str | None:
     return f"{why}: look at the scene there, and use fewer --regions"
 
 
-def smoothed(
-    seam: Seam, photos: LargePhotos, size: int, gaussians: Gaussians, *, seed: int, progress: Progress
-) -> tuple[Gaussians, TtoRun, TtoResult]:
-    """The scene after some steps on the photos of the seam, at a longer side of `size` pixels.
+def parts_needed(photos: LargePhotos, size: int) -> int:
+    """In how many parts memory takes the pictures of all photos, at a longer side of `size` pixels."""
+    growth = max(1.0, size / photos.working) ** 2
+    pixels = growth * sum(height * width for height, width in photos.views.sizes)
+    return math.ceil(pixels / PIPELINE_POLICY.joint_pixels)
 
-    Only the Gaussians that these photos show change.
+
+def smoothed(
+    rows: Sequence[int], photos: LargePhotos, size: int, gaussians: Gaussians, *, seed: int, progress: Progress
+) -> tuple[Gaussians, TtoRun, TtoResult]:
+    """The scene after some steps on the photos of these rows, at a longer side of `size` pixels.
+
+    Only the Gaussians that these photos show change. All photos that show them should take part: what a photo outside
+    of `rows` shows as well becomes worse there.
     """
-    rows = list(seam.photos)
     some = photos.some(rows)
     shown = blending_weights(gaussians, some.cameras) > 0
     views, cameras = some.at(size)
     if some.exposures:
         views = some.exposures.removed_from(views)
     settings = TtoSettings(
-        PIPELINE_POLICY.seam_passes * len(rows),
-        PIPELINE_POLICY.seam_rate * FULL_SIZE_POLICY.learning_rate,
+        PIPELINE_POLICY.joint_passes * len(rows),
+        PIPELINE_POLICY.joint_rate * FULL_SIZE_POLICY.learning_rate,
         views_per_step=1,
     )
     generator = torch.Generator().manual_seed(seed)
