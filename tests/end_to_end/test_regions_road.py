@@ -68,7 +68,7 @@ def test_the_scene_can_be_taken_further(divided: Made, tmp_path: Path) -> None:
 def test_what_needs_queries_is_refused(
     command: tuple[str, ...], way: str, divided: Made, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The optimisation over the seams undid what the queries decode to, so the scene has none."""
+    """The last optimisation undid what the queries decode to, so the scene has none."""
     verb, *more = command
     target = [] if verb == "tto" else ["-o", str(divided[0].parent / "figures")]
     assert run([verb, str(divided[0]), *more, *target]) == ExitCode.BAD_INPUT

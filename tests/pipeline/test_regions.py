@@ -11,8 +11,8 @@ import torch
 from querysplat_cli.encoders.base import Encoder, PosedViews
 from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.model.memories import Memories
-from querysplat_cli.pipeline.kept_parts import read_part, write_part
 from querysplat_cli.pipeline.full_size import LargePhotos
+from querysplat_cli.pipeline.kept_parts import read_part, write_part
 from querysplat_cli.pipeline.policy import PIPELINE_POLICY
 from querysplat_cli.pipeline.regions.build import region_count
 from querysplat_cli.pipeline.regions.colours import common_exposures, recoloured

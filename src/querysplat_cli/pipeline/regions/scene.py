@@ -37,7 +37,7 @@ class RegionScene:
 
     gaussians: without a backdrop.
     depth: what its core photos see, at the size of `owners.small_cameras`; infinite where they see nothing.
-    prepared: its queries, without any row: the optimisation over the seams undoes what they decode to. What is left is
+    prepared: its queries, without any row: the last optimisation undoes what they decode to. What is left is
         the shape of their tensors, which the files of a scene have.
     exposures: the colour transforms of its photos; None where they agree.
     disagreement: how far its photos differ in colour; None where that was not measured.
