@@ -45,6 +45,8 @@ def killed_in_a_region(street: Path, name: str, processes: list[psutil.Process])
         if (region / "depth.pt").exists():
             break
         time.sleep(0.05)
+    assert (region / "depth.pt").exists(), "the region never had its depth"
+    assert not (region / "scene.pt").exists(), "the region was done before the kill"
     children = [child for process in processes for child in process.children(recursive=True)]
     workers = [child for child in children if "spawn_main" in " ".join(child.cmdline())]
     os.kill(max(workers, key=lambda child: sum(child.cpu_times()[:2])).pid, signal.SIGKILL)
