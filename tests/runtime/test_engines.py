@@ -1,6 +1,7 @@
 """Engines do every job once, say how far it is, and go on when a worker is killed."""
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -126,3 +127,54 @@ def test_no_scheduler(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("querysplat_cli.runtime.cluster.ANSWER_SECONDS", 1)
     with pytest.raises(QuerySplatError, match="no scheduler answers"):
         work(find_engine("tcp://127.0.0.1:9"), Path(), JOBS)
+
+
+@pytest.fixture
+def slurm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`sbatch` and `scancel` that start and end the jobs as processes of this machine."""
+    pytest.importorskip("dask_jobqueue")
+    commands = tmp_path / "commands"
+    commands.mkdir()
+    for name, script in (
+        ("sbatch", 'setsid sh "$1" >/dev/null 2>&1 & echo "Submitted batch job $!"'),
+        ("scancel", 'kill -- "-$1"'),
+    ):
+        (commands / name).write_text(f"#!/bin/sh\n{script}\n")
+        (commands / name).chmod(0o755)
+    monkeypatch.setenv("PATH", f"{commands}:{os.environ['PATH']}")
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([*sys.path, str(Path(__file__).parent)]))
+
+
+@pytest.mark.usefixtures("slurm")
+def test_jobs_of_slurm(tmp_path: Path) -> None:
+    import dask.config
+
+    said: list[str] = []
+    with dask.config.set({"jobqueue.slurm.cores": 1, "jobqueue.slurm.memory": "2GB"}):
+        ends, _ = work(find_engine("slurm:2", say=said.append), tmp_path, JOBS)
+    assert ends == dict.fromkeys(JOBS)
+    assert str(os.getpid()) not in {(tmp_path / job).read_text() for job in JOBS}
+    assert said[0].startswith("waiting for the first worker, http")
+    assert re.match("[12] workers, http", said[1])
+
+
+@pytest.mark.usefixtures("slurm")
+def test_slurm_without_resources(tmp_path: Path) -> None:
+    with pytest.raises(QuerySplatError, match="how many cores and how much memory") as caught:
+        work(find_engine("slurm:2"), tmp_path, JOBS)
+    assert "jobqueue.yaml" in str(caught.value.hint)
+
+
+def test_no_slurm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("dask_jobqueue")
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(QuerySplatError, match="no sbatch here") as caught:
+        work(find_engine("slurm:2"), tmp_path, JOBS)
+    assert caught.value.code == ExitCode.MISSING_PART
+
+
+def test_a_job_that_kills_every_worker_is_given_up(tmp_path: Path) -> None:
+    pytest.importorskip("distributed")
+    ends, _ = work(find_engine("local:1"), tmp_path, ["a", "deadly"])
+    assert ends["a"] is None
+    assert "lost again and again" in (ends["deadly"] or "")

@@ -3,8 +3,9 @@
 import logging
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from importlib.util import find_spec
+from shutil import which
 from typing import Any
 from uuid import uuid4
 
@@ -61,6 +62,9 @@ class Dask:
         run = uuid4().hex[:8]
         names = {f"querysplat-{run}-{number}": job for number, job in enumerate(jobs)}
         with _client(self._cluster) as client:
+            if not client.scheduler_info()["workers"]:
+                self._say(f"waiting for the first worker, {client.dashboard_link}")
+                client.wait_for_workers(1)
             self._say(f"{len(client.scheduler_info()['workers'])} workers, {client.dashboard_link}")
             client.subscribe_topic(PROGRESS, lambda event: _pass_on(names, heard, event[1]))
             futures = [
@@ -116,25 +120,33 @@ def _pass_on(names: dict[str, Any], heard: Heard, event: tuple[str, str, float])
 
 @contextmanager
 def _client(cluster: str) -> Iterator[Any]:
+    import dask.config
     from distributed import Client
 
     logging.getLogger("distributed").setLevel(logging.CRITICAL)  # a lost worker is no news for users
     kind, _, rest = cluster.partition(":")
-    if kind == "local":
-        with shared_cores(int(rest)), _local(int(rest)) as workers, Client(workers) as client:
-            yield client
-    elif kind == "slurm":
-        with _slurm(int(rest)) as workers, Client(workers) as client:
-            yield client
-    else:
-        try:
-            client = Client(cluster, timeout=ANSWER_SECONDS)
-        except (OSError, ValueError) as error:
-            raise QuerySplatError(
-                f"--cluster {cluster}: no scheduler answers there", "Start one with `dask scheduler`."
-            ) from error
-        with client:
-            yield client
+    with ExitStack() as stack:
+        # No job waits at a worker: if that one is lost again and again, only the job that it does is blamed.
+        stack.enter_context(dask.config.set({"distributed.scheduler.worker-saturation": 1.0}))
+        if kind == "local":
+            stack.enter_context(shared_cores(int(rest)))
+            yield stack.enter_context(Client(stack.enter_context(_local(int(rest)))))
+        elif kind == "slurm":
+            yield stack.enter_context(Client(stack.enter_context(_slurm(int(rest)))))
+        else:
+            yield stack.enter_context(_scheduler(cluster))
+
+
+def _scheduler(address: str) -> Any:
+    """A client of the scheduler at this address."""
+    from distributed import Client
+
+    try:
+        return Client(address, timeout=ANSWER_SECONDS)
+    except (OSError, ValueError) as error:
+        raise QuerySplatError(
+            f"--cluster {address}: no scheduler answers there", "Start one with `dask scheduler`."
+        ) from error
 
 
 def _local(workers: int) -> Any:
@@ -156,8 +168,18 @@ def _slurm(jobs: int) -> Any:
     """Jobs of Slurm, each one worker, with the resources of ~/.config/dask/jobqueue.yaml."""
     if not find_spec("dask_jobqueue"):
         raise MissingPart("--cluster slurm needs dask-jobqueue", install_command("cluster"))
+    if not which("sbatch"):
+        raise MissingPart(
+            "--cluster slurm: there is no sbatch here", "Run the command where jobs of Slurm are submitted."
+        )
     from dask_jobqueue import SLURMCluster
 
-    cluster = SLURMCluster(processes=1)
+    try:
+        cluster = SLURMCluster(processes=1)
+    except ValueError as error:  # no cores, or no memory
+        raise QuerySplatError(
+            "--cluster slurm: how many cores and how much memory a job has is not known",
+            "Write them into ~/.config/dask/jobqueue.yaml: jobqueue: {slurm: {cores: 4, memory: 16GB}}",
+        ) from error
     cluster.scale(jobs=jobs)
     return cluster
