@@ -47,7 +47,7 @@ def judge(room: CapturedScene, request: pytest.FixtureRequest) -> Judge:
 
 @pytest.fixture
 def scene(judge: Judge) -> Gaussians:
-    """Two photos, each on a wall at a fixed depth."""
+    """Two photos, each on a slanted wall. Rounding would sort equal depths, those of a wall that faces its camera."""
     names = [frame.name for frame in judge.groups["input"]][:2]
     shown = [judge.photos[name][1].pixels for name in names]
     images = torch.stack([torch.from_numpy(pixels).permute(2, 0, 1).float() / 255 for pixels in shown])
@@ -56,7 +56,8 @@ def scene(judge: Judge) -> Gaussians:
     w2c = torch.stack([torch.from_numpy(camera.w2c).float() for camera in given])
     height, width = images.shape[2:]
     views = Views(images, torch.ones(2, height, width, dtype=torch.bool), tuple(names), ((height, width),) * 2)
-    return back_project(views, Cameras(w2c, K.float(), height, width), torch.full((2, height, width), 3.0))
+    depth = torch.linspace(2.9, 3.1, height * width).reshape(height, width)
+    return back_project(views, Cameras(w2c, K.float(), height, width), depth.expand(2, -1, -1))
 
 
 def flat(result: RowResult) -> dict[tuple[str, str], float]:
