@@ -30,6 +30,8 @@ def divide(posed: PosedViews, count: int) -> tuple[Group, ...]:
     near. A group is cut in two where the least closeness is lost, and its parts again. To each core come the
     photos of others that see most of its points, at most `PipelinePolicy.region_overlap` of the core's number.
     """
+    if count == 1:
+        return (Group(tuple(range(len(posed.views))), ()),)
     close = _closeness(posed)
     cores = _parts(close, np.arange(len(posed.views)), count)
     cores.sort(key=lambda core: int(core.min()))

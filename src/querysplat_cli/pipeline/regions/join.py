@@ -183,8 +183,7 @@ def _brief(each: RegionScene, posed: PosedViews, group: Group, gaussians: Gaussi
     core = list(group.core)
     joined = score(gaussians, posed.views[core], posed.cameras[core]).summary()
     entries = {name: value for name, value in each.entries.items() if name not in ("tto", "full_size", "warnings")}
-    quality = {name: value for name, value in entries.pop("quality").items() if name not in ("views", "background")}
-    return {**entries, "quality": quality, "joined": joined}
+    return {**entries, "joined": joined}
 
 
 def _part(progress: Any, start: float, share: float, text: str, fraction: float) -> None:

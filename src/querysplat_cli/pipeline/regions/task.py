@@ -20,7 +20,7 @@ from querysplat_cli.pipeline.regions.owners import depth_maps, small_cameras
 from querysplat_cli.pipeline.regions.scene import RegionScene, RegionTask
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.queries.prepare import without_rows
-from querysplat_cli.reporting.report import quality_entry, seconds_entry, tto_entries
+from querysplat_cli.reporting.report import seconds_entry, tto_entries
 from querysplat_cli.reporting.view_scores import score
 from querysplat_cli.runtime.compiler import SCENE_KERNELS, start_compiling
 from querysplat_cli.runtime.device import find_device, peak_gib, reset_peak_memory
@@ -93,7 +93,7 @@ def _scene(task: RegionTask, scene: BuiltScene, stages: Stages) -> RegionScene:
     further, core = scene.full_size, list(range(task.core))
     quality = score(scene.gaussians, task.posed.views[core], scene.adapted.cameras[core])
     entries = {
-        "quality": quality_entry(quality),
+        "quality": quality.summary(),
         "seconds": seconds_entry(stages.seconds),
         "tto": [*tto_entries(scene.adapted.runs), *(further.runs if further else [])],
         "full_size": further.summary if further else None,
