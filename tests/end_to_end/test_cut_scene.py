@@ -40,6 +40,9 @@ def test_its_report_is_that_of_the_gaussians_that_are_left(
     assert sum(entry["what"] == "precision" for entry in report["left_out"]) == (kind == ".spz")
     assert (tmp_path / "cut" / "preview.png").read_bytes() != (tmp_path / "s" / "preview.png").read_bytes()
     assert report["settings"] == whole["settings"]
+    starts = [json.loads((tmp_path / name / "supersplat.json").read_text())["cameras"][0] for name in ("s", "cut")]
+    first, twice = (start["initial"]["position"] for start in starts)
+    assert twice == pytest.approx([2 * x for x in first])
     assert (tmp_path / "cut" / "curve.png").is_file() == (tmp_path / "s" / "curve.png").is_file()
     assert run(["tto", str(tmp_path / "cut"), "--steps", "0", "-q"]) == ExitCode.DONE
     again = report_in(tmp_path / "cut")["quality"]

@@ -37,6 +37,7 @@ def test_what_is_written(scene: tuple[Path, dict[str, Any]]) -> None:
         "points.safetensors",
         "preview.png",
         "report.json",
+        "supersplat.json",
     }
     assert sorted(path.name for path in ply.parent.iterdir()) == ["photos", "scene", "scene.ply"]
     gaussians = read_ply(ply)

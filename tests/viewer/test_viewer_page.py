@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from ball import made_gaussians
 from chromium import CHROMIUM, PATIENCE, Browser
 
 from querysplat_cli.cli import run
@@ -18,7 +19,6 @@ from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.formats.ply import write_ply
 from querysplat_cli.scene.formats.transforms import write_cameras
-from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.paths import look_at
 from querysplat_cli.scene.pictures import eight_bit, write_picture
 from querysplat_cli.scene.views import Views
@@ -27,20 +27,6 @@ from querysplat_cli.splat.render import render
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium: apt-get install chromium")
 SIZE = (120, 160)
 LEAST_PSNR = 24.0
-COUNT = 400
-
-
-def made_gaussians() -> Gaussians:
-    """Coloured ellipsoids in a ball of radius 1, with SH of degree 2, none of them see-through."""
-    some = torch.Generator().manual_seed(3)
-    return Gaussians(
-        torch.nn.functional.normalize(torch.randn(COUNT, 3, generator=some), dim=1)
-        * torch.rand(COUNT, 1, generator=some),
-        torch.randn(COUNT, 4, generator=some),
-        0.02 + 0.08 * torch.rand(COUNT, 3, generator=some),
-        0.3 + 0.6 * torch.rand(COUNT, generator=some),
-        0.4 * torch.randn(COUNT, 9, 3, generator=some),
-    )
 
 
 def made_cameras() -> Cameras:
@@ -189,7 +175,7 @@ def test_the_page_follows_a_run_to_its_end(browser: Browser, tmp_path: Path, mon
     monkeypatch.setattr("querysplat_cli.commands.live_view.EVERY_SECONDS", 0.0)
     names = ("a.png", "b.png", "c.png")
     views = Views(pictures(), torch.ones(3, *SIZE, dtype=torch.bool), names, (SIZE,) * 3)
-    grey = replace(made_gaussians(), sh=torch.zeros(COUNT, 1, 3))
+    grey = replace(made_gaussians(), sh=torch.zeros(len(made_gaussians()), 1, 3))
     stages, addresses = Stages(), []
     browser.requests.clear()
     with watched(stages, "room", addresses.append), stages("tto") as progress:

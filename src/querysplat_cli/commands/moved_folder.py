@@ -20,6 +20,8 @@ from querysplat_cli.reporting.unseen import unseen
 from querysplat_cli.runtime.checkpoint_files import read_tensors
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.formats.moved_cameras import move_cameras
+from querysplat_cli.scene.formats.supersplat import write_supersplat
+from querysplat_cli.scene.formats.transforms import read_working_cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.sim3 import Sim3
 
@@ -51,6 +53,8 @@ def write_moved_folder(source: Path, draft: Path, moved: Moved) -> None:
     """
     draft.mkdir()
     move_cameras(source / "cameras.json", draft / "cameras.json", moved.place)
+    inputs, _, frame = read_working_cameras(draft / "cameras.json")
+    write_supersplat(draft / "supersplat.json", moved.gaussians, inputs.cameras, inputs.sizes, frame)
     if (source / "images").is_dir():
         shutil.copytree(source / "images", draft / "images")
     for name in FILES:

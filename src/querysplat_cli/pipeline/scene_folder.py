@@ -11,6 +11,7 @@ scene/
   report.json
   preview.png
   curve.png                error against time, if it was optimised
+  supersplat.json          settings for SuperSplat's viewer: it opens the scene at a photo
 """
 
 import dataclasses
@@ -39,6 +40,7 @@ from querysplat_cli.reporting.view_scores import score
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.exposures import Exposures, write_exposures
 from querysplat_cli.scene.files import FolderKind, atomic_together
+from querysplat_cli.scene.formats.supersplat import write_supersplat
 from querysplat_cli.scene.formats.transforms import write_cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.photo_files import PhotoFile, write_photo_files
@@ -52,7 +54,10 @@ JPEG_SETTINGS = (cv2.IMWRITE_JPEG_QUALITY, 100, cv2.IMWRITE_JPEG_SAMPLING_FACTOR
 
 SCENE_FOLDER = FolderKind(("report.json", "cameras.json", "memories.safetensors"), ("*",))
 """A scene's folder may hold other files, which stay in it (`keep_others`)."""
-OTHER_PARTS = {"images", "photos.json", "points.safetensors", "exposures.json", "preview.png", "curve.png"}
+OTHER_PARTS = {
+    *("images", "photos.json", "points.safetensors", "exposures.json"),
+    *("preview.png", "curve.png", "supersplat.json"),
+}
 
 
 @dataclass(frozen=True)
@@ -129,6 +134,7 @@ def write_scene(target: Path, scene: StoredScene, gaussians: Gaussians, report: 
         for views, _ in scene.groups.values():
             write_images(draft / "images", views)
         write_cameras(draft / "cameras.json", scene.cameras, scene.views, heldout=scene.heldout, frame=scene.frame)
+        write_supersplat(draft / "supersplat.json", gaussians, scene.cameras, scene.views.sizes, scene.frame)
         if scene.photos:
             write_photo_files(draft / "photos.json", list(scene.photos.values()))
         if scene.exposures:
