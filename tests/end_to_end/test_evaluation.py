@@ -43,7 +43,9 @@ def evaluated(room: Path) -> tuple[Path, dict[str, Any]]:
 
 
 def files(out: Path) -> dict[str, int]:
-    return {str(path.relative_to(out)): path.stat().st_mtime_ns for path in out.rglob("metrics.json")}
+    """When each case that is done was written."""
+    done = out.glob("*/*/[!.]*/metrics.json")
+    return {str(path.relative_to(out)): path.stat().st_mtime_ns for path in done}
 
 
 def test_every_row_has_every_view(evaluated: tuple[Path, dict[str, Any]]) -> None:
@@ -158,20 +160,32 @@ def test_shards_make_the_whole(room: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_stopped_run_leaves_whole_cases(room: Path, tmp_path: Path) -> None:
-    """A cluster's scheduler stops a job by SIGTERM."""
-    command = [sys.executable, "-m", "querysplat_cli", "eval", str(room), "-o", str(tmp_path / "out"), *OPTIONS]
-    with subprocess.Popen([*command, "--cases", "50"], stderr=subprocess.PIPE, text=True) as process:
+@pytest.mark.parametrize("kill", [signal.SIGTERM, signal.SIGKILL])
+def test_a_stopped_run_leaves_whole_cases_and_goes_on(kill: signal.Signals, room: Path, tmp_path: Path) -> None:
+    """A cluster's scheduler stops a job by SIGTERM, and kills it when that does not help."""
+    out, whole = tmp_path / "out", tmp_path / "whole"
+    options = [*OPTIONS, "--cameras", "posed", "--cases", "4"]
+    command = [sys.executable, "-m", "querysplat_cli", "eval", str(room), "-o", str(out), *options]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
         limit = time.monotonic() + 300  # the machine may be busy
-        while not files(tmp_path / "out") and time.monotonic() < limit:
-            time.sleep(0.1)
-        os.kill(process.pid, signal.SIGTERM)
+        while not files(out) and time.monotonic() < limit:
+            time.sleep(0.01)
+        os.killpg(process.pid, kill) if kill == signal.SIGKILL else process.send_signal(kill)
         said = process.communicate(timeout=60)[1]
-    assert process.returncode == 128 + signal.SIGTERM, said
-    assert "Aborted" not in said
+    before = files(out)
+    assert 0 < len(before) < 3 * 4
     assert "Traceback" not in said
-    assert files(tmp_path / "out")
-    assert not list((tmp_path / "out").rglob(".*"))
+    if kill == signal.SIGTERM:
+        assert process.returncode == 128 + kill
+        assert "Aborted" not in said
+        assert not list(out.rglob(".*"))
+    assert run(["eval", str(room), "-o", str(out), *options]) == ExitCode.DONE
+    assert not list(out.rglob(".*"))
+    assert {name: files(out)[name] for name in before} == before
+    assert run(["eval", str(room), "-o", str(whole), *options]) == ExitCode.DONE
+    found, expected = (json.loads((folder / "summary.json").read_text()) for folder in (out, whole))
+    assert found["failures"] == []
+    assert [row["psnr"] for row in found["rows"]] == [row["psnr"] for row in expected["rows"]]
 
 
 @pytest.mark.parametrize(

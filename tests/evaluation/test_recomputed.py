@@ -74,12 +74,18 @@ def test_scores_agree_with_scikit_image_and_the_layout_of_lpips(tmp_path: Path) 
 
 @pytest.mark.parametrize("protocol", ["release", "text"])
 def test_scores_of_real_renders_agree_with_scikit_image(protocol: Literal["release", "text"], tmp_path: Path) -> None:
-    """A scene of two photos of a room, rendered where they were taken, between them and beyond."""
+    """A scene of two photos of a room, rendered where they were taken, between them and beyond.
+
+    LPIPS by a second implementation from the same files, as above.
+    """
     write_room(tmp_path / "room", 6)
+    features, linear = write_weights(tmp_path / "weights", "alex")
+    files = find_lpips(tmp_path / "weights", "alex")
+    assert isinstance(files, LpipsFiles)
     (captured,) = find_scenes([tmp_path / "room"])
     picked = {"input": (0, 3), "interp": (1, 2), "extrap": (4, 5)}
     groups = {group: [captured.frames[i] for i in rows] for group, rows in picked.items()}
-    judge = Judge(groups, captured.cameras, Protocol(protocol), Meter())
+    judge = Judge(groups, captured.cameras, Protocol(protocol), Meter(load_lpips(files)))
     room = make_room(3)
     cameras = walk(room, 6, 3)[[0, 3]]
     images, depth = cast(room, cameras, samples=1)
@@ -95,4 +101,7 @@ def test_scores_of_real_renders_agree_with_scikit_image(protocol: Literal["relea
         psnr = peak_signal_noise_ratio(photo, render, data_range=1)
         assert view.scores.psnr == pytest.approx(psnr, abs=AGREEMENT)
         assert 10 < psnr < 40
+        one, other = (image[None].float() for image in (view.picture, judge.truth(view.frame)))
+        lpips = float(reference(features, linear, AFTER["alex"], one, other))
+        assert view.scores.lpips == pytest.approx(lpips, abs=AGREEMENT)
     assert min(view.scores.psnr for view in result.views["input"]) > 18
