@@ -9,8 +9,9 @@ import pytest
 import torch
 
 import repair
+from querysplat_cli.cli import run
 from querysplat_cli.evaluation.baseline import back_project
-from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.errors import ExitCode, QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.formats.ply import read_ply, write_ply
 from querysplat_cli.scene.formats.transforms import write_cameras
@@ -90,6 +91,13 @@ def test_the_restored_pictures_become_a_scene(scene: Path, tmp_path: Path) -> No
     """Through `reconstruct` itself: its scene lies in the old frame, and shows all of the pictures."""
     *_, repaired = repair.repair(scene, BOX, tmp_path / "out", repair.inpaint, options="--quality draft --tto 20")
     assert repaired.outside > 20
+
+
+def test_what_is_cut_is_what_convert_removes(scene: Path, tmp_path: Path) -> None:
+    removed = ["convert", str(scene), str(tmp_path / "less.ply"), f"--remove={','.join(map(str, BOX))}", "-q"]
+    assert run(removed) == ExitCode.DONE
+    found, expected = read_ply(tmp_path / "less.ply"), repair.cut(read_ply(scene), BOX)
+    torch.testing.assert_close(vars(found), vars(expected))
 
 
 def test_any_command_restores(scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
