@@ -258,3 +258,13 @@ def test_an_error_that_an_interruption_became_is_no_bug(
     monkeypatch.setattr(signals._State, "received", None)
     assert run(["reconstruct", str(photo(tmp_path / "p.png")), "-o", str(tmp_path / "s.ply"), "-q"]) == 143
     assert "stopped" in one_error(capsys)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
+def test_a_full_disk_is_named_where_output_goes() -> None:
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "querysplat_cli", "doctor", "--json"], stdout=full, stderr=subprocess.PIPE, text=True
+        )
+    assert done.returncode == ExitCode.BAD_INPUT
+    assert "error: standard output: the disk is full" in done.stderr

@@ -85,6 +85,16 @@ def test_a_loss_has_no_sign_and_can_be_a_gain() -> None:
     assert convert_lines({**result, "psnr": gain})[-1] == "on 7 of the photos: 25.07 → 25.08 dB, 0.01 dB gained"
 
 
+def test_a_step_without_photos_states_how_far_pictures_agree() -> None:
+    """They agree with themselves by 100 dB, so that 40 dB less is no loss that anybody sees."""
+    step = {"what": "clean", "gaussians": 4, "giants": 4, "psnr": 60.0, "lost": 40.0, "against": "orbit"}
+    psnr = {"against": "orbit", "views": 8, "before": 100.0, "after": 60.0, "lost": 40.0}
+    result = {"gaussians": 1, "bytes": {"target": 1, "source": 1}, "target": "a.ply", "scene": None, "psnr": psnr}
+    assert convert_lines({**result, "steps": [step]})[1] == "clean: 4 left out (4 giants), pictures agree to 60.00 dB"
+    said = convert_lines({**result, "steps": [{**step, "against": "photos", "lost": 0.5}], "psnr": None})
+    assert said[-1] == "clean: 4 left out (4 giants), 0.50 dB lost"
+
+
 def test_without_cameras_a_scene_is_cleaned_too(
     scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -178,6 +178,7 @@ def test_a_stopped_run_leaves_whole_cases_and_goes_on(kill: signal.Signals, room
     if kill == signal.SIGTERM:
         assert process.returncode == 128 + kill
         assert "Aborted" not in said
+        assert f"Finished cases are in {out}, and the same command goes on with the others." in said
         assert not list(out.rglob(".*"))
     assert run(["eval", str(room), "-o", str(out), *options]) == ExitCode.DONE
     assert not list(out.rglob(".*"))

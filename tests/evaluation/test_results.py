@@ -2,6 +2,7 @@
 
 import csv
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,13 +17,13 @@ from querysplat_cli.evaluation.keeping import Keeping
 from querysplat_cli.evaluation.metrics import Meter, Scores
 from querysplat_cli.evaluation.results import (
     RowFolder,
-    merge,
     open_row_folder,
     row_folders,
     run_config,
     write_case,
     write_failure,
 )
+from querysplat_cli.evaluation.shards import merge
 from querysplat_cli.evaluation.splits import Case, FrameRef, Split
 from querysplat_cli.evaluation.summary import summarise
 from querysplat_cli.evaluation.sweep import Point, Spread, frontier, write_curves
@@ -207,6 +208,26 @@ def test_different_runs_do_not_mix(tmp_path: Path) -> None:
         merge([tmp_path / "1", tmp_path / "2"], tmp_path / "merged")
     with pytest.raises(QuerySplatError, match="no results"):
         merge([tmp_path], tmp_path / "other")
+
+
+def test_nothing_of_damaged_or_other_results_is_merged(tmp_path: Path) -> None:
+    """A damaged copy would stay in the way of the next merging."""
+    whole, out = split("small", "small", 2), tmp_path / "merged"
+    for number in range(2):
+        write_case(start(tmp_path / str(number), "r", whole).case(f"s_{number:03d}"), "s", result(12))
+    damaged = tmp_path / "1" / "r" / "small" / "s_001"
+    (damaged / "metrics.json").write_text("{")
+    with pytest.raises(QuerySplatError, match=str(damaged)):
+        merge([tmp_path / "0", tmp_path / "1"], out)
+    assert not out.exists()
+    shutil.rmtree(damaged)
+    start(tmp_path / "2", "r", whole, tto=5)
+    with pytest.raises(QuerySplatError, match="other settings"):
+        merge([tmp_path / "0", tmp_path / "1", tmp_path / "2"], out)
+    assert not out.exists()
+    merge([tmp_path / "0", tmp_path / "1"], out)
+    with pytest.raises(QuerySplatError, match="other settings"):
+        merge([tmp_path / "2"], out)
 
 
 def test_damaged_results_are_named(tmp_path: Path) -> None:

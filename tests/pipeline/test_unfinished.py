@@ -10,6 +10,7 @@ import torch
 
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.pipeline.unfinished import OF_FILES, unfinished
+from querysplat_cli.runtime import signals
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.views import Photo
 
@@ -98,6 +99,13 @@ def test_another_photo_or_size_invalidates_both(settings: ReconstructSettings) -
     assert (cameras, region) == (False, False)
     assert "photos" in said
     assert goes_on(settings, size=32)[:2] == (False, False)
+
+
+def test_what_a_stopped_run_keeps_is_noted(settings: ReconstructSettings) -> None:
+    signals.keep("")
+    goes_on(settings)
+    folder = settings.inputs[0] / ".scene.ply.unfinished"
+    assert signals.kept() == f"What is finished is kept in {folder}, and the same command goes on with it."
 
 
 def test_a_run_that_ends_leaves_nothing(settings: ReconstructSettings) -> None:

@@ -9,7 +9,14 @@ from typing import NoReturn
 import pytest
 
 from querysplat_cli.runtime.errors import QuerySplatError
-from querysplat_cli.scene.files import atomic_folder, atomic_path, check_writable, refuse_existing, sole_writer
+from querysplat_cli.scene.files import (
+    atomic_folder,
+    atomic_path,
+    check_writable,
+    refuse_existing,
+    refuse_replacing,
+    sole_writer,
+)
 
 
 def write_half(draft: Path, failure: BaseException) -> NoReturn:
@@ -149,3 +156,16 @@ def test_existing_outputs_are_refused_by_name_unless_forced(tmp_path: Path) -> N
     assert "--force" in caught.value.hint
     refuse_existing([there, missing], force=True)
     refuse_existing([missing], force=False)
+
+
+@pytest.mark.parametrize("output", [".", "../p", "../q/../p"])
+def test_a_proposed_output_is_a_path_that_can_be_given(
+    output: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`-o -pictures` would be read as an option, and a name alone would lie in another folder."""
+    (tmp_path / "p").mkdir()
+    (tmp_path / "q").mkdir()
+    monkeypatch.chdir(tmp_path / "p")
+    with pytest.raises(QuerySplatError) as caught:
+        refuse_replacing([tmp_path / "p"], [Path(output)], instead="-pictures")
+    assert caught.value.hint == f"Choose another output, for instance -o {tmp_path / 'p-pictures'}."

@@ -1,5 +1,6 @@
 """The command line: one small file per verb, imported without torch or pycolmap."""
 
+import errno
 import sys
 import traceback
 
@@ -46,7 +47,9 @@ def _told(error: Exception) -> int:
         _print_error(*explained(error))
         return ExitCode.BAD_INPUT
     if isinstance(error, OSError):
-        _print_error(str(error), "Check the path, its permissions and the free space.")
+        full = error.errno == errno.ENOSPC
+        what = f"{error.filename or 'standard output'}: the disk is full" if full else str(error)
+        _print_error(what, "Free some space." if full else "Check the path and its permissions.")
         return ExitCode.BAD_INPUT
     if is_out_of_memory(error):
         _print_error("out of memory", more_memory())
@@ -57,7 +60,7 @@ def _told(error: Exception) -> int:
 
 
 def _stopped() -> int:
-    _print_error("stopped", "Nothing half-written was left behind.")
+    _print_error("stopped", signals.kept() or "Nothing half-written was left behind.")
     return signals.exit_code()
 
 

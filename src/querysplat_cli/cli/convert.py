@@ -28,11 +28,10 @@ def lines(result: dict[str, Any]) -> list[str]:
     if "cameras" in result:
         return [f"{result['cameras']} cameras{_points(result)}: {result['target']}", *left_out(result["left_out"])]
     written, read = (result["bytes"][part] / 2**20 for part in ("target", "source"))
-    steps = [_step(step) for step in result["steps"]]
     return [
         f"{_content(result)}, {written:.2f} MiB (source {read:.2f} MiB): {result['target']}",
         *([f"with its folder: {result['scene']}"] if result["scene"] else []),
-        *steps,
+        *map(_step, result["steps"]),
         *[_level(number, level) for number, level in enumerate(result.get("levels", ()))],
         *([_cost(result["psnr"])] if result["psnr"] else []),
     ]
@@ -61,7 +60,9 @@ def _level(number: int, level: dict[str, Any]) -> str:
 def _step(step: dict[str, Any]) -> str:
     counts = ", ".join(f"{step[name]:,} {word}" for name, word in REASONS.items() if step.get(name))
     reasons = f" ({counts})" if counts else ""
-    return f"{step['what']}: {step['gaussians']:,} left out{reasons}, {decibels(step['lost'])}"
+    # Pictures of the source agree with themselves by 100 dB, so that the least change would seem to lose half of that.
+    cost = decibels(step["lost"]) if step["against"] == "photos" else f"pictures agree to {step['psnr']:.2f} dB"
+    return f"{step['what']}: {step['gaussians']:,} left out{reasons}, {cost}"
 
 
 def _cost(psnr: dict[str, Any]) -> str:

@@ -99,7 +99,7 @@ def convert_gaussians(request: Conversion, stages: Stages) -> dict[str, Any]:
         **written,
         "left_out": len(gaussians) - written["gaussians"],
         "bytes": {"source": bytes_of(request.source), "target": size},
-        "steps": found.entries,
+        "steps": [{**step, "against": views.kind} for step in found.entries],
         "psnr": None if request.geometry else _psnr_entry(views, found.levels[0], after),
     }
 

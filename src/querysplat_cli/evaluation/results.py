@@ -65,15 +65,19 @@ def open_row_folder(row_folder: RowFolder, config: dict[str, Any], *, force: boo
     if file.is_file() and force:
         shutil.rmtree(row_folder.path)
     if file.is_file():
-        before = read_json(file)
-        changed = [key for key in config if key not in NOT_COMPARED and config[key] != before.get(key)]
-        if changed:
-            raise QuerySplatError(
-                f"{row_folder.path} was made with other settings ({', '.join(changed)})",
-                "Choose another output, or add --force to begin again.",
-            )
+        check_same_settings(row_folder.path, read_json(file), config)
         return
     write_json(file, config)
+
+
+def check_same_settings(path: Path, before: dict[str, Any], config: dict[str, Any]) -> None:
+    """Raise QuerySplatError when the results in `path` are of `before`, and those are not the settings of `config`."""
+    changed = [key for key in config if key not in NOT_COMPARED and config[key] != before.get(key)]
+    if changed:
+        raise QuerySplatError(
+            f"{path} was made with other settings ({', '.join(changed)})",
+            "Choose another output, or add --force to begin again.",
+        )
 
 
 def run_config(settings: dict[str, Any], split: Split, protocol: str, lpips: dict[str, str]) -> dict[str, Any]:
@@ -156,23 +160,9 @@ def row_folders(out: Path) -> list[RowFolder]:
     return [RowFolder(out, file.parent.parent.name, file.parent.name) for file in found]
 
 
-def merge(parts: Sequence[Path], out: Path) -> None:
-    """Copy the results of several runs, for instance the shards of one, into `out`.
-
-    A case that several parts have is taken from the first that scored it. Raises QuerySplatError when a part has
-    no results, or two parts have different settings for one row and split.
-    """
-    for part in parts:
-        found = row_folders(part)
-        if not found:
-            raise QuerySplatError(f"{part}: no results of `querysplat eval` in it", "Give the folders of the shards.")
-        for row_folder in found:
-            merged = RowFolder(out, row_folder.row, row_folder.split)
-            open_row_folder(merged, read_json(row_folder.path / "run_config.json"), force=False)
-            for case in sorted(entry for entry in row_folder.path.iterdir() if entry.is_dir()):
-                if not case.name.startswith(".") and not merged.is_done(case.name):
-                    with atomic_folder(merged.case(case.name)) as draft:
-                        shutil.copytree(case, draft, dirs_exist_ok=True)
+def has_results(out: Path) -> bool:
+    """Whether a case is done in `out`."""
+    return any(row_folder.is_done(case.name) for row_folder in row_folders(out) for case in row_folder.path.iterdir())
 
 
 def read_json(path: Path) -> Any:

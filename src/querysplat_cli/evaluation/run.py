@@ -28,6 +28,7 @@ from querysplat_cli.runtime.device import find_device
 from querysplat_cli.runtime.engine import report_progress
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Stages
+from querysplat_cli.runtime.words import counted
 from querysplat_cli.runtime.workers import Workers
 from querysplat_cli.scene.files import check_writable
 from querysplat_cli.scene.formats.dataset import find_scenes
@@ -61,7 +62,7 @@ def evaluate(request: EvalRequest, stages: Stages, say: Callable[[str], None]) -
                 say(f"{scene.name}: {note}")
         splits = plan_splits(request, list(scenes.values()), say)
         for split in splits:
-            say(f"{split.name}: {len(split.cases)} cases, {spacing(split)}")
+            say(f"{split.name}: {counted(len(split.cases), 'case')}, {spacing(split)}")
     if request.splits_only:
         _write_splits(request.out, splits)
         return {"splits": [split.name for split in splits], "out": str(request.out)}

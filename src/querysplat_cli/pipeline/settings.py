@@ -58,7 +58,11 @@ class ReconstructSettings:
     ]
     ply: Annotated[
         Path,
-        Option("The scene to write. A folder of the same name goes beside it.", ("--output", "-o"), metavar="FILE.ply"),
+        Option(
+            "The scene to write: .ply, .spz, .sog or .glb. A folder of the same name goes beside it.",
+            ("--output", "-o"),
+            metavar="FILE.ply",
+        ),
     ] = Path("scene.ply")
     holdout_every: Annotated[
         int | None,

@@ -24,6 +24,7 @@ from querysplat_cli.encoders.holdout import PosedSplit
 from querysplat_cli.pipeline.kept_parts import read_part, write_part
 from querysplat_cli.pipeline.policy import PIPELINE_POLICY
 from querysplat_cli.pipeline.settings import ReconstructSettings
+from querysplat_cli.runtime import signals
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.json_files import read_json
 from querysplat_cli.scene.filed_views import FiledViews
@@ -95,7 +96,9 @@ def unfinished(settings: ReconstructSettings, photos: Sequence[Photo], size: int
             yield Unfinished(folder, _notes(folder, _made_of(settings, photos, size)))
             shutil.rmtree(folder)
     finally:
-        if folder.is_dir() and not (folder / CAMERAS).is_file():
+        if (folder / CAMERAS).is_file():
+            signals.keep(f"What is finished is kept in {folder}, and the same command goes on with it.")
+        elif folder.is_dir():
             shutil.rmtree(folder, ignore_errors=True)
 
 

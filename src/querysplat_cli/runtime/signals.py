@@ -15,15 +15,17 @@ ENDING = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP")
 
 
 class _State:
-    """What arrived last, and whether it waits. One for the process, as handlers are."""
+    """What arrived last, whether it waits, and what is kept. One for the process, as handlers are."""
 
     received: int | None = None
+    kept = ""
     holding = 0
     waiting = False
 
 
 def catch() -> None:
     """Let every ending signal raise KeyboardInterrupt in the main thread. What is ignored (`nohup`) stays ignored."""
+    _State.kept = ""
     for number in ENDING:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, interrupt)
@@ -92,6 +94,16 @@ def ignore() -> None:
     """Let no ending signal change the exit code of a command that is done. Python takes a moment to end."""
     for number in ENDING:
         signal.signal(number, signal.SIG_IGN)
+
+
+def keep(what: str) -> None:
+    """Note for the user what a command that is stopped now leaves behind on purpose."""
+    _State.kept = what
+
+
+def kept() -> str:
+    """The last note of `keep`; empty where there is none."""
+    return _State.kept
 
 
 def caught() -> bool:

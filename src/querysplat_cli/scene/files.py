@@ -92,7 +92,9 @@ def refuse_replacing(inputs: Sequence[Path], outputs: Sequence[Path], *, instead
         for output in outputs:
             if output.resolve() in (here, *here.parents):
                 why = f"the output {output} would replace {path}, which is read"
-                raise QuerySplatError(why, f"Choose another output, for instance -o {output.name}{instead}.")
+                other = without_steps(output)
+                other = other.with_name(f"{other.name}{instead}")
+                raise QuerySplatError(why, f"Choose another output, for instance -o {other}.")
 
 
 def check_writable(folder: Path) -> None:
