@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from hostile.case import Case
+from hostile.evaluations import evaluations
 from hostile.files import cameras, gaussians
 from hostile.kills import kills
 from hostile.levels import levels
@@ -24,6 +25,7 @@ FAMILIES = (
     scene_folder,
     shown,
     settings,
+    evaluations,
     options,
     situations,
     kills,

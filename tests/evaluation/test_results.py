@@ -230,6 +230,25 @@ def test_nothing_of_damaged_or_other_results_is_merged(tmp_path: Path) -> None:
         merge([tmp_path / "2"], out)
 
 
+@pytest.mark.parametrize(
+    ("file", "entry", "value"),
+    [
+        ("s_000/timing.json", "seconds", {"total": "/"}),
+        ("s_000/metrics.json", "per_view", {"input": [{"psnr": []}]}),
+        ("run_config.json", "machine", None),
+        ("run_config.json", "protocol", 1e30),
+        ("run_config.json", "lpips", 0),
+    ],
+)
+def test_results_of_other_types_are_refused(file: str, entry: str, value: object, tmp_path: Path) -> None:
+    row_folder = start(tmp_path, "r", split("small", "small"))
+    write_case(row_folder.case("s_000"), "s", result(12))
+    damaged = row_folder.path / file
+    damaged.write_text(json.dumps({**json.loads(damaged.read_text()), entry: value}))
+    with pytest.raises(QuerySplatError, match=f"{file} is damaged: {entry}"):
+        summarise(tmp_path)
+
+
 def test_damaged_results_are_named(tmp_path: Path) -> None:
     row_folder = start(tmp_path, "r", split("small", "small"))
     write_case(row_folder.case("s_000"), "s", result(12))

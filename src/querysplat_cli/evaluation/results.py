@@ -33,6 +33,7 @@ from querysplat_cli.runtime import json_files
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.files import atomic_folder, atomic_path
 
+REMOVE = "Remove its folder and run the command again."
 NOT_COMPARED = ("machine", "torch", "querysplat")
 """Entries that may differ between shards of one run."""
 
@@ -167,7 +168,7 @@ def has_results(out: Path) -> bool:
 
 def read_json(path: Path) -> Any:
     """Raises QuerySplatError when the file cannot be read."""
-    return json_files.read_json(path, "Remove its folder and run the command again.")
+    return json_files.read_json(path, REMOVE)
 
 
 def write_json(path: Path, content: Any) -> None:

@@ -9,8 +9,9 @@ from typing import Any
 from querysplat_cli.evaluation import published
 from querysplat_cli.evaluation.generate import SCALES
 from querysplat_cli.evaluation.metrics import ALL_METRICS, METRICS
-from querysplat_cli.evaluation.results import RowFolder, mean, read_json, row_folders, write_json
+from querysplat_cli.evaluation.results import RowFolder, mean, row_folders, write_json
 from querysplat_cli.evaluation.splits import GROUPS
+from querysplat_cli.evaluation.stored_results import Failure, Metrics, RunConfig, Timing, read_checked
 from querysplat_cli.evaluation.summary_page import markdown
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.files import atomic_path
@@ -58,13 +59,13 @@ def summarise_row(row_folder: RowFolder) -> dict[str, Any]:
 
 
 def _row(row_folder: RowFolder) -> dict[str, Any]:
-    config = read_json(row_folder.path / "run_config.json")
+    config = read_checked(row_folder.path / "run_config.json", RunConfig)
     split = config["split"]
     scores: dict[str, dict[str, list[float]]] = {group: {metric: [] for metric in SCORES} for group in GROUPS}
     asked, apart, timings, failures, cases = dict.fromkeys(GROUPS, 0), dict.fromkeys(GROUPS, 0), [], [], 0
     for folder in sorted(entry for entry in row_folder.path.iterdir() if entry.is_dir() and entry.name[0] != "."):
         if (folder / "failure.json").is_file():
-            failure = read_json(folder / "failure.json")
+            failure = read_checked(folder / "failure.json", Failure)
             failures.append(
                 {"row": row_folder.row, "split": row_folder.split, "case": folder.name, "error": failure["error"]}
             )
@@ -72,8 +73,8 @@ def _row(row_folder: RowFolder) -> dict[str, Any]:
                 asked[group] += count
                 apart[group] += len(failure.get("apart", {}).get(group, []))
             continue
-        metrics = read_json(folder / "metrics.json")
-        timings.append(read_json(folder / "timing.json"))
+        metrics = read_checked(folder / "metrics.json", Metrics)
+        timings.append(read_checked(folder / "timing.json", Timing))
         cases += 1
         for group, views in metrics["per_view"].items():
             asked[group] += len(views) + len(metrics["missing"].get(group, {}))

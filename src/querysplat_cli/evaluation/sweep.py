@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from querysplat_cli.evaluation.metrics import METRICS
-from querysplat_cli.evaluation.results import RowFolder, read_json, row_folders, write_json
+from querysplat_cli.evaluation.results import RowFolder, row_folders, write_json
+from querysplat_cli.evaluation.stored_results import Metrics, RunConfig, Timing, read_checked
 from querysplat_cli.evaluation.summary import not_none, spread, write_table
 from querysplat_cli.evaluation.summary_page import TITLES
 from querysplat_cli.runtime.figures import new_figure, save_figure
@@ -59,12 +60,12 @@ def collect(found: Sequence[RowFolder], group: str) -> list[Point]:
     """One point for each row and number of views."""
     together: dict[tuple[int, str], list[dict[str, float | None]]] = {}
     for row_folder in found:
-        views = read_json(row_folder.path / "run_config.json")["split"]["num_input_views"]
+        views = read_checked(row_folder.path / "run_config.json", RunConfig)["split"]["num_input_views"]
         for file in sorted(row_folder.path.glob("*/metrics.json")):
-            scores = read_json(file)["mean"].get(group, {})
+            scores = read_checked(file, Metrics)["mean"].get(group, {})
             if scores.get("psnr") is None:
                 continue
-            timing = read_json(file.with_name("timing.json"))
+            timing = read_checked(file.with_name("timing.json"), Timing)
             case = {metric: scores[metric] for metric in METRICS}
             case |= {"gaussians": timing["gaussians"], "peak_memory_gib": timing["peak_memory_gib"]}
             case["seconds"] = timing["seconds"]["total"] or None

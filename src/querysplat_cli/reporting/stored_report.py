@@ -1,19 +1,16 @@
 """The report in a scene folder, checked before anything uses it."""
 
-import json
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Annotated, Any
 
 from annotated_types import Ge, Le
-from pydantic import TypeAdapter, ValidationError
 
+from querysplat_cli.runtime.checked_json import STRICT_TYPES, check_types
 from querysplat_cli.runtime.choices import Space
 from querysplat_cli.runtime.errors import MAKE_AGAIN, QuerySplatError
 from querysplat_cli.runtime.json_files import read_json, shown
 
-STRICT_TYPES = {"extra": "ignore", "strict": True}
-"""Other entries than those named here are kept, and not looked at."""
 Count = Annotated[int, Ge(0), Le(1_000_000_000)]
 
 
@@ -186,15 +183,7 @@ def backdrop_of(folder: Path, gaussians: int) -> int:
 def read_report(path: Path) -> dict[str, Any]:
     """The report, as JSON has it. Raises QuerySplatError when it is missing, damaged, or not that of a scene."""
     report: dict[str, Any] = read_json(path, MAKE_AGAIN)
-    try:
-        TypeAdapter(_Report).validate_json(json.dumps(report))
-    except (ValidationError, RecursionError) as error:
-        why = "it is nested too deeply"
-        if isinstance(error, ValidationError):
-            first = error.errors()[0]
-            where = ".".join(map(str, first["loc"])) or "the report"
-            why = f"{where}: {first['msg']}, found {shown(first['input'])}"
-        raise QuerySplatError(f"{path} is damaged: {why}", MAKE_AGAIN) from error
+    check_types(path, report, _Report, MAKE_AGAIN)
     if report.get("backdrop", 0) > report["gaussians"]:
         raise QuerySplatError(f"{path} is damaged: its backdrop has more Gaussians than the scene", MAKE_AGAIN)
     unknown = sorted(report.keys() - KNOWN)
