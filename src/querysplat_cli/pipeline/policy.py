@@ -41,6 +41,8 @@ class PipelinePolicy:
     start about so far from it."""
     least_full_size_seconds: float = 4.0
     """With less time, the scene is not taken to large photos."""
+    pixel_bytes: int = 2**29
+    """Bytes of the photos' pixels that stay in memory, about 90 photos of 1,600 pixels. The rest lies in a file."""
     long_run_photos: int = 60
     """From so many photos on, what a run has reached is kept until it is done."""
     region_photos: int = 100

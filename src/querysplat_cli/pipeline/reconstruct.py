@@ -21,6 +21,7 @@ from querysplat_cli.pipeline.metric import in_metres, metres_of
 from querysplat_cli.pipeline.omitted import omissions_of
 from querysplat_cli.pipeline.parts import load_parts
 from querysplat_cli.pipeline.perceptual import optimisation_lpips
+from querysplat_cli.pipeline.policy import PIPELINE_POLICY
 from querysplat_cli.pipeline.regions.build import build_regions, region_count
 from querysplat_cli.pipeline.scene_folder import SCENE_FOLDER, StoredScene, write_scene
 from querysplat_cli.pipeline.scene_points import scene_points
@@ -49,6 +50,7 @@ from querysplat_cli.runtime.precision import check_precision, matrix_products
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.drafts import claimed
+from querysplat_cli.scene.filed_pixels import FiledPixels
 from querysplat_cli.scene.files import check_writable, refuse_existing, refuse_replacing, without_steps
 from querysplat_cli.scene.formats.known import read_known_cameras
 from querysplat_cli.scene.inputs import load_inputs
@@ -156,7 +158,9 @@ def _made(inputs: _Inputs, settings: ReconstructSettings, stages: Stages, work: 
 def _read_inputs(settings: ReconstructSettings, device: torch.device, stages: Stages) -> _Inputs:
     free = free_bytes(device)
     with stages("photos") as progress:
-        photos, unread = load_inputs(find_photos(settings.inputs), settings.film_frames, progress=progress)
+        keep = FiledPixels(without_steps(settings.ply).parent, PIPELINE_POLICY.pixel_bytes)
+        paths = find_photos(settings.inputs)
+        photos, unread = load_inputs(paths, settings.film_frames, progress=progress, keep=keep)
     if device.type == "cpu":
         start_compiling(*SCENE_KERNELS)
     with stages("model") as progress:

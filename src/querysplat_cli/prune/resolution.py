@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import cv2
 import numpy as np
@@ -25,14 +26,14 @@ class Blurred:
 
 def blurred(photos: Sequence[Photo], usual: int) -> Blurred | None:
     """The smallest size at which no photo loses detail against the `usual` size; None where some photo needs that."""
-    pictures = [reduced(photo.pixels, usual) for photo in photos]
+    picture = cache(lambda row: reduced(photos[row].pixels, usual))  # few are looked at where the first are sharp
     for share in PRUNE_POLICY.size_shares:
         size = round(share * usual)
         if size < PRUNE_POLICY.smallest_size:
             continue
         worst = np.inf
-        for picture in pictures:
-            worst = min(worst, _psnr(picture, size / usual))
+        for row in range(len(photos)):
+            worst = min(worst, _psnr(picture(row), size / usual))
             if worst < PRUNE_POLICY.same_psnr:
                 break
         else:

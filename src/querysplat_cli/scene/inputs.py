@@ -8,7 +8,7 @@ from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.film_choice import FilmChoice, choose_frames
 from querysplat_cli.scene.film_survey import FilmSurvey, survey_film
 from querysplat_cli.scene.films import frame_pixels, is_film, read_ahead
-from querysplat_cli.scene.photos import decoded_photos, load_photos, none_usable, reduced, short_names
+from querysplat_cli.scene.photos import Keep, decoded_photos, load_photos, none_usable, reduced, short_names
 from querysplat_cli.scene.views import LeftOut, Photo
 
 
@@ -17,29 +17,30 @@ def load_inputs(
     frames: int | None = None,
     max_side: int = 1600,
     progress: Progress = lambda text, fraction: None,
+    keep: Keep = lambda photo: photo,
 ) -> tuple[list[Photo], list[LeftOut]]:
     """Photos and chosen frames of films in the order of `paths`, and what is not used, with the reason.
 
     `frames` is the most frames of all films together; None lets the motion decide. A film has one entry for all its
-    other frames. Photos are read as by `load_photos`. Raises QuerySplatError when there is no usable photo at all, and
-    when `frames` is given without a film.
+    other frames. Photos are read and kept as by `load_photos`. Raises QuerySplatError when there is no usable photo at
+    all, and when `frames` is given without a film.
     """
     films = [path for path in paths if is_film(path)]
     if not films:
         if frames:
             raise QuerySplatError("--frames is for films, and there is no film among the inputs", "Leave it out.")
-        return load_photos(paths, max_side, progress)
+        return load_photos(paths, max_side, progress, keep=keep)
     names = dict(zip(paths, short_names(paths), strict=True))
     surveys, left_out = _surveyed(films, names, progress)
     found: dict[Path, list[Photo]] = {}
     for choice in choose_frames(surveys, frames):
         path = choice.survey.path
         progress(f"{names[path]}: reading {len(choice.rows)} frames", 1.0)
-        found[path] = _frames(choice, names[path], max_side)
+        found[path] = _frames(choice, names[path], max_side, keep)
         if choice.left_out:
             left_out.append(LeftOut(names[path], choice.left_out))
     pictures = [path for path in paths if path not in films]
-    photos, unread = decoded_photos(pictures, [names[path] for path in pictures], max_side, progress)
+    photos, unread = decoded_photos(pictures, [names[path] for path in pictures], max_side, progress, keep)
     for photo in photos:
         found[photo.path] = [photo]
     left_out += unread
@@ -60,12 +61,12 @@ def _surveyed(
     return surveys, left_out
 
 
-def _frames(choice: FilmChoice, name: str, max_side: int) -> list[Photo]:
+def _frames(choice: FilmChoice, name: str, max_side: int, keep: Keep) -> list[Photo]:
     path, survey = choice.survey.path, choice.survey
     stamps = [int(survey.pts[row]) for row in choice.rows]
     read_ahead(path, stamps)
     found = []
     for row, pts in zip(choice.rows, stamps, strict=True):
         pixels = reduced(frame_pixels(path, pts), max_side)
-        found.append(Photo(f"{name}_{survey.seconds[row]:08.3f}.jpg", path, pixels, pts=pts))
+        found.append(keep(Photo(f"{name}_{survey.seconds[row]:08.3f}.jpg", path, pixels, pts=pts)))
     return found

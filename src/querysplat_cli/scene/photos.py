@@ -3,7 +3,7 @@
 import os
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path, PurePath
@@ -31,6 +31,7 @@ LONGEST_NUMBER = 100
 SMALLEST_SIDE = 64
 WHOLE = 1 << 16
 """As `max_side`, this reduces no photo."""
+Keep = Callable[[Photo], Photo]
 HALF_OPAQUE = 128
 """Pixels of a smaller alpha, of 255, take no part."""
 
@@ -58,22 +59,24 @@ def load_photos(
     max_side: int = 1600,
     progress: Progress = lambda text, fraction: None,
     names: Sequence[str] | None = None,
+    keep: Keep = lambda photo: photo,
 ) -> tuple[list[Photo], list[LeftOut]]:
     """Decoded photos in the order of `paths`, and the files that are not usable as photos, with the reason.
 
     Sides longer than `max_side` pixels are reduced (area filter). Transparency is laid over white, and masked, unless a
     file in `masks` says what takes part (`scene/masks.py`). 16-bit values keep their high byte; of several frames the
     first is taken; colour profiles are not applied. Without `names`, photos have those of their files, with as much of
-    their folders as makes these unique. Raises QuerySplatError when there is no usable photo at all.
+    their folders as makes these unique. `keep` gets each photo as soon as it is decoded, and gives what is kept of it.
+    Raises QuerySplatError when there is no usable photo at all.
     """
-    photos, left_out = decoded_photos(paths, names or short_names(paths), max_side, progress)
+    photos, left_out = decoded_photos(paths, names or short_names(paths), max_side, progress, keep)
     if not photos:
         raise none_usable(left_out)
     return photos, left_out
 
 
 def decoded_photos(
-    paths: Sequence[Path], names: Sequence[str], max_side: int, progress: Progress
+    paths: Sequence[Path], names: Sequence[str], max_side: int, progress: Progress, keep: Keep
 ) -> tuple[list[Photo], list[LeftOut]]:
     """As `load_photos`, under these names; there may be no usable photo."""
     photos: list[Photo] = []
@@ -82,7 +85,7 @@ def decoded_photos(
         results = pool.map(lambda path, name: load_photo(path, name, max_side), paths, names)
         for number, result in enumerate(results, start=1):
             if isinstance(result, Photo):
-                photos.append(result)
+                photos.append(keep(result))
             else:
                 left_out.append(result)
             progress(result.name, number / len(paths))

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera, rescaled
+from querysplat_cli.scene.filed_pixels import release
 from querysplat_cli.scene.masks import WHOLLY, resized_mask
 from querysplat_cli.scene.views import Photo, Views
 
@@ -35,6 +36,7 @@ def undistorted(photos: Sequence[Photo], cameras: Sequence[PhotoCamera], *, max_
                 flat = cv2.resize(flat.astype(np.float32), (width, height), interpolation=cv2.INTER_AREA)
             matrices.append(np.diag([width / photo.width, height / photo.height, 1.0]) @ K)
             yield torch.from_numpy(flat).permute(2, 0, 1).float() / 255, _straight_mask(photo, lens, height, width)
+            release(photo)
 
     views = on_canvas(pictures(), tuple(photo.name for photo in photos), sizes)
     w2c = torch.from_numpy(np.stack([camera.w2c for camera in cameras])).float()

@@ -18,6 +18,7 @@ from querysplat_cli.encoders.classical.triangulation import triangulated
 from querysplat_cli.runtime.errors import ImpossibleScene
 from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.cameras import PhotoCamera
+from querysplat_cli.scene.filed_pixels import release
 from querysplat_cli.scene.match_cameras import match_cameras
 from querysplat_cli.scene.views import LeftOut, Photo
 
@@ -73,6 +74,7 @@ def _without_copies(photos: Sequence[Photo]) -> tuple[list[Photo], list[LeftOut]
     originals, copies = dict[tuple[tuple[int, ...], bytes], Photo](), []
     for photo in photos:
         content = hashlib.sha256(np.ascontiguousarray(photo.pixels).data).digest()
+        release(photo)
         first = originals.setdefault((photo.pixels.shape, content), photo)
         if first is not photo:
             copies.append(LeftOut(photo.name, f"it is the same picture as {first.name}"))
