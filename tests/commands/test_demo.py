@@ -1,5 +1,7 @@
 """The photos of the demo, and what a demo over a demo leaves."""
 
+import errno
+import os
 from pathlib import Path
 from unittest.mock import Mock
 
@@ -10,6 +12,7 @@ from querysplat_cli.commands import demo
 from querysplat_cli.commands.demo import copy_shipped_photos, run_demo
 from querysplat_cli.commands.requests import DemoRequest
 from querysplat_cli.reporting.report import Report
+from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.photos import WHOLE, load_photo
 from querysplat_cli.scene.views import Photo
@@ -59,3 +62,13 @@ def test_a_demo_replaces_photos_when_it_is_done(tmp_path: Path, monkeypatch: pyt
     run_demo(DemoRequest(output=tmp_path, force=True), Stages())
     assert len(list((tmp_path / "photos").iterdir())) == DemoRequest.photos
     assert not (tmp_path / "photos/photo_99.jpg").exists()
+
+
+def test_a_demo_without_room_leaves_no_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(demo, "copy_shipped_photos", full)
+    with pytest.raises(QuerySplatError, match="disk is full"):
+        run_demo(DemoRequest(output=tmp_path / "new" / "out"), Stages())
+    assert list(tmp_path.iterdir()) == []

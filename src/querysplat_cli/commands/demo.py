@@ -12,7 +12,7 @@ from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.reporting.report import Report
 from querysplat_cli.runtime.progress import Progress, Stages
 from querysplat_cli.scene.drafts import put_aside
-from querysplat_cli.scene.files import FolderKind, atomic_folder, check_writable, refuse_existing, without_steps
+from querysplat_cli.scene.files import FolderKind, atomic_folder, refuse_existing, without_steps
 from querysplat_cli.scene.pictures import eight_bit, write_picture
 
 HOME = FolderKind(("*",))
@@ -30,7 +30,6 @@ def run_demo(request: DemoRequest, stages: Stages) -> Report:
     refuse_existing([folder], force=request.force, kind=HOME)
     refuse_existing([folder / "photos"], force=request.force, kind=PHOTOS)
     refuse_existing([folder / "scene"], force=request.force, kind=SCENE_FOLDER)
-    check_writable(folder)
     photos = folder / "photos"
     with put_aside(without_steps(photos)):
         with stages("photograph") as progress, atomic_folder(photos) as draft:
