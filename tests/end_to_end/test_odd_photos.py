@@ -6,6 +6,7 @@ import resource
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,19 @@ import torch
 from rooms import SMALL, take_photos
 
 from querysplat_cli.cli import run
+from querysplat_cli.pipeline.policy import PIPELINE_POLICY
 from querysplat_cli.runtime.errors import ExitCode
+
+
+def test_photos_that_lie_in_a_file_make_the_same_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    photos = take_photos(tmp_path / "photos", 3, 2)
+    made = ["reconstruct", *map(str, photos), "--max-size", "96", "--tto", "2", "--quality", "draft", "-q", "-o"]
+    assert run([*made, str(tmp_path / "a.ply")]) == 0
+    policy = replace(PIPELINE_POLICY, pixel_bytes=photos[0].stat().st_size)  # only the first stays in memory, if any
+    monkeypatch.setattr("querysplat_cli.pipeline.reconstruct.PIPELINE_POLICY", policy)
+    assert run([*made, str(tmp_path / "b.ply")]) == 0
+    assert (tmp_path / "a.ply").read_bytes() == (tmp_path / "b.ply").read_bytes()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "a.ply", "b", "b.ply", "photos"]
 
 
 def test_known_poses(
