@@ -81,7 +81,7 @@ def _commands(sound: Sound) -> dict[str, Killed]:
         "export": Killed(("export", "s.ply", "-o", "out.html")),
         "export over a file": Killed(("export", "s.ply", "-o", "out.html", "--force"), _html),
         "render": Killed(("render", "s.ply", "-o", "out", "--cameras", "orbit", "--size", "320x240")),
-        "render over a folder": Killed(("render", "s.ply", "-o", "out", "--force"), _pictures),
+        "render over a folder": Killed(("render", "s.ply", "-o", "out", "--force"), _frames),
         "render a film": Killed(film),
         "convert": Killed(("convert", "s.ply", "out.spz")),
         "convert over a file": Killed(("convert", "s.ply", "out.spz", "--force"), _spz),
@@ -90,7 +90,7 @@ def _commands(sound: Sound) -> dict[str, Killed]:
         "info": Killed(info),
         "info over a picture": Killed((*info, "--force"), _picture),
         "inspect": Killed(("inspect", "s", "-o", "out")),
-        "inspect over a folder": Killed(("inspect", "s", "-o", "out", "--force"), _pictures),
+        "inspect over a folder": Killed(("inspect", "s", "-o", "out", "--force"), _drawings),
         "eval": Killed(evaluate),
         "eval, again": Killed(evaluate, _evaluated),
         "poses": Killed(("poses", cameras, cameras, "--plot", "out.png")),
@@ -102,10 +102,14 @@ def _commands(sound: Sound) -> dict[str, Killed]:
     }
 
 
-def _pictures(sound: Sound, folder: Path) -> None:
-    """What `--force` may replace as a whole: a folder of pictures."""
-    for name in ("0.png", "attention_geometry.png"):
-        several({f"out/{name}": sound.bytes("photos/0.png")})(folder)
+def _frames(sound: Sound, folder: Path) -> None:
+    """What `render --force` may replace as a whole."""
+    several({"out/0.png": sound.bytes("photos/0.png"), "out/cameras.json": b"{}"})(folder)
+
+
+def _drawings(sound: Sound, folder: Path) -> None:
+    """What `inspect --force` may replace as a whole."""
+    several({f"out/{name}.png": sound.bytes("photos/0.png") for name in ("attention_geometry", "query")})(folder)
 
 
 def _spz(sound: Sound, folder: Path) -> None:
