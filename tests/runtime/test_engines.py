@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from urllib.request import urlopen
 
 import pytest
 
@@ -78,6 +79,22 @@ def test_workers_share_the_cores_and_the_main_process_keeps_its_own(tmp_path: Pa
     assert dict(os.environ) == before
     share = before.get("NUMBA_NUM_THREADS", str(max(1, cores() // 2)))
     assert {(tmp_path / f"{job}.threads").read_text() for job in JOBS} == {share}
+
+
+def test_the_link_leads_to_the_dashboard_of_dask(tmp_path: Path) -> None:
+    pytest.importorskip("distributed")
+    pytest.importorskip("bokeh")
+    said: list[str] = []
+    answers: list[int] = []
+
+    def done(job: str, why: str | None) -> None:
+        workers, link = said[-1].split(", ")
+        assert workers == "1 worker"
+        with urlopen(link, timeout=30) as page:
+            answers.append(page.status)
+
+    find_engine("local:1", say=said.append).run(handler, tmp_path, ["a"], done, lambda *_: None)
+    assert answers == [200]
 
 
 def test_a_killed_worker_loses_its_job_and_nothing_else(tmp_path: Path) -> None:
@@ -155,7 +172,7 @@ def test_jobs_of_slurm(tmp_path: Path) -> None:
     assert ends == dict.fromkeys(JOBS)
     assert str(os.getpid()) not in {(tmp_path / job).read_text() for job in JOBS}
     assert said[0].startswith("waiting for the first worker, http")
-    assert re.match("[12] workers, http", said[1])
+    assert re.match("[12] workers?, http", said[1])
 
 
 @pytest.mark.usefixtures("slurm")

@@ -12,6 +12,7 @@ from uuid import uuid4
 from querysplat_cli.runtime.engine import Done, Engine, Handler, Heard, InProcess, reporting_to, unheard
 from querysplat_cli.runtime.errors import MissingPart, QuerySplatError
 from querysplat_cli.runtime.optional_parts import install_command
+from querysplat_cli.runtime.words import counted
 from querysplat_cli.runtime.workers import shared_cores
 
 KINDS = "local:N, tcp://HOST:PORT or slurm:N"
@@ -65,7 +66,8 @@ class Dask:
             if not client.scheduler_info()["workers"]:
                 self._say(f"waiting for the first worker, {client.dashboard_link}")
                 client.wait_for_workers(1)
-            self._say(f"{len(client.scheduler_info()['workers'])} workers, {client.dashboard_link}")
+            workers = counted(len(client.scheduler_info()["workers"]), "worker")
+            self._say(f"{workers}, {client.dashboard_link}")
             client.subscribe_topic(PROGRESS, lambda event: _pass_on(names, heard, event[1]))
             futures = [
                 client.submit(_do, handler, setup, job, run, name, key=name, retries=RETRIES, pure=False)

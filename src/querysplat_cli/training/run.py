@@ -64,7 +64,7 @@ def train(request: TrainRequest, stages: Stages) -> TrainReport | None:
             stack.enter_context(sole_writer(folder))
         processes.wait()
         with stages("samples") as progress:
-            samples = _samples(request, processes, device, progress)
+            samples = _samples(request, processes, device, stages, progress)
         if request.samples_only:
             return None
         with stages("train") as progress:
@@ -74,7 +74,9 @@ def train(request: TrainRequest, stages: Stages) -> TrainReport | None:
     return report if processes.first else None
 
 
-def _samples(request: TrainRequest, processes: Processes, device: torch.device, progress: Progress) -> Samples:
+def _samples(
+    request: TrainRequest, processes: Processes, device: torch.device, stages: Stages, progress: Progress
+) -> Samples:
     """Where the samples of the steps come from; those of the cache are made first.
 
     Raises QuerySplatError when a stage has none.
@@ -86,7 +88,7 @@ def _samples(request: TrainRequest, processes: Processes, device: torch.device, 
         return OnlineSamples(config.data, config.seed, make)
     data = replace(config.data, sources=tuple(sources_of_stages(config.data, config.stages)))
     workers = request.workers or (max(1, cores() // processes.world) if data.encoder == "classical" else 1)
-    engine = find_engine(request.cluster, Workers(workers) if workers > 1 else None)
+    engine = find_engine(request.cluster, Workers(workers) if workers > 1 else None, stages.say)
     prepared = prepare_samples(data, make, rank=processes.rank, world=processes.world, engine=engine, progress=progress)
     processes.wait()
     samples = CachedSamples(config.data, config.seed)
