@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 from querysplat_cli.pipeline.budget import Budget, working_size
 from querysplat_cli.pipeline.policy import PIPELINE_POLICY
 from querysplat_cli.prune.policy import PRUNE_POLICY
-from querysplat_cli.tto.plan import plan_tto
+from querysplat_cli.tto.plan import automatic_steps, plan_tto
+from querysplat_cli.tto.policy import TTO_POLICY
 
 
 def spent(seconds: float, of: float) -> Budget:
@@ -38,6 +39,19 @@ def test_a_time_limit_leaves_the_number_of_steps() -> None:
     assert run.settings.seconds == 3.0
     features, gaussians = plan_tto(None, views=5, gaussians=1000, seconds=3.0, space="both")
     assert features.settings.seconds == gaussians.settings.seconds == 1.5
+
+
+def test_each_of_many_photos_is_seen_as_often_in_a_draft() -> None:
+    """Where the photos themselves follow, more steps before them help nothing."""
+    many = TTO_POLICY.many_views
+    steps = {
+        (views, alone): automatic_steps(views, 60_000, None, "features", alone=alone)
+        for views in (8, many, 3 * many)
+        for alone in (False, True)
+    }
+    assert len({steps[8, False], steps[8, True], steps[many, True], steps[3 * many, False]}) == 1
+    assert abs(steps[3 * many, True] - 3 * steps[many, True]) <= 3
+    assert automatic_steps(2 * many, 10, None, "gaussians", alone=True) == 2 * TTO_POLICY.most_steps
 
 
 def test_steps_that_decode_nothing_are_cheaper_and_so_more() -> None:

@@ -32,7 +32,7 @@ from querysplat_cli.tto.exposure_fit import PhotoColours, compare_photos
 from querysplat_cli.tto.features import Start
 from querysplat_cli.tto.full_size_plan import plan_full_size
 from querysplat_cli.tto.options import OptimiseOptions
-from querysplat_cli.tto.plan import TtoRun, plan_release, plan_tto
+from querysplat_cli.tto.plan import TtoRun, automatic_steps, plan_release, plan_tto
 from querysplat_cli.tto.policy import TTO_POLICY
 
 
@@ -248,6 +248,7 @@ def _options(settings: ReconstructSettings, posed: PosedViews) -> OptimiseOption
         refine_cameras=_refines(settings.refine_cameras, posed),
         keep_all=settings.keep_everything,
         seed=settings.seed,
+        alone=settings.full_size is None,
     )
 
 
@@ -263,14 +264,11 @@ def _plan(
     space = options.space or "features"
     if prepared.anchors is None:
         return plan_release(options.steps or 0, space=space, seconds=seconds)
-    return plan_tto(
-        options.steps,
-        views=len(cameras),
-        gaussians=count,
-        target_count=target_count(count, options.prune, cameras),
-        space=space,
-        seconds=seconds,
-    )
+    views, target = len(cameras), target_count(count, options.prune, cameras)
+    steps = options.steps
+    if steps is None:
+        steps = automatic_steps(views, count, target, space, alone=options.alone)
+    return plan_tto(steps, views=views, gaussians=count, target_count=target, space=space, seconds=seconds)
 
 
 def _refines(wanted: bool | None, posed: PosedViews) -> bool:

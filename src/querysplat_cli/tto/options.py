@@ -27,6 +27,7 @@ class OptimiseOptions:
         themselves. A scene that was optimised on larger photos keeps their detail so.
     perceptual: LPIPS as a part of the loss; None leaves it out.
     smooth: whether decoded Gaussians are smoothed without any step, too, because earlier steps smoothed them.
+    alone: whether no run on the photos themselves follows, so that an automatic number of steps has to be enough.
     """
 
     steps: int | None = None
@@ -40,6 +41,7 @@ class OptimiseOptions:
     finest_size: int | None = None
     perceptual: Perceptual | None = None
     smooth: bool = False
+    alone: bool = False
 
 
 @dataclass(frozen=True)

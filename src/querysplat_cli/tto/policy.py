@@ -49,6 +49,10 @@ class TtoPolicy:
     steps than that."""
     work_seconds: float = 14.0
     """What an automatic plan may take, by the two estimates below."""
+    many_views: int = 24
+    """A draft of more photos has proportionally more of both, so that each is seen as often. 44 photos of fox have
+    27.2 dB held out after 51 steps, 28.9 after 102, and 30.1 after 205. Where steps in Gaussian space follow, more
+    before them help nothing: 32.5 dB with 51 and 32.3 with 184."""
     decoding_seconds: tuple[float, float] = (0.045, 1.2e-6)
     """What decoding the memories takes in a step, and for each Gaussian, measured on two cores. The plan counts on
     these figures and never on a clock, so that the same seed gives the same scene however busy the machine is."""
