@@ -153,7 +153,8 @@ def slurm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     commands = tmp_path / "commands"
     commands.mkdir()
     for name, script in (
-        ("sbatch", 'setsid sh "$1" >/dev/null 2>&1 & echo "Submitted batch job $!"'),
+        # The file of the job is removed as soon as this returns.
+        ("sbatch", 'job=$(cat "$1"); setsid sh -c "$job" >/dev/null 2>&1 & echo "Submitted batch job $!"'),
         ("scancel", 'kill -- "-$1"'),
     ):
         (commands / name).write_text(f"#!/bin/sh\n{script}\n")
