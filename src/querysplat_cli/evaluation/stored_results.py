@@ -20,7 +20,6 @@ Scores = dict[str, float | None]
 class _Split:
     __pydantic_config__ = STRICT_TYPES
 
-    name: str
     num_input_views: Count
     scale: str
 
@@ -31,7 +30,6 @@ class RunConfig:
 
     __pydantic_config__ = STRICT_TYPES
 
-    settings: dict[str, Any]
     protocol: str
     split: _Split
     lpips: dict[str, str]
