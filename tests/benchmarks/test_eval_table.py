@@ -36,7 +36,8 @@ def test_each_set_has_its_own_figures(tmp_path: Path) -> None:
     for case, psnr in (("fox_000", 20.0), ("fox_001", 22.0), ("two_words_002", 30.0)):
         (folder / case).mkdir()
         view = {"psnr": psnr, "ssim": 0.5}
-        metrics = {"per_view": {"input": [view]}, "missing": {}, "frames": {"input": [{"name": "a.png"}]}}
+        groups = {"per_view": {"input": [view]}, "mean": {"input": view}}
+        metrics = {**groups, "missing": {}, "frames": {"input": [{"name": "a.png"}]}}
         (folder / case / "metrics.json").write_text(json.dumps(metrics))
         timing = {"seconds": {"total": 1.0}, "gaussians": 5, "peak_memory_gib": 1.0}
         (folder / case / "timing.json").write_text(json.dumps(timing))
