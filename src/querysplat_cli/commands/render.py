@@ -23,7 +23,7 @@ from querysplat_cli.scene.cameras import Cameras, PhotoCamera, rescaled
 from querysplat_cli.scene.files import FolderKind, atomic_folder, atomic_path, refuse_existing, with_name
 from querysplat_cli.scene.formats.transforms import NamedCameras, read_cameras, working_frame, write_transforms
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.scene.paths import interpolate, opaque_centres, orbit, surround
+from querysplat_cli.scene.paths import interpolate, opaque_centres, orbit, scene_middle, surround
 from querysplat_cli.scene.pictures import eight_bit, write_picture
 from querysplat_cli.splat.render import Rendering, render
 from querysplat_cli.splat.surface_depth import SurfaceDepth, surface_depth
@@ -125,13 +125,12 @@ def _cameras(request: RenderRequest, beside: Path, gaussians: Gaussians) -> Path
 def _orbit(request: RenderRequest, known: NamedCameras | None, gaussians: Gaussians) -> Path3D:
     """A path around the scene, at the height and distance of the `known` cameras if there are any."""
     frames = request.frames if request.seconds is None else max(1, round(request.seconds * request.fps))
-    opaque = opaque_centres(gaussians)
     if known:
         size = known.sizes[0]
-        path = orbit(replace(known.cameras, height=size[0], width=size[1]), opaque.median(0).values, frames)
+        path = orbit(replace(known.cameras, height=size[0], width=size[1]), scene_middle(gaussians), frames)
     else:
         size = request.size or FOREIGN_SIZE
-        path = surround(opaque, frames, *size)
+        path = surround(opaque_centres(gaussians), frames, *size)
     return _numbered(path, size)
 
 

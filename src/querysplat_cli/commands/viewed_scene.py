@@ -19,7 +19,7 @@ from querysplat_cli.scene.files import with_name
 from querysplat_cli.scene.formats.ply import write_ply
 from querysplat_cli.scene.formats.transforms import NamedCameras, read_working_cameras
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.scene.paths import opaque_centres, surround
+from querysplat_cli.scene.paths import first_shown, opaque_centres, surround
 from querysplat_cli.scene.pictures import stored_name
 from querysplat_cli.scene.upright import up_direction
 from querysplat_cli.splat.conventions import RenderSettings
@@ -119,7 +119,7 @@ def framing(gaussians: Gaussians, inputs: NamedCameras | None, unit: float | Non
         "depth": _depth_range(points, cameras, near),
         "sizes": [max(float(sizes.quantile(0.01)), 1e-9), max(float(sizes.max()), 1e-9)],
         "outside": view_entries(NamedCameras(("",), outside, (OUTSIDE_SIZE,)))[0],
-        "first": len(cameras) // 2 if inputs else 0,
+        "first": first_shown(cameras),
     }
 
 

@@ -11,7 +11,7 @@ from querysplat_cli.pipeline.policy import PIPELINE_POLICY
 from querysplat_cli.runtime.choices import FileFrame
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.scene.paths import opaque_centres
+from querysplat_cli.scene.paths import scene_middle
 from querysplat_cli.scene.sim3 import Sim3
 from querysplat_cli.scene.upright import up_direction
 
@@ -30,7 +30,7 @@ def upright_frame(gaussians: Gaussians, cameras: Cameras) -> Sim3:
     There up is −y, and the origin is the median centre of the opaque Gaussians. The photo in the middle of all
     directions of view was taken from the azimuth and, in the median, the distance that `PipelinePolicy` names.
     """
-    middle = opaque_centres(gaussians).median(0).values.double()
+    middle = scene_middle(gaussians).double()
     up = torch.from_numpy(up_direction(cameras))
     turn = axes(UP, _azimuth(PIPELINE_POLICY.first_sight_azimuth)) @ axes(up, _front(cameras, up)).T
     distance = float((cameras.centres.double() - middle).norm(dim=1).median())

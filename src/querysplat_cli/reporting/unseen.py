@@ -9,7 +9,7 @@ from torch import Tensor
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.scene.paths import opaque_centres, orbit
+from querysplat_cli.scene.paths import orbit, scene_middle
 from querysplat_cli.splat.render import render
 
 FRAMES = 16
@@ -47,7 +47,7 @@ def unseen(gaussians: Gaussians, cameras: Cameras) -> Unseen | None:
     factor = SIDE / max(cameras.height, cameras.width)
     inputs = cameras.resized(round(factor * cameras.height), round(factor * cameras.width))
     try:
-        film = orbit(inputs, opaque_centres(gaussians).median(0).values, FRAMES)
+        film = orbit(inputs, scene_middle(gaussians), FRAMES)
     except QuerySplatError:
         return None
     depths = [render(gaussians, inputs[[view]]).depth[0] for view in range(len(inputs))]

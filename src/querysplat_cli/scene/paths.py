@@ -53,8 +53,18 @@ def orbit(cameras: Cameras, middle: Float[Tensor, "3"], frames: int) -> Cameras:
 
 
 def opaque_centres(gaussians: Gaussians) -> Float[Tensor, "n 3"]:
-    """Centres of the Gaussians that are at least half opaque, or of the most opaque. Films look at their median."""
+    """Centres of the Gaussians that are at least half opaque, or of the most opaque."""
     return gaussians.means[gaussians.opacities >= min(0.5, float(gaussians.opacities.max()))]
+
+
+def scene_middle(gaussians: Gaussians) -> Float[Tensor, "3"]:
+    """The median of `opaque_centres`, which films and viewers turn around."""
+    return opaque_centres(gaussians).median(0).values
+
+
+def first_shown(cameras: Cameras) -> int:
+    """The number of the camera from which viewers show a scene first: that in the middle of the list."""
+    return len(cameras) // 2
 
 
 def surround(points: Float[Tensor, "n 3"], frames: int, height: int, width: int) -> Cameras:

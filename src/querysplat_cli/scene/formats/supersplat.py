@@ -15,7 +15,7 @@ import torch
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.files import atomic_path
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.scene.paths import opaque_centres
+from querysplat_cli.scene.paths import first_shown, scene_middle
 from querysplat_cli.scene.sim3 import Sim3
 
 TURNED = torch.tensor([-1.0, -1.0, 1.0], dtype=torch.float64)
@@ -35,16 +35,16 @@ EFFECTS = {
 def write_supersplat(
     path: Path, gaussians: Gaussians, cameras: Cameras, sizes: tuple[tuple[int, int], ...], frame: Sim3 | None
 ) -> None:
-    """Write the settings that show `gaussians` from the camera in the middle of the list of `cameras`.
+    """Write the settings that show `gaussians` from the camera that `first_shown` names.
 
     `sizes` are heights and widths of the pictures on the cameras' canvas. The viewer turns around the point in the
     middle of that picture that is as deep as the middle of the scene. `frame` maps the frame of Gaussians and cameras
     to that of the file of the scene (None: they are one).
     """
-    row = len(cameras) // 2
+    row = first_shown(cameras)
     camera, (height, width) = cameras[[row]].to(torch.float64), sizes[row]
     fx, fy, cx, cy = (float(part[0]) for part in camera.intrinsics)
-    middle = opaque_centres(gaussians).double().median(0).values
+    middle = scene_middle(gaussians).double()
     depth = float(camera.local(middle[None], 0)[0, 2]) or 1.0
     ray = torch.tensor([(width / 2 - cx) / fx, (height / 2 - cy) / fy, 1.0], dtype=torch.float64)
     points = torch.stack([camera.centres[0], camera.centres[0] + abs(depth) * camera.c2w[0, :3, :3] @ ray])
