@@ -85,9 +85,8 @@ def main() -> None:
         "CPU s": ".0f", "CPU s a photo": ".2f", "s": ".0f", "GiB": ".2f", "Gaussians": ",",
     })  # fmt: skip
     with folder_or_scratch(options.keep) as folder:
-        if not (folder / "images").is_dir():
-            take_street(folder / "images", options.photos, length=STEP * (options.photos - 1), width=options.size)
-        more = ["--quality", options.quality, "--max-size", str(options.size), "--holdout-cameras", "joint"]
+        take_street(folder / "images", options.photos, length=STEP * (options.photos - 1), width=options.size)
+        more = ["--quality", options.quality, "--holdout-cameras", "joint"]
         if options.poses:
             more += ["--poses", str(folder / "transforms.json")]
         runs = [(folder / "images", f"street-{count}", ["--regions", count]) for count in options.regions]

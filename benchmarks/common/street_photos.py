@@ -2,11 +2,10 @@
 
 from pathlib import Path
 
-import torch
-
-from querysplat_cli.scene.formats.transforms import write_cameras
+from querysplat_cli.scene.cameras import PhotoCamera
+from querysplat_cli.scene.files import atomic_path
+from querysplat_cli.scene.formats.transforms import write_transforms
 from querysplat_cli.scene.pictures import eight_bit, write_picture
-from querysplat_cli.scene.views import Views
 from querysplat_cli.training.photographer import cast
 from querysplat_cli.training.streets import make_street, stroll
 
@@ -14,13 +13,19 @@ SEED = 5
 
 
 def take_street(folder: Path, count: int, *, length: float, width: int, samples: int = 2) -> None:
-    """Write `count` photos along `length` metres into the new `folder`, and `transforms.json` beside it."""
-    folder.mkdir(parents=True)
-    height = width * 3 // 4
-    cameras = stroll(length, count, SEED, height, width)
-    images, _ = cast(make_street(SEED, length), cameras, samples)
-    names = tuple(f"{number:04d}.png" for number in range(count))
-    for name, image in zip(names, images, strict=True):
-        write_picture(folder / name, eight_bit(image.clamp(0, 1)))
-    masks = torch.ones(count, height, width, dtype=torch.bool)
-    write_cameras(folder.parent / "transforms.json", cameras, Views(images, masks, names, ((height, width),) * count))
+    """Write `count` photos along `length` metres into `folder`, and `transforms.json` beside it.
+
+    Photos that are there already stay.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    street, cameras = make_street(SEED, length), stroll(length, count, SEED, width * 3 // 4, width)
+    placed = {}
+    for number in range(count):
+        camera, photo = cameras[[number]], folder / f"{number:04d}.png"
+        if not photo.is_file():
+            images, _ = cast(street, camera, samples)
+            with atomic_path(photo) as draft:
+                write_picture(draft, eight_bit(images[0].clamp(0, 1)))
+        matrices = camera.w2c[0].numpy(), camera.K[0].numpy()
+        placed[photo.name] = PhotoCamera.pinhole(*matrices, camera.height, camera.width)
+    write_transforms(folder.parent / "transforms.json", placed)
