@@ -3,7 +3,7 @@
     python benchmarks/eval_table.py evaluation/ [--rows NAME ...] [--csv DIR]
 
 Figures are PSNR in dB / SSIM, as `querysplat eval` summarises them, of the cases of one set alone. The paper's figures
-stand in the last table. --csv writes every split of every set.
+stand in the last table; they are its means over small, medium and large splits. --csv writes every split of every set.
 """
 
 import argparse
@@ -14,6 +14,7 @@ from typing import Any
 
 from common.output import markdown
 from common.photo_sets import PHOTO_SETS
+from querysplat_cli.evaluation import published
 from querysplat_cli.evaluation.published import OWN
 from querysplat_cli.evaluation.results import row_folders
 from querysplat_cli.evaluation.summary import summarise
@@ -97,13 +98,11 @@ def main() -> None:
     parser.add_argument("--rows", nargs="*", metavar="NAME", help="such as depth or tto=auto; by default all")
     parser.add_argument("--csv", type=Path, metavar="DIR", help="write eval_SET.csv with every split into this folder")
     options = parser.parse_args()
-    published: dict[tuple[int, str, str], Cell] = {}
     for name in sets_of(options.results):
         summary = summary_of(options.results, name, options.csv)
         use = PHOTO_SETS[name].use if name in PHOTO_SETS else "only reported"
         print(f"{name} ({use})", table(summary["averages"], options.rows), sep="\n\n", end="\n\n")
-        published |= {(row["views"], row["method"], row["group"]): row for row in summary["quoted"]["rows"]}
-    print(quoted([published[key] for key in sorted(published)]))
+    print(quoted(published.rows()))
 
 
 if __name__ == "__main__":

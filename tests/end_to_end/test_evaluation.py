@@ -18,6 +18,7 @@ from querysplat_cli.runtime.errors import ExitCode
 sys.path.insert(0, str(Path(__file__).parents[1] / "evaluation"))
 from evaluation_scenes import write_room
 
+from lpips_weights import write_weights as write_lpips_weights
 from tiny_weights import write_weights
 
 FRAMES = 20
@@ -126,6 +127,23 @@ def test_an_encoder_that_looks_at_squares_is_shown_whole_photos(
     for row in summary["rows"]:
         assert row["scored"] == row["asked"] > 0, row
         assert row["psnr"] > 0
+
+
+def test_official_models_are_optimised_with_lpips_where_its_weights_are(room: Path, tmp_path: Path) -> None:
+    """The release's loss has it. Results with and without it do not mix."""
+    write_lpips_weights(tmp_path / "lpips", "vgg")
+    weights = ["--preset", "official-8192", "--weights", str(write_weights(tmp_path / "weights"))]
+    options = ["--views", "2", "--scales", "small", "--cases", "1", "--cameras", "posed", "--tto", "1", "--quiet"]
+    command = ["eval", str(room), "-o", str(tmp_path / "out"), "--max-size", "112", *options, *weights]
+    assert run([*command, "--lpips", str(tmp_path / "lpips")]) == 0
+    config = json.loads((tmp_path / "out/posed_tto=1/2views_small/run_config.json").read_text())
+    assert config["settings"]["lpips"] is True
+    assert run(command) == 2
+    shutil.move(tmp_path / "out", tmp_path / "with")
+    assert run(command) == 0
+    scores = [json.loads((tmp_path / out / "summary.json").read_text())["rows"] for out in ("with", "out")]
+    optimised = [[row["psnr"] for row in rows if row["row"] == "posed_tto=1"] for rows in scores]
+    assert optimised[0] != optimised[1]
 
 
 def test_cases_on_a_cluster_score_the_same(evaluated: tuple[Path, dict[str, Any]], room: Path, tmp_path: Path) -> None:

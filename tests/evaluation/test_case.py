@@ -1,5 +1,6 @@
-"""Cameras of whole photos, from those of padded or cropped network inputs."""
+"""Cameras of whole photos, from those of padded or cropped network inputs; what rows share."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +10,11 @@ from evaluation_scenes import write_room
 
 from querysplat_cli.encoders.base import PosedViews
 from querysplat_cli.evaluation.cameras import cameras_by_name
+from querysplat_cli.evaluation.case import same_parts
 from querysplat_cli.evaluation.judge import Judge
 from querysplat_cli.evaluation.metrics import Meter
 from querysplat_cli.evaluation.protocol import Protocol
+from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.runtime.choices import Fit
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
@@ -49,3 +52,11 @@ def test_a_view_that_was_cropped_away_is_refused(tmp_path: Path) -> None:
     square = cameras_by_name(posed([(shown.height, shown.width)], "crop"))["0.png"]
     with pytest.raises(QuerySplatError, match=f"saw only 112 × 112 of {name}"):
         judge.score_scene(speck, {name: square}, "")
+
+
+def test_settings_of_the_scene_share_model_and_encoder() -> None:
+    """Rows of a sweep find cameras and depth once."""
+    usual = ReconstructSettings(inputs=())
+    same = [replace(usual, **{name: value}) for name, value in (("prune", "off"), ("quality", "draft"), ("tto", 3))]
+    assert {same_parts(each) for each in same} == {same_parts(usual)}
+    assert same_parts(replace(usual, matcher="sift")) != same_parts(usual)

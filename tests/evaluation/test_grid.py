@@ -25,9 +25,17 @@ def test_values_have_the_fields_type(text: str, axis: tuple[str, tuple[object, .
     assert read_axis(text) == axis
 
 
-@pytest.mark.parametrize("text", ["tto", "tto=", "tto=many", "tto=1.5", "force=true", "nonsense=1", "=1"])
+@pytest.mark.parametrize(
+    "text", ["tto", "tto=", "tto=many", "tto=1.5", "force=true", "nonsense=1", "=1", "regions=1,4"]
+)
 def test_other_values_are_refused(text: str) -> None:
     with pytest.raises(QuerySplatError, match="--sweep"):
+        read_axis(text)
+
+
+@pytest.mark.parametrize("text", ["tto=-5,0", "max_size=20"])
+def test_bounds_are_those_of_the_option(text: str) -> None:
+    with pytest.raises(QuerySplatError, match="cannot be"):
         read_axis(text)
 
 

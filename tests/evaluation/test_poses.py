@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from querysplat_cli.evaluation.poses import area_under_recall, compare_cameras, draw_trajectories
@@ -65,6 +66,30 @@ def test_a_turned_camera_is_found() -> None:
     summary = errors.summary()
     assert summary["rra_5"] == pytest.approx(100 * 21 / 28)
     assert summary["rra_15"] == 100
+
+
+def test_ate_is_after_the_least_squares_similarity_of_the_centres() -> None:
+    """Orientations have no part in it: cameras that are all turned alike about their own centres have none."""
+    turn = np.eye(4)
+    turn[:3, :3] = Rotation.from_euler("x", 1, degrees=True).as_matrix()
+    turned = {name: replace(camera, w2c=turn @ camera.w2c) for name, camera in moved(track(), 2.5).items()}
+    errors = compare_cameras(turned, track())
+    assert errors.ate < 1e-6
+    assert errors.rotation.max() > 0.1
+    noise = np.random.default_rng(0).normal(0, 0.3, (8, 3))
+    shaken = {}
+    for (name, camera), shift in zip(track().items(), noise, strict=True):
+        w2c = camera.w2c.copy()
+        w2c[:3, 3] -= w2c[:3, :3] @ shift
+        shaken[name] = replace(camera, w2c=w2c)
+    a, b = ([-camera.w2c[:3, :3].T @ camera.w2c[:3, 3] for camera in each.values()] for each in (shaken, track()))
+
+    def error(numbers: np.ndarray) -> np.ndarray:
+        places = np.exp(numbers[0]) * np.array(a) @ Rotation.from_rotvec(numbers[1:4]).as_matrix().T + numbers[4:]
+        return (places - np.array(b)).ravel()
+
+    least = least_squares(error, np.zeros(7))
+    assert compare_cameras(shaken, track()).ate == pytest.approx(np.sqrt(2 * least.cost / 8), rel=1e-6)
 
 
 def test_a_shifted_camera_and_a_wrong_lens() -> None:

@@ -1,5 +1,6 @@
 """Input photos, target photos, and renders through a distorting lens."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -70,7 +71,8 @@ def test_text_renders_at_the_methods_own_size() -> None:
     pictures = [Protocol("text").picture(scene, lens, taken, own_size=size) for size in (None, 384, 1536)]
     assert {picture.shape for picture in pictures} == {(3, 512, 768)}
     assert torch.equal(pictures[0], pictures[1])
-    assert 0 < float(pictures[2].sum()) < 0.5 * float(pictures[0].sum())
+    drawn = [float((picture - 0.5).sum()) for picture in pictures]
+    assert 0 < drawn[2] < 0.5 * drawn[0]
     square = Protocol("release").shown_camera(camera(512, 768), taken)
     assert Protocol("release").picture(scene, square, taken, own_size=1536).shape == (3, 256, 256)
 
@@ -100,10 +102,18 @@ def test_specks_are_where_opencv_puts_them(lens: tuple[float, float, float, floa
     """OpenCV resamples at 1/32 pixel, so a shift by half a pixel, the usual mistake, would fail."""
     taken = camera(120, 160, lens)
     for point in np.array([[0.0, 0, 1], [0.3, 0.2, 1], [-0.35, 0.1, 1], [0.1, -0.25, 1.0]]):
-        picture = photograph(specks(point[None], 0.01), taken)[0].double().numpy()
+        picture = photograph(specks(point[None], 0.01), taken)[0].double().numpy() - 0.5
         rows, columns = np.mgrid[:120, :160] + 0.5
         found = np.array([(picture * columns).sum(), (picture * rows).sum()]) / picture.sum()
         np.testing.assert_allclose(found, _seen(taken, point[None])[0], atol=0.08)
+
+
+def test_pictures_are_over_mid_grey_and_nearly_opaque_as_in_the_release() -> None:
+    """gsplat 1.5.3 covers at most 0.999 of a pixel, and the release renders over a grey of 0.5."""
+    wall = replace(specks(np.array([[0, 0, 2.0]]), 100.0), opacities=torch.ones(1))
+    straight = camera(12, 16, (0.0, 0.0, 0.0, 0.0))
+    np.testing.assert_allclose(photograph(wall, straight), 0.999 + 0.001 * 0.5, atol=1e-6)
+    np.testing.assert_allclose(photograph(replace(wall, opacities=torch.full((1,), 0.6)), straight), 0.8, atol=1e-4)
 
 
 def test_a_lens_without_distortion_changes_nothing() -> None:

@@ -43,6 +43,10 @@ def test_different_runs_do_not_mix(tmp_path: Path) -> None:
         start(tmp_path / "1", "r", split("small", "small"), tto=5)
     with pytest.raises(QuerySplatError, match=r"other settings \(split\)"):
         start(tmp_path / "1", "r", split("small", "small", 3))
+    further = tmp_path / "1" / "r" / "small" / "run_config.json"
+    further.write_text(json.dumps({**json.loads(further.read_text()), "metrics": ["flip"]}))
+    with pytest.raises(QuerySplatError, match=r"other settings \(metrics\)"):
+        start(tmp_path / "1", "r", split("small", "small"))
     start(tmp_path / "2", "r", split("small", "small"), tto=5)
     with pytest.raises(QuerySplatError, match="other settings"):
         merge([tmp_path / "1", tmp_path / "2"], tmp_path / "merged")

@@ -9,8 +9,8 @@ from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.json_files import shown
 
 FIXED = {"inputs", "ply", "holdout_every", "holdout_cameras", "poses", "force", "seed", "device", "max_views", "fit"}
-FIXED |= {"budget", "refine_cameras"}
-"""Fields that do not change how a scene is made, or that the protocol decides."""
+FIXED |= {"budget", "refine_cameras", "regions", "cluster", "film_frames", "lens", "frame", "metres_by", "lpips"}
+"""Fields that do not change how the scene of a case is made, or that the protocol or another option decides."""
 Axis = tuple[str, tuple[Any, ...]]
 """The name of a field of ReconstructSettings, and its values."""
 
@@ -33,11 +33,17 @@ def read_axis(text: str) -> Axis:
     if name not in known or not equals or not values:
         raise QuerySplatError(f"--sweep {shown(text)}: not FIELD=VALUE,VALUE", f"Fields: {', '.join(sorted(known))}.")
     try:
-        return name, tuple(dict.fromkeys(_value(part.strip(), known[name]) for part in values.split(",")))
+        found = tuple(dict.fromkeys(_value(part.strip(), known[name]) for part in values.split(",")))
     except ValueError:
         raise QuerySplatError(
             f"--sweep {shown(text)}: {name} takes {_type_name(known[name])}", "Separate values by commas."
         ) from None
+    # Imported here, because pydantic would slow `--help`.
+    from querysplat_cli.runtime.tables import from_values
+
+    for value in found:
+        from_values(ReconstructSettings, {"inputs": (), name: value}, what="--sweep")
+    return name, found
 
 
 def _value(text: str, kind: Any) -> Any:

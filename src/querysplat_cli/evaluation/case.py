@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from pathlib import Path
 from typing import Any, Literal
 
 from querysplat_cli.encoders.base import CameraRequest, Encoder, PosedViews
@@ -22,6 +23,9 @@ from querysplat_cli.runtime.progress import Stages, silent
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.gaussians import Gaussians
 
+OF_PARTS = ("preset", "queries", "encoder", "weights", "precision", "device", "fit", "depth", "matcher")
+"""The settings that `load_parts` reads."""
+
 
 @dataclass(frozen=True)
 class Row:
@@ -40,8 +44,9 @@ class Row:
 class CaseRunner:
     """Runs the rows of one case. Rows share the encoder's results, and each row is charged their full cost."""
 
-    def __init__(self, judge: Judge, settings: ReconstructSettings) -> None:
-        self._judge, self._settings = judge, settings
+    def __init__(self, judge: Judge, settings: ReconstructSettings, lpips: Path | None = None) -> None:
+        """`lpips` is a folder of weights for the optimisation of official models, whose loss includes LPIPS."""
+        self._judge, self._settings, self._lpips = judge, settings, lpips
         self._encoders: dict[ReconstructSettings, MemoisedEncoder] = {}
 
     def run(self, row: Row) -> RowResult:
@@ -54,7 +59,9 @@ class CaseRunner:
     def _run(self, row: Row, settings: ReconstructSettings) -> RowResult:
         key = same_parts(settings)
         model, unshared = parts(key)
-        encoder = self._encoders.setdefault(key, MemoisedEncoder(unshared))
+        if model.config.queries == "learned":
+            settings = replace(settings, lpips=self._lpips)
+        encoder = self._encoders.setdefault(replace(key, queries=None), MemoisedEncoder(unshared))
         if row.cameras == "posed" and not self._judge.known:
             raise QuerySplatError("the dataset has no cameras of these photos", "Leave the posed rows out.")
         own = self._size(encoder, settings)
@@ -141,4 +148,5 @@ def parts(settings: ReconstructSettings) -> tuple[QuerySplat, Encoder]:
 
 def same_parts(settings: ReconstructSettings) -> ReconstructSettings:
     """Equal for all settings that need the same model and encoder."""
-    return replace(settings, tto=None, tto_target="kv", max_size=None, max_views=None)
+    chosen = {name: getattr(settings, name) for name in OF_PARTS}
+    return ReconstructSettings(inputs=(), **chosen)

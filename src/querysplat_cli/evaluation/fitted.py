@@ -12,6 +12,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from querysplat_cli.evaluation.policy import FITTING_POLICY
+from querysplat_cli.evaluation.protocol import rendered_as_release
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.rotations import skew
@@ -57,7 +58,7 @@ def fit_camera(
         for group in adam.param_groups:
             group["lr"] = policy.rate * policy.last_rate ** (step / policy.steps)
         camera = _changed(start, change, unit)
-        picture = render(gaussians, camera).colour
+        picture = rendered_as_release(gaussians, camera)
         with torch.no_grad():
             error = float((picture.clamp(0, 1) - photo).square().mean(1)[mask].mean())
         if error < best[0]:

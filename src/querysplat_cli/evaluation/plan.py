@@ -16,7 +16,7 @@ from querysplat_cli.evaluation.splits import Case, Split, read_splits, resolve
 from querysplat_cli.runtime.errors import ImpossibleScene, QuerySplatError
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.formats.dataset import CapturedScene, Frame
-from querysplat_cli.splat.lpips import LpipsFiles
+from querysplat_cli.splat.lpips import LpipsFiles, find_lpips
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,9 @@ def plan_rows(
             if model.config.queries == "learned":
                 row = replace(row, overrides=(("depth", True),))
         else:
-            content["checkpoint_sha256"] = checkpoint_sha256(settings.preset)
+            if model.config.queries == "learned":
+                content["lpips"] = isinstance(find_lpips(request.lpips), LpipsFiles)
+            content["checkpoint_sha256"] = checkpoint_sha256(settings.preset, settings.weights)
         table.append((row, {"method": row.method, "cameras": row.cameras, **content}))
     parts.cache_clear()  # the workers load their own
     return table
@@ -143,4 +145,6 @@ def _further(request: EvalRequest) -> dict[str, Any]:
         entries["metrics"] = list(request.metrics)
     if request.fitted:
         entries["fitted"] = True
+    if request.pictures != EvalRequest.pictures:
+        entries["pictures"] = request.pictures
     return entries

@@ -23,7 +23,8 @@ class PoseErrors:
     """How far the cameras of A are from those of B, in the frame and the unit of B.
 
     `rotation` (degrees) and `centre` (units of B) by photo, after the similarity of `align_cameras`; `ate` is the root
-    mean square of the latter, `extent` the largest distance between two of B's centres. `pair_rotation` and
+    mean square distance of the centres after the similarity that makes it least, as trajectories are compared, and
+    `extent` the largest distance between two of B's centres. `pair_rotation` and
     `pair_translation` are the errors, in degrees, of each pair's relative rotation and of the direction (with its
     sign) from the first camera to the second; these need no alignment. `focal` is A's focal length over the picture's
     width, relative to B's, less one.
@@ -95,7 +96,7 @@ def compare_cameras(a: Mapping[str, PhotoCamera], b: Mapping[str, PhotoCamera]) 
         scale=similarity.scale,
         rotation=_angles(turned @ w2c_b[:, :3, :3].swapaxes(1, 2)),
         centre=distance,
-        ate=float(np.sqrt(np.mean(distance**2))),
+        ate=_trajectory_error(_centres(w2c_a), centres_b),
         extent=float(apart.max()),
         pair_rotation=_pair_rotation(w2c_a, w2c_b, pairs),
         pair_translation=_between(_pair_direction(w2c_a, pairs), _pair_direction(w2c_b, pairs)),
@@ -142,6 +143,15 @@ def _recall(errors: np.ndarray, threshold: float) -> float:
 
 def _centres(w2c: np.ndarray) -> np.ndarray:
     return -np.einsum("nji,nj->ni", w2c[:, :3, :3], w2c[:, :3, 3])
+
+
+def _trajectory_error(a: np.ndarray, b: np.ndarray) -> float:
+    """Root mean square distance of the places [n, 3] after the least-squares similarity (Umeyama 1991)."""
+    around_a, around_b = a - a.mean(0), b - b.mean(0)
+    u, spreads, vt = np.linalg.svd(around_b.T @ around_a)
+    spreads[-1] *= np.sign(np.linalg.det(u @ vt))  # a rotation, no reflection
+    left = np.square(around_b).sum() - spreads.sum() ** 2 / np.square(around_a).sum()
+    return float(np.sqrt(max(left, 0.0) / len(a)))
 
 
 def _transformed(points: np.ndarray, similarity: Sim3) -> np.ndarray:

@@ -22,6 +22,7 @@ from querysplat_cli.scene.fit import resized
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.pictures import eight_bit
 from querysplat_cli.scene.views import Photo
+from querysplat_cli.splat.conventions import MID_GREY, RELEASE
 from querysplat_cli.splat.render import render
 
 
@@ -94,7 +95,7 @@ class Protocol:
 
 
 def photograph(gaussians: Gaussians, camera: PhotoCamera) -> Float[Tensor, "3 height width"]:
-    """The picture in [0, 1], on black, that `camera` takes with its lens.
+    """The picture in [0, 1], on mid-grey as in the release, that `camera` takes with its lens.
 
     For a distorting lens, a larger pinhole render is resampled (bicubic).
     """
@@ -121,7 +122,12 @@ def photograph(gaussians: Gaussians, camera: PhotoCamera) -> Float[Tensor, "3 he
 def _render(gaussians: Gaussians, w2c: np.ndarray, K: np.ndarray, height: int, width: int) -> Tensor:
     cameras = Cameras(torch.from_numpy(w2c).float()[None], torch.from_numpy(K).float()[None], height, width)
     with torch.no_grad():
-        return render(gaussians, cameras).colour[0].clamp(0, 1)
+        return rendered_as_release(gaussians, cameras)[0].clamp(0, 1)
+
+
+def rendered_as_release(gaussians: Gaussians, cameras: Cameras) -> Float[Tensor, "views 3 height width"]:
+    """What the official code sees: over mid-grey, with its limit of α; colours are not clamped."""
+    return render(gaussians, cameras, background=torch.full((3,), MID_GREY), settings=RELEASE).colour
 
 
 def _tensor(pixels: np.ndarray) -> Tensor:

@@ -17,8 +17,8 @@ import json
 import shutil
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from importlib.metadata import version
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -28,10 +28,12 @@ import torch
 from querysplat_cli.evaluation.judge import RowResult, ViewScore
 from querysplat_cli.evaluation.metrics import ALL_METRICS
 from querysplat_cli.evaluation.splits import GROUPS, Split
+from querysplat_cli.model.checkpoints import weights_file
 from querysplat_cli.reporting.report import machine
 from querysplat_cli.runtime import json_files
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.files import atomic_folder, atomic_path
+from querysplat_cli.splat.conventions import MID_GREY, RELEASE
 
 REMOVE = "Remove its folder and run the command again."
 NOT_COMPARED = ("machine", "torch", "querysplat")
@@ -73,7 +75,8 @@ def open_row_folder(row_folder: RowFolder, config: dict[str, Any], *, force: boo
 
 def check_same_settings(path: Path, before: dict[str, Any], config: dict[str, Any]) -> None:
     """Raise QuerySplatError when the results in `path` are of `before`, and those are not the settings of `config`."""
-    changed = [key for key in config if key not in NOT_COMPARED and config[key] != before.get(key)]
+    keys = [key for key in before | config if key not in NOT_COMPARED]
+    changed = [key for key in keys if config.get(key) != before.get(key)]
     if changed:
         raise QuerySplatError(
             f"{path} was made with other settings ({', '.join(changed)})",
@@ -97,23 +100,18 @@ def run_config(settings: dict[str, Any], split: Split, protocol: str, lpips: dic
             "sha256": hashlib.sha256(content.encode()).hexdigest(),
         },
         "lpips": lpips,
+        "rendering": {"background": MID_GREY, "alpha_max": RELEASE.alpha_max},
         "torch": torch.__version__,
         "querysplat": version("querysplat"),
         "machine": machine(),
     }
 
 
-def checkpoint_sha256(preset: str) -> str | None:
-    """SHA-256 of a bundled preset's weights, or of the file `preset`; None where there is neither."""
-    bundled = files("querysplat_cli") / "weights" / f"{preset}.safetensors"
-    file = bundled if bundled.is_file() else Path(preset)
-    if not file.is_file():
-        return None
-    digest = hashlib.sha256()
-    with file.open("rb") as stream:
-        for block in iter(lambda: stream.read(1 << 22), b""):
-            digest.update(block)
-    return digest.hexdigest()
+@lru_cache
+def checkpoint_sha256(preset: str, weights: Path | None) -> str:
+    """SHA-256 of the weights that `load` reads."""
+    with weights_file(preset, weights) as file, file.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def write_case(

@@ -47,6 +47,7 @@ class Setup:
     fitted: bool
     keeping: Keeping
     predictions: Path | None
+    lpips_folder: Path | None = None
 
 
 def evaluate(request: EvalRequest, stages: Stages, say: Callable[[str], None]) -> dict[str, Any]:
@@ -87,6 +88,7 @@ def evaluate(request: EvalRequest, stages: Stages, say: Callable[[str], None]) -
         request.fitted,
         Keeping(request.save_pictures, request.nerfbaselines),
         request.predictions,
+        request.lpips,
     )
     with stages("cases") as progress:
         counter = Counter(jobs, progress)
@@ -128,7 +130,7 @@ def _work(setup: Setup, meter: Meter, job: Job) -> None:
             if setup.predictions:
                 result = score_prediction(judge, setup.predictions, job.split, job.case.name)
             else:
-                runner = runner or CaseRunner(judge, setup.settings)
+                runner = runner or CaseRunner(judge, setup.settings, setup.lpips_folder)
                 result = runner.run(row)
             about = {"row": row.name, "split": job.split, "case": job.case.name, "protocol": setup.protocol.name}
             write_case(folder, job.case.scene, result, setup.keeping.writer(about, judge.truth, meter))

@@ -1,7 +1,8 @@
 """Weights in files: ours, which include their configuration, and the official ones under their own names."""
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from importlib import resources
 from pathlib import Path
@@ -62,18 +63,28 @@ def load(
 ) -> QuerySplat:
     """A frozen model from a preset or a checkpoint file, ready to decode on `device`.
 
-    The weights of a preset are bundled, or in the folder `weights`, or in the Hugging Face cache. Raises MissingPart
-    when they are in none of these, and QuerySplatError when a file is damaged or has other tensors than the model.
+    Raises what `weights_file` does, and QuerySplatError when a file is damaged or has other tensors than the model.
+    """
+    with weights_file(name, weights) as path:
+        return load_file(path, precision=precision, device=device)
+
+
+@contextmanager
+def weights_file(name: str, weights: Path | None = None) -> Iterator[Path]:
+    """The weights of a preset, or the file `name`.
+
+    Those of a preset are bundled, in the folder `weights`, or in the Hugging Face cache. Raises MissingPart when they
+    are in none of these, and QuerySplatError when `name` is neither a preset nor a file.
     """
     if name in WEIGHTS and name in preset_names():
-        return load_file(find_weights(name, weights), precision=precision, device=device)
-    if name in preset_names():
+        yield find_weights(name, weights)
+    elif name in preset_names():
         with resources.as_file(resources.files("querysplat_cli") / "weights" / f"{name}.safetensors") as path:
-            return load_file(path, precision=precision, device=device)
-    path = Path(name)
-    if not path.is_file():
+            yield path
+    elif Path(name).is_file():
+        yield Path(name)
+    else:
         raise QuerySplatError(f"'{name}' is neither a preset nor a file", f"Presets: {', '.join(preset_names())}.")
-    return load_file(path, precision=precision, device=device)
 
 
 def load_file(path: Path, *, precision: Precision = "fp32", device: torch.device = CPU) -> QuerySplat:

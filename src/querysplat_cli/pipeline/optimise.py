@@ -15,6 +15,7 @@ from querysplat_cli.runtime.progress import Progress, StageProgress
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.exposures import Exposures
 from querysplat_cli.scene.views import Views
+from querysplat_cli.splat.conventions import MID_GREY, RELEASE
 from querysplat_cli.splat.smoothing import bounded
 from querysplat_cli.tto.adapt import Adapted, adapt
 from querysplat_cli.tto.exposure_refit import RefittedExposures
@@ -38,7 +39,7 @@ def optimise_start(
 
     Its Gaussians are nowhere thinner than the pixels of the finest photo that sees them, and far ones are drawn in.
     Scenes of official models have no such bounds, keep all bands, and all Gaussians unless a number is asked for, and
-    are optimised over black, as in the release. `exposures` are the colour transforms of the photos to start with.
+    are optimised over mid-grey, as in the release. `exposures` are the colour transforms of the photos to start with.
     """
     if options.keep_all or start.anchors is None:
         options = replace(options, keep_all=True, prune="off" if options.prune == "auto" else options.prune)
@@ -46,16 +47,9 @@ def optimise_start(
     if isinstance(options.perceptual, torch.nn.Module):
         options = replace(options, perceptual=options.perceptual.to(device))
     start, (views, cameras) = to_device((start, photos), device)
-    if start.anchors is None:
-        target = RenderingLoss(views, cameras)
-    else:
-        backgrounds = torch.Generator().manual_seed(options.seed)
-        refitted = RefittedExposures(exposures) if exposures else None
-        target = RenderingLoss.for_solid_scenes(views, cameras, backgrounds, refitted)
-        target = replace(target, finest=_enlarged(cameras, options.finest_size))
-        if options.smooth or any(run.settings.steps for run in plan):
-            start = replace(start, finest=target.finest)
-    target = replace(target, perceptual=options.perceptual)
+    target = rendering_target(views, cameras, options, exposures, official=start.anchors is None)
+    if target.finest and (options.smooth or any(run.settings.steps for run in plan)):
+        start = replace(start, finest=target.finest)
     look = partial(progress.look, views=photos[0], cameras=photos[1])
     adapted = adapt(model, start, target, plan, options, _shown(plan, progress), look)
     if target.finest is not None:
@@ -66,6 +60,19 @@ def optimise_start(
         fewer, idle = without_idle_bands(adapted.gaussians, lambda some: last.psnr(some, tested))
         adapted = replace(adapted, gaussians=fewer, idle_bands=idle)
     return to_device(adapted, torch.device("cpu"))
+
+
+def rendering_target(
+    views: Views, cameras: Cameras, options: OptimiseOptions, exposures: Exposures | None, *, official: bool
+) -> RenderingLoss:
+    """What the renders of a scene are compared with, and how; `official` models have the loss of the release."""
+    if official:
+        grey = torch.full((3,), MID_GREY, device=cameras.w2c.device)
+        return RenderingLoss(views, cameras, grey, RELEASE, perceptual=options.perceptual)
+    backgrounds = torch.Generator().manual_seed(options.seed)
+    refitted = RefittedExposures(exposures) if exposures else None
+    target = RenderingLoss.for_solid_scenes(views, cameras, backgrounds, refitted)
+    return replace(target, finest=_enlarged(cameras, options.finest_size), perceptual=options.perceptual)
 
 
 def _enlarged(cameras: Cameras, longer_side: int | None) -> Cameras:

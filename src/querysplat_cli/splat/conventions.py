@@ -31,3 +31,7 @@ class RenderSettings:
     alpha_max: float = 0.99
     alpha_min: float = 1 / 255
     transmittance_min: float = 1e-4
+
+
+RELEASE = RenderSettings(alpha_max=0.999)
+"""As the official code renders (with gsplat 1.5.3), over MID_GREY, where `render` draws on the CPU."""
