@@ -22,7 +22,8 @@ from querysplat_cli.scene.formats.transforms import write_transforms
 from querysplat_cli.scene.formats.transforms_frame import is_rigid
 from querysplat_cli.scene.match_cameras import match_cameras
 from querysplat_cli.scene.photo_files import read_photo_files
-from querysplat_cli.scene.photos import WHOLE, find_photos, load_photo, short_names
+from querysplat_cli.scene.photo_names import short_names
+from querysplat_cli.scene.photos import WHOLE, find_photos, load_photo
 from querysplat_cli.scene.pictures import stored_name
 from querysplat_cli.scene.undistort import undistorted
 from querysplat_cli.scene.views import LeftOut

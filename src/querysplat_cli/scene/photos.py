@@ -2,11 +2,10 @@
 
 import os
 import re
-from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from pathlib import Path, PurePath
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -17,6 +16,7 @@ from querysplat_cli.runtime.optional_parts import install_command
 from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.exif import Gps, focal_length, gps_place, says_panorama
 from querysplat_cli.scene.masks import BadMask, mask_file, read_mask, resized_mask
+from querysplat_cli.scene.photo_names import names_a_photo, short_names
 from querysplat_cli.scene.views import LeftOut, Photo
 
 SUFFIXES = {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".ppm", ".pgm", ".heic", ".heif", ".avif"}
@@ -136,27 +136,6 @@ def longer_side(path: Path, default: int) -> int:
             return max(image.size)
     except UnidentifiedImageError:
         return default
-
-
-def short_names(paths: Sequence[PurePath]) -> list[str]:
-    """The last parts of each path, as few as make it different from all others."""
-    names = [path.name for path in paths]
-    longest = max((len(path.parts) for path in paths), default=0)
-    for depth in range(2, longest + 1):
-        count = Counter(names)
-        names = [
-            name if count[name] == 1 else "/".join(path.parts[-depth:]) for path, name in zip(paths, names, strict=True)
-        ]
-    return names
-
-
-def names_a_photo(name: str) -> bool:
-    """Whether a text from a file can be the path of a photo: it ends in a file's name, in letters that exist."""
-    try:
-        name.encode()
-    except UnicodeEncodeError:
-        return False
-    return PurePath(name).name not in ("", "..") and "\0" not in name
 
 
 def natural_key(path: Path) -> list[tuple[int, int | str]]:

@@ -18,7 +18,7 @@ from querysplat_cli.runtime.json_files import read_json, shown
 from querysplat_cli.scene.cameras import FARTHEST_CENTRE, LONGEST_SIDE, Cameras, PhotoCamera
 from querysplat_cli.scene.files import atomic_path
 from querysplat_cli.scene.formats.transforms_frame import frame_camera, is_rigid, opengl_from_opencv
-from querysplat_cli.scene.photos import names_a_photo, short_names
+from querysplat_cli.scene.photo_names import names_a_photo, short_names
 from querysplat_cli.scene.pictures import stored_name
 from querysplat_cli.scene.sim3 import Sim3
 from querysplat_cli.scene.views import Views
