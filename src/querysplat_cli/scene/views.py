@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
+from pathlib import Path, PurePath
 
 import numpy as np
 import torch
@@ -52,6 +52,11 @@ class Photo:
     @property
     def source(self) -> PhotoSource:
         return PhotoSource(self.path, self.pts, self.view)
+
+    @property
+    def named_by(self) -> PurePath:
+        """The path by which cameras are given for this photo; a frame of a film has no file of its own."""
+        return self.path if self.pts is None else PurePath(self.name)
 
     @property
     def height(self) -> int:

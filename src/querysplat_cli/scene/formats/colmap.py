@@ -93,6 +93,7 @@ def _cameras(folder: Path, lenses: Mapping[str, tuple[int, ...]]) -> dict[str, P
             height=int(camera.height),
             width=int(camera.width),
             fisheye=camera.model_name in FISHEYE_PARAMETERS,
+            file=image.name,
         )
         if found.fault() or not np.isfinite(w2c).all():
             why = found.fault() or "its pose is not a number"
