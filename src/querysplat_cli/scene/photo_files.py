@@ -15,9 +15,10 @@ from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.json_files import read_json
 from querysplat_cli.runtime.tables import STRICT, from_tables
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera, same_shape
+from querysplat_cli.scene.decoding import longer_side, reduced
 from querysplat_cli.scene.films import film_size, frame_pixels
 from querysplat_cli.scene.lenses import shown_part
-from querysplat_cli.scene.photos import load_photo, longer_side, reduced
+from querysplat_cli.scene.photos import load_photo
 from querysplat_cli.scene.resample import PinholeView
 from querysplat_cli.scene.undistort import on_canvas, undistorted
 from querysplat_cli.scene.views import Photo, PhotoSource, Views
