@@ -21,6 +21,7 @@ from querysplat_cli.scene.formats.mesh import MESH_KINDS
 from querysplat_cli.scene.formats.transforms import write_transforms
 from querysplat_cli.scene.formats.transforms_frame import is_rigid
 from querysplat_cli.scene.match_cameras import cameras_of, match_cameras
+from querysplat_cli.scene.orientation import upright_camera
 from querysplat_cli.scene.photo_files import read_photo_files
 from querysplat_cli.scene.photo_names import short_names
 from querysplat_cli.scene.photos import WHOLE, find_photos, load_photo
@@ -127,7 +128,8 @@ def _make_scene_folder(target: Path, cameras: Mapping[str, PhotoCamera], place: 
             if isinstance(photo, LeftOut):
                 left_out.append(photo)
                 continue
-            usable, unusable = match_cameras([photo], matched)
+            own = {name: upright_camera(matched[name], photo)} if name in matched else {}
+            usable, unusable = match_cameras([photo], own)
             left_out += unusable
             for camera in usable.values():
                 views, straight = undistorted([photo], [camera], max_size=max(photo.height, photo.width))

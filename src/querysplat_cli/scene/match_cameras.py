@@ -10,6 +10,7 @@ import numpy as np
 
 from querysplat_cli.scene.cameras import PhotoCamera, same_shape
 from querysplat_cli.scene.formats.transforms_frame import is_rigid
+from querysplat_cli.scene.orientation import MIRRORED, upright_camera
 from querysplat_cli.scene.photo_names import path_parts
 from querysplat_cli.scene.photos import SUFFIXES
 from querysplat_cli.scene.views import LeftOut, Photo
@@ -44,6 +45,13 @@ def cameras_of(paths: Mapping[str, PurePath], given: Mapping[str, PhotoCamera]) 
     return {name: given[key] for key, name in owners.items() if name}
 
 
+def cameras_of_photos(photos: Sequence[Photo], given: Mapping[str, PhotoCamera]) -> dict[str, PhotoCamera]:
+    """As `cameras_of`, and for the upright pixels of these photos. A film's frame has no file, so its name counts."""
+    paths = {photo.name: photo.path if photo.pts is None else PurePath(photo.name) for photo in photos}
+    found = cameras_of(paths, given)
+    return {photo.name: upright_camera(found[photo.name], photo) for photo in photos if photo.name in found}
+
+
 def match_cameras(
     photos: Sequence[Photo], given: Mapping[str, PhotoCamera]
 ) -> tuple[dict[int, PhotoCamera], list[LeftOut]]:
@@ -70,6 +78,8 @@ def rigid(w2c: np.ndarray) -> np.ndarray:
 def _fault(photo: Photo, camera: PhotoCamera) -> str:
     if not is_rigid(camera.w2c):
         return "its given camera is no rigid motion"
+    if camera.as_stored and photo.orientation in MIRRORED:
+        return "EXIF says that it is mirrored: save it as it is shown, and find its camera again"
     if not same_shape((photo.height, photo.width), (camera.height, camera.width)):
         return f"it is {photo.width} × {photo.height}, its given camera {camera.width} × {camera.height}"
     return ""

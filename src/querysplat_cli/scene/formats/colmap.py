@@ -94,6 +94,7 @@ def _cameras(folder: Path, lenses: Mapping[str, tuple[int, ...]]) -> dict[str, P
             width=int(camera.width),
             fisheye=camera.model_name in FISHEYE_PARAMETERS,
             file=image.name,
+            as_stored=True,  # COLMAP does not turn photos
         )
         if found.fault() or not np.isfinite(w2c).all():
             why = found.fault() or "its pose is not a number"
