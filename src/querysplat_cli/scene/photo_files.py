@@ -55,7 +55,7 @@ class PhotoFile:
         focal, principal = tuple(map(float, camera.focal)), tuple(map(float, camera.principal))
         distortion = tuple(map(float, camera.distortion))
         lens = focal, principal, distortion, camera.height, camera.width
-        return cls(name, source.path.resolve(), *lens, source.pts, source.view)  # type: ignore[arg-type]
+        return cls(name, source.path.absolute(), *lens, source.pts, source.view)  # type: ignore[arg-type]
 
     @property
     def lens(self) -> PhotoCamera:
