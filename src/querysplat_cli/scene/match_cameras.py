@@ -20,7 +20,12 @@ Parts = tuple[str, ...]
 
 
 def cameras_of(paths: Mapping[str, PurePath], given: Mapping[str, PhotoCamera]) -> dict[str, PhotoCamera]:
-    """The given cameras by the names of their photos, whose `paths` are by name. Photos without a camera are not in it.
+    """The given cameras by the names of their photos, as `matched_names` pairs them."""
+    return {name: given[key] for name, key in matched_names(paths, given).items()}
+
+
+def matched_names(paths: Mapping[str, PurePath], given: Mapping[str, PhotoCamera]) -> dict[str, str]:
+    """The names in `given` by those in `paths`, which has photos' paths. Photos without a camera are not in it.
 
     A camera belongs to the photo whose path ends as the path in the camera's file does, over the most folders. Suffixes
     may differ. Nothing is matched where two are as good, nor where one folder would become another that has photos or
@@ -42,7 +47,7 @@ def cameras_of(paths: Mapping[str, PurePath], given: Mapping[str, PhotoCamera]) 
         if best and not _other_folder(photo, places[best], agreement[best][0], *folders):
             wanted[best][name] = agreement[best]
     owners = {key: _only_best(claims) for key, claims in wanted.items()}
-    return {name: given[key] for key, name in owners.items() if name}
+    return {name: key for key, name in owners.items() if name}
 
 
 def cameras_of_photos(photos: Sequence[Photo], given: Mapping[str, PhotoCamera]) -> dict[str, PhotoCamera]:
