@@ -192,9 +192,7 @@ def test_ablations_learn(tmp_path: Path, branches: str, blocks: int) -> None:
 
 
 def test_learned_queries_grow_from_stage_to_stage(tmp_path: Path) -> None:
-    model = replace(
-        TINY, queries="learned", colour_prior="none", anchor_features=0, gaussians_per_query=4, heads=2, width=32
-    )
+    model = replace(TINY, queries="learned", anchor_features=0, gaussians_per_query=4, heads=2, width=32)
     stages = (StageSettings(steps=2, lr=1e-3, queries=8), StageSettings(steps=3, lr=1e-4, queries=20))
     config = training(tmp_path / "cache", model=model, stages=stages, start="scratch", save_every=1)
     run(config, tmp_path / "whole")
