@@ -1,6 +1,7 @@
 """What --force replaces, and what of the user's it never touches."""
 
 import os
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -74,6 +75,44 @@ def test_the_folder_beside_a_cut_scene_is_no_other_folder(place: Path, capsys: p
     assert "letter.txt" in capsys.readouterr().err
     assert not (place / "cut.ply").exists()
     (place / "cut").rmdir()
+
+
+@pytest.mark.parametrize(
+    ("command", "beside", "mine"),
+    [
+        (["reconstruct", "photos", "-o", "mine.ply"], '{"frames": [{"file_path": "images/a.jpg"}]}', "images/only.jpg"),
+        (["reconstruct", "photos", "-o", "mine.ply"], '[{"id": 0}]', "cfg_args"),
+        (["convert", "s/cameras.json", "mine", "--photos", "photos"], '[{"id": 0}]', "images/only.jpg"),
+        (["render", "s", "-o", "mine"], '{"frames": [{"file_path": "images/a.png"}]}', "holiday.png"),
+        (["convert", "s", "mine"], None, "images.zip"),
+    ],
+)
+def test_a_name_as_in_a_scene_makes_no_folder_this_programs(
+    place: Path,
+    command: list[str],
+    beside: str | None,
+    mine: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Other programs write a cameras.json as well, and users name their files as they like."""
+    monkeypatch.chdir(place)
+    folder = place / "mine"
+    with with_files(folder, mine):
+        if beside:
+            (folder / "cameras.json").write_text(beside)
+        assert run([*command, "--force"]) == ExitCode.BAD_INPUT
+        assert "holds files that this command did not write" in capsys.readouterr().err
+        assert beside is None or (folder / "cameras.json").read_text() == beside
+    shutil.rmtree(folder)
+
+
+def test_the_cameras_that_are_read_are_never_replaced(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = (place / "s" / "cameras.json").read_text()
+    poses = ["--poses", str(place / "s" / "cameras.json"), "--force"]
+    assert run(["reconstruct", str(place / "photos"), "-o", str(place / "s.ply"), *poses]) == ExitCode.BAD_INPUT
+    assert "cameras.json, which is read" in " ".join(capsys.readouterr().err.split())
+    assert (place / "s" / "cameras.json").read_text() == before
 
 
 def test_what_the_commands_wrote_is_replaced(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -103,7 +103,7 @@ def reconstruct(settings: ReconstructSettings, stages: Stages | None = None) -> 
     outputs = [settings.ply, folder_of_scene(settings.ply)]
     if settings.encoder:
         ENCODERS.check(settings.encoder)
-    refuse_replacing(settings.inputs, outputs)
+    refuse_replacing([*settings.inputs, *([settings.poses] if settings.poses else [])], outputs)
     refuse_existing(outputs[:1], force=settings.force)
     refuse_existing(outputs[1:], force=settings.force, kind=SCENE_FOLDER)
     check_writable(settings.ply.parent)

@@ -3,7 +3,7 @@
 import errno
 import os
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -29,24 +29,30 @@ class FolderKind:
     """What a command writes into a folder of its own: `--force` replaces such a folder, and none with other files.
 
     Patterns are those of fnmatch, for paths relative to the folder. One of the files is named by a pattern of `marks`,
-    and all others by one of those or of `files`.
+    and all others by one of those or of `files`. Files with a name like those of `listed` have to be among what
+    `listing` returns for the folder, as well: others have such names, too.
     """
 
     marks: tuple[str, ...]
     files: tuple[str, ...] = ()
+    listed: tuple[str, ...] = ()
+    listing: Callable[[Path], Collection[str]] = lambda folder: ()
 
     def refuse_others(self, folder: Path) -> None:
         """Raise QuerySplatError when `folder` is none of this kind; an empty one is of any kind."""
         if not folder.is_dir():
             raise QuerySplatError(f"{folder} is a file, and a folder goes there", "Choose another output.")
         names = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if not path.is_dir()}
-        foreign = min((name for name in names if not self._knows(name)), default=None)
+        own = self.listing(folder)
+        foreign = min((name for name in names if not self._knows(name, own)), default=None)
         if foreign or (names and not any(_matches(name, self.marks) for name in names)):
             why = f"{folder} holds files that this command did not write, as {foreign or min(names)}"
             raise QuerySplatError(why, "Choose another output, or move them.")
 
-    def _knows(self, name: str) -> bool:
-        return PurePosixPath(name).name in OF_THE_SYSTEM or _matches(name, (*self.marks, *self.files))
+    def _knows(self, name: str, own: Collection[str]) -> bool:
+        if PurePosixPath(name).name in OF_THE_SYSTEM:
+            return True
+        return name in own if _matches(name, self.listed) else _matches(name, (*self.marks, *self.files))
 
 
 def _matches(name: str, patterns: tuple[str, ...]) -> bool:
