@@ -102,6 +102,7 @@ def stopped(street: Path, divided: Made, monkeypatch: pytest.MonkeyPatch) -> Pat
 
 def test_a_stopped_run_goes_on(street: Path, divided: Made, stopped: Path) -> None:
     assert not (stopped.parent / "stopped.ply").exists()
+    (stopped / "region-2" / "task.pt").write_bytes(b"cut off")
     ply, report = reconstruct(street, "stopped", "--regions", "2")
     assert report["resumed"] == ["went on with the cameras and 1 region of an unfinished run"]
     assert ply.read_bytes() == divided[0].read_bytes()

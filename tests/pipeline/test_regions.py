@@ -21,6 +21,7 @@ from querysplat_cli.pipeline.regions.join import join
 from querysplat_cli.pipeline.regions.owners import CoreViews, depth_maps, owners, small_cameras
 from querysplat_cli.pipeline.regions.scene import KeptRegions, RegionScene
 from querysplat_cli.pipeline.regions.seams import Seam, disagreement, find_seams, parts_needed, verdict
+from querysplat_cli.pipeline.regions.task import region_task
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.queries.prepare import MemoryMap, PreparedQueries
 from querysplat_cli.runtime.errors import ImpossibleScene, QuerySplatError
@@ -28,7 +29,7 @@ from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.exposures import Exposures
 from querysplat_cli.scene.filed_views import FiledViews
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
-from querysplat_cli.scene.views import Views
+from querysplat_cli.scene.views import PhotoSource, Views
 from querysplat_cli.training.streets import stroll
 
 VIEWS = 20
@@ -183,6 +184,22 @@ def test_regions_get_common_colours() -> None:
             after = exposures.matrices[row, :, :3] @ colour + exposures.matrices[row, :, 3]
             torch.testing.assert_close(before, after, atol=1e-5, rtol=0)
     assert common_exposures(groups, [region(None), region(None)], 4)[0] is None
+
+
+def test_a_task_has_no_path_of_the_current_folder(
+    street: PosedViews, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A worker of Dask has another current folder, and so may the run that goes on."""
+    monkeypatch.chdir(tmp_path)
+    given = ReconstructSettings((), Path(), preset="my.safetensors", weights=Path("weights"), lpips=Path("lpips"))
+    sources = {name: PhotoSource(Path(f"{name}.jpg")) for name in street.views.names}
+    task = region_task(street, divide(street, 2)[0], given, sources)
+    assert task.sources == {name: PhotoSource(tmp_path / f"{name}.jpg") for name in task.posed.views.names}
+    found = task.settings
+    assert found.preset == str(tmp_path / "my.safetensors")
+    assert (found.weights, found.lpips) == (tmp_path / "weights", tmp_path / "lpips")
+    bundled = region_task(street, divide(street, 2)[0], replace(given, preset="compact"), sources)
+    assert bundled.settings.preset == "compact"
 
 
 def some_encoder(*, own_frame: bool) -> Encoder:

@@ -69,8 +69,8 @@ def build_regions(
         groups = divide(posed, count)
         folders = [work.region(number) for number in range(1, count + 1)]
         for folder, group in zip(folders, groups, strict=True):
-            if not (folder / TASK).is_file():
-                write_part(folder / TASK, region_task(posed, group, settings, sources))
+            # Anew each time: photos may have moved since an earlier run, and its task may be cut off.
+            write_part(folder / TASK, region_task(posed, group, settings, sources))
     try:
         _carry_out(folders, engine, stages)
     except KeyboardInterrupt:
