@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from querysplat_cli.encoders.base import Encoder, PosedViews
-from querysplat_cli.pipeline.build import distinct_views
+from querysplat_cli.pipeline.distinct import distinct_views
 from querysplat_cli.pipeline.kept_parts import read_part, write_part
 from querysplat_cli.pipeline.policy import PIPELINE_POLICY
 from querysplat_cli.pipeline.regions.groups import divide

@@ -12,7 +12,7 @@ from querysplat_cli.encoders.base import CameraRequest, Encoder, Geometry, Posed
 from querysplat_cli.encoders.holdout import select_views
 from querysplat_cli.model.config import preset_names
 from querysplat_cli.model.querysplat import QuerySplat
-from querysplat_cli.pipeline.build import Allowance, BuiltScene, encode_and_build
+from querysplat_cli.pipeline.build import Allowance, BuiltScene, encode_and_build_all
 from querysplat_cli.pipeline.kept_parts import read_part, write_part
 from querysplat_cli.pipeline.omitted import omissions_of
 from querysplat_cli.pipeline.parts import load_parts
@@ -88,7 +88,8 @@ def run_region(folder: Path) -> None:
     with matrix_products(check_precision(task.settings.precision)):
         model, encoder = _parts(task.settings)
         kept = KeptDepth(encoder, folder / DEPTH)
-        scene = encode_and_build(task.posed, kept, model, task.settings, stages, Allowance(None, task.sources))
+        # Near-duplicates were left out before the photos were divided; the scene has a row for each photo of the task.
+        scene = encode_and_build_all(task.posed, kept, model, task.settings, stages, Allowance(None, task.sources))
         if scene.interrupted:
             raise KeyboardInterrupt
         found = _scene(task, scene, stages)
