@@ -101,6 +101,28 @@ def test_another_photo_or_size_invalidates_both(settings: ReconstructSettings) -
     assert goes_on(settings, size=32)[:2] == (False, False)
 
 
+def test_a_new_mask_invalidates_both(settings: ReconstructSettings) -> None:
+    (settings.inputs[0] / "masks").mkdir()
+    (settings.inputs[0] / "masks" / "a.jpg.png").write_bytes(b"a mask")
+    cameras, region, said = goes_on(settings)
+    assert (cameras, region) == (False, False)
+    assert "other values of masks" in said
+
+
+def test_another_model_in_the_folder_of_poses_invalidates_both(settings: ReconstructSettings) -> None:
+    model = settings.inputs[0] / "model"
+    model.mkdir()
+    for name in ("cameras.bin", "images.bin"):
+        (model / name).write_bytes(b"a model")
+    posed = replace(settings, poses=model)
+    goes_on(posed)
+    assert goes_on(posed)[0]
+    (model / "images.bin").write_bytes(b"another model")
+    cameras, _, said = goes_on(posed)
+    assert not cameras
+    assert "other values of the files of --poses" in said
+
+
 def test_what_a_stopped_run_keeps_is_noted(settings: ReconstructSettings) -> None:
     signals.keep("")
     goes_on(settings)

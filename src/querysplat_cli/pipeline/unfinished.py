@@ -29,6 +29,8 @@ from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.json_files import read_json
 from querysplat_cli.scene.filed_views import FiledViews
 from querysplat_cli.scene.files import atomic_path, sole_writer, without_steps
+from querysplat_cli.scene.formats.known import find_known_cameras
+from querysplat_cli.scene.masks import mask_file
 from querysplat_cli.scene.views import Photo, Views
 
 Part = TypeVar("Part")
@@ -104,17 +106,28 @@ def unfinished(settings: ReconstructSettings, photos: Sequence[Photo], size: int
 
 def _made_of(settings: ReconstructSettings, photos: Sequence[Photo], size: int) -> dict[str, dict[str, Any]]:
     given = {name: str(value) for name, value in asdict(settings).items() if name not in OF_FILES}
-    poses = settings.poses and settings.poses.is_file() and settings.poses.stat().st_mtime_ns
     cameras = {name: given.pop(name) for name in OF_CAMERAS}
-    seen = {"photos": [_state(photo) for photo in photos], "working size": size, "the file of --poses": poses}
+    seen = {
+        "photos": [[photo.name, photo.pts, _state(photo.path)] for photo in photos],
+        "masks": [_state(mask_file(photo.path)) for photo in photos],
+        "working size": size,
+        "the files of --poses": _states_of_poses(settings.poses) if settings.poses else None,
+    }
     return {"cameras": {"version": querysplat_cli.__version__, **seen, **cameras}, "regions": given}
 
 
-def _state(photo: Photo) -> list[Any]:
+def _state(file: Path | None) -> list[int] | None:
+    """Size and time of a file; None where there is none."""
     with suppress(OSError):
-        state = os.stat(photo.path)
-        return [photo.name, photo.pts, state.st_size, state.st_mtime_ns]
-    return [photo.name, photo.pts]
+        state = os.stat(file) if file else None
+        return state and [state.st_size, state.st_mtime_ns]
+    return None
+
+
+def _states_of_poses(poses: Path) -> dict[str, list[int] | None]:
+    """Of the file that cameras were read from, or of each file of a model of COLMAP."""
+    source = find_known_cameras(poses)
+    return {file.name: _state(file) for file in (sorted(source.iterdir()) if source.is_dir() else [source])}
 
 
 def _notes(folder: Path, made_of: dict[str, dict[str, Any]]) -> tuple[str, ...]:
