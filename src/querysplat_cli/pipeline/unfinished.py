@@ -132,28 +132,36 @@ def _states_of_poses(poses: Path) -> dict[str, list[int] | None]:
 
 def _notes(folder: Path, made_of: dict[str, dict[str, Any]]) -> tuple[str, ...]:
     """Remove the stages that were made of something else, and say so."""
-    before: dict[str, Any] = {}
-    with suppress(QuerySplatError):
-        before = read_json(folder / MADE_OF, "") if (folder / MADE_OF).is_file() else {}
+    before = _made_of_before(folder)
     changed = {stage: _changes(before.get(stage, {}), parts) for stage, parts in made_of.items()}
-    with atomic_path(folder / MADE_OF) as draft:
-        draft.write_text(json.dumps(made_of, indent=1) + "\n")
-    if not before:
-        return ()
-    regions = sorted(folder.glob(f"{REGION}*"))
+    kept, regions = (folder / CAMERAS).is_file(), sorted(folder.glob(f"{REGION}*"))
     done = sum((region / "scene.pt").is_file() for region in regions)
     if changed["cameras"]:
         (folder / CAMERAS).unlink(missing_ok=True)
     if changed["cameras"] or changed["regions"]:
         for region in regions:
             shutil.rmtree(region)
-        what = "cameras and regions" if changed["cameras"] else "regions"
-        why = ", ".join([*changed["cameras"], *changed["regions"]])
-        return (f"an unfinished run had other values of {why}: its {what} are made again",)
-    if not (folder / CAMERAS).is_file():
+    # After the removals: a run that is killed between them would leave old stages with the values of new ones.
+    with atomic_path(folder / MADE_OF) as draft:
+        draft.write_text(json.dumps(made_of, indent=1) + "\n")
+    if not kept:
         return ()
+    removed = " and ".join([*(["cameras"] if changed["cameras"] else []), *(["regions"] if regions else [])])
+    if not before:
+        return (f"what an unfinished run was made of is not known: its {removed} are made again",)
+    if changed["cameras"] or (changed["regions"] and regions):
+        why = ", ".join([*changed["cameras"], *changed["regions"]])
+        return (f"an unfinished run had other values of {why}: its {removed} are made again",)
     made = f" and {done} region{'s' if done > 1 else ''}" if done else ""
     return (f"went on with the cameras{made} of an unfinished run",)
+
+
+def _made_of_before(folder: Path) -> dict[str, Any]:
+    """What the run before wrote; empty where that is missing or damaged."""
+    with suppress(QuerySplatError):
+        found = read_json(folder / MADE_OF, "") if (folder / MADE_OF).is_file() else {}
+        return found if isinstance(found, dict) else {}
+    return {}
 
 
 def _changes(before: dict[str, Any], now: dict[str, Any]) -> list[str]:
