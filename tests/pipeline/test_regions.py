@@ -1,9 +1,11 @@
 """Photos are divided into groups, every place has one region, and regions get common colours."""
 
 import math
+import sys
 import weakref
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -17,7 +19,7 @@ from querysplat_cli.pipeline.policy import PIPELINE_POLICY
 from querysplat_cli.pipeline.regions.build import region_count
 from querysplat_cli.pipeline.regions.colours import common_exposures, recoloured
 from querysplat_cli.pipeline.regions.groups import Group, divide
-from querysplat_cli.pipeline.regions.join import join
+from querysplat_cli.pipeline.regions.join import _optimised, join
 from querysplat_cli.pipeline.regions.owners import CoreViews, depth_maps, owners, small_cameras
 from querysplat_cli.pipeline.regions.scene import KeptRegions, RegionScene
 from querysplat_cli.pipeline.regions.seams import Seam, disagreement, find_seams, parts_needed, verdict
@@ -31,6 +33,8 @@ from querysplat_cli.scene.filed_views import FiledViews
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
 from querysplat_cli.scene.views import PhotoSource, Views
 from querysplat_cli.training.streets import stroll
+from querysplat_cli.tto.options import TtoSettings
+from querysplat_cli.tto.plan import TtoRun
 
 VIEWS = 20
 
@@ -200,6 +204,21 @@ def test_a_task_has_no_path_of_the_current_folder(
     assert (found.weights, found.lpips) == (tmp_path / "weights", tmp_path / "lpips")
     bundled = region_task(street, divide(street, 2)[0], replace(given, preset="compact"), sources)
     assert bundled.settings.preset == "compact"
+
+
+def test_ctrl_c_in_the_last_optimisation_ends_the_run(street: PosedViews, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It would be lost in the parts after it, and the kept regions with it."""
+    taken = []
+
+    def interrupted(rows: list[int], *rest: object, **more: object) -> tuple[Gaussians, TtoRun, SimpleNamespace]:
+        taken.append(rows)
+        return grey(), TtoRun("gaussians", TtoSettings(1, 0.1)), SimpleNamespace(interrupted=True)
+
+    monkeypatch.setattr(sys.modules[join.__module__], "smoothed", interrupted)
+    photos = LargePhotos(street.views, street.cameras)
+    with pytest.raises(KeyboardInterrupt):
+        _optimised(divide(street, 2), photos, 40, grey(), 42, lambda text, fraction: None)
+    assert len(taken) == 1
 
 
 def some_encoder(*, own_frame: bool) -> Encoder:
