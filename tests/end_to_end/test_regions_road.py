@@ -55,6 +55,10 @@ def test_regions_make_one_scene(street: Path, divided: Made) -> None:
     assert not list(ply.parent.glob(".*"))
 
 
+def test_regions_with_depth_do_not_say_that_it_was_left_out(divided: Made) -> None:
+    assert "depth" not in [entry["what"] for entry in divided[1]["left_out"]]
+
+
 def test_the_scene_can_be_taken_further(divided: Made, tmp_path: Path) -> None:
     copy = tmp_path / "copy.ply"
     shutil.copy(divided[0], copy)
