@@ -156,6 +156,15 @@ def test_a_scene_folder_keeps_the_files_of_the_user(place: Path) -> None:
         link.unlink()
 
 
+def test_the_folder_of_a_cut_scene_can_be_written_to(place: Path) -> None:
+    """Also where that of the whole scene is protected."""
+    parts = [Path("photos.json"), *(path.relative_to(place / "s") for path in (place / "s" / "images").iterdir())]
+    for part in parts:
+        (place / "s" / part).chmod(0o444)
+    assert run(["convert", str(place / "s.ply"), str(place / "twice.ply"), "--scale", "2", "-q"]) == ExitCode.DONE
+    assert all((place / "twice" / part).stat().st_mode & 0o200 for part in parts)
+
+
 @pytest.mark.parametrize("verb", ["reconstruct", "tto"])
 def test_a_scene_that_another_process_makes_is_left_alone(
     place: Path, verb: str, capsys: pytest.CaptureFixture[str]

@@ -168,7 +168,7 @@ def atomic_together(*paths: Path) -> Iterator[tuple[Path, ...]]:
         yield drafts
         for draft in drafts:
             for file in (draft, *draft.rglob("*")):
-                if file.is_file():
+                if file.is_file() and not file.is_symlink():
                     _sync(file)
         # One after the other, so that errors of each are in words. Folders first: they can be put back.
         pairs = sorted(zip(drafts, places, strict=True), key=lambda pair: not pair[0].is_dir())
@@ -266,5 +266,6 @@ def _exchange(draft: Path, place: Path, undo: ExitStack) -> None:
 
 
 def _sync(file: Path) -> None:
-    with file.open("rb+") as handle:
+    # A copy of a read-only file cannot be opened for writing. Windows flushes no others.
+    with file.open("rb+" if os.name == "nt" else "rb") as handle:
         os.fsync(handle.fileno())
