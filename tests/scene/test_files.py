@@ -17,6 +17,7 @@ from querysplat_cli.scene.files import (
     refuse_existing,
     refuse_replacing,
     sole_writer,
+    writable,
 )
 
 
@@ -161,6 +162,18 @@ def test_a_file_where_a_folder_is_needed(tmp_path: Path) -> None:
 def test_a_writable_folder_is_made_and_left_empty(tmp_path: Path) -> None:
     check_writable(tmp_path / "out")
     assert listing(tmp_path) == ["out"]
+
+
+def test_a_folder_that_was_made_for_a_failed_run_is_gone_again(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="no number"), writable(tmp_path / "new" / "sub"):
+        int("no number")
+    assert listing(tmp_path) == []
+    with pytest.raises(KeyboardInterrupt), writable(tmp_path / "new" / "sub"):
+        write_half(tmp_path / "new" / "result", KeyboardInterrupt())
+    assert listing(tmp_path) == ["new", "new/result"]
+    with writable(tmp_path / "out"):
+        pass
+    assert (tmp_path / "out").is_dir()
 
 
 def test_existing_outputs_are_refused_by_name_unless_forced(tmp_path: Path) -> None:

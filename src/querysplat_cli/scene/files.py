@@ -113,6 +113,16 @@ def check_writable(folder: Path) -> None:
 
 
 @contextmanager
+def writable(folder: Path) -> Iterator[None]:
+    """`check_writable`; on any exception the folders that were made for it are removed again, if nothing is in them."""
+    with ExitStack() as undo:
+        _take_back(folder.resolve(), undo)
+        check_writable(folder)
+        yield
+        undo.pop_all()
+
+
+@contextmanager
 def sole_writer(folder: Path) -> Iterator[None]:
     """Hold `folder` for this process; raises QuerySplatError when another process holds it.
 
@@ -203,8 +213,7 @@ def _draft(place: Path) -> Iterator[Path]:
     """A name for a draft of `place`, which is as `without_steps` makes it. Errors of writing are put in words."""
     try:
         with ExitStack() as undo:
-            for folder in reversed([folder for folder in place.parents if not folder.exists()]):
-                undo.callback(_remove_if_empty, folder)
+            _take_back(place.parent, undo)
             place.parent.mkdir(parents=True, exist_ok=True)
             with own_folder(place.parent) as folder:
                 yield folder / place.name
@@ -217,6 +226,12 @@ def _draft(place: Path) -> Iterator[Path]:
         if why is None:
             raise
         raise why from error
+
+
+def _take_back(folder: Path, undo: ExitStack) -> None:
+    """Let `undo` remove `folder` and those above it, as far as they are missing now and empty then."""
+    for each in reversed([each for each in (folder, *folder.parents) if not each.exists()]):
+        undo.callback(_remove_if_empty, each)
 
 
 def _remove_if_empty(folder: Path) -> None:
