@@ -156,6 +156,12 @@ def test_a_scene_folder_keeps_the_files_of_the_user(place: Path) -> None:
         link.unlink()
 
 
+def test_a_photo_among_the_pictures_of_a_scene_stays(place: Path) -> None:
+    with with_files(place / "s", "images/mine.jpg", "images/more/mine.jpg"):
+        assert run(["tto", str(place / "s"), "--steps", "0", "-q"]) == ExitCode.DONE
+    (place / "s" / "images" / "more").rmdir()
+
+
 def test_the_folder_of_a_cut_scene_can_be_written_to(place: Path) -> None:
     """Also where that of the whole scene is protected."""
     parts = [Path("photos.json"), *(path.relative_to(place / "s") for path in (place / "s" / "images").iterdir())]

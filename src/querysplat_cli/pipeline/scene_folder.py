@@ -53,7 +53,8 @@ from querysplat_cli.splat.transform import transform_gaussians
 JPEG_SETTINGS = (cv2.IMWRITE_JPEG_QUALITY, 100, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
 
 SCENE_FOLDER = FolderKind(("cameras.json",), ("*",), ("cameras.json", "images/*"), listed_files)
-"""A scene's folder may hold other files, which stay in it (`keep_others`), but for those in `images/`."""
+"""A scene's folder may hold other files, which stay in it (`keep_others`). Those in `images/` have to be listed, as
+pictures of a new scene could have their names."""
 PARTS = {
     *("cameras.json", "images", "photos.json", "points.safetensors", "exposures.json", "memories.safetensors"),
     *("report.json", "preview.png", "curve.png", "supersplat.json"),
@@ -106,7 +107,10 @@ def scores_of(scene: StoredScene, gaussians: Gaussians) -> dict[str, Any]:
 
 
 def keep_others(folder: Path, draft: Path) -> None:
-    """Copy to `draft` what the scene folder `folder`, which it is to replace, holds beside the parts of a scene."""
+    """Copy to `draft` what the scene folder `folder`, which it is to replace, holds beside the parts of a scene.
+
+    What is in `images/`, and is no picture of the scene, is copied, too.
+    """
     for path in sorted(folder.iterdir()) if folder.is_dir() else ():
         if path.name in PARTS:
             continue
@@ -114,6 +118,12 @@ def keep_others(folder: Path, draft: Path) -> None:
             shutil.copytree(path, draft / path.name, symlinks=True)
         else:
             shutil.copy2(path, draft / path.name, follow_symlinks=False)
+    pictures = listed_files(folder)
+    for path in sorted((folder / "images").rglob("*")):
+        name = path.relative_to(folder)
+        if not path.is_dir() and name.as_posix() not in pictures:
+            (draft / name.parent).mkdir(parents=True, exist_ok=True)
+            shutil.copy2(path, draft / name, follow_symlinks=False)
 
 
 def write_scene(target: Path, scene: StoredScene, gaussians: Gaussians, report: dict[str, Any]) -> int:
