@@ -192,6 +192,13 @@ def test_a_place_that_cannot_be_written(room: Path, tmp_path: Path, capsys: pyte
     assert (tmp_path / "file").read_text() == "mine"
 
 
+def test_a_failed_run_leaves_no_folder_that_it_made_for_its_scene(tmp_path: Path) -> None:
+    (tmp_path / "empty").mkdir()
+    command = ["reconstruct", str(tmp_path / "empty"), "-o", str(tmp_path / "new" / "sub" / "scene.ply")]
+    assert run(command) == ExitCode.BAD_INPUT
+    assert [path.name for path in tmp_path.iterdir()] == ["empty"]
+
+
 def test_a_full_disk_leaves_nothing(room: Path, tmp_path: Path) -> None:
     def allow_small_files_only() -> None:
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)

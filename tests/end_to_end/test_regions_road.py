@@ -55,6 +55,10 @@ def test_regions_make_one_scene(street: Path, divided: Made) -> None:
     assert not list(ply.parent.glob(".*"))
 
 
+def test_regions_with_depth_do_not_say_that_it_was_left_out(divided: Made) -> None:
+    assert "depth" not in [entry["what"] for entry in divided[1]["left_out"]]
+
+
 def test_the_scene_can_be_taken_further(divided: Made, tmp_path: Path) -> None:
     copy = tmp_path / "copy.ply"
     shutil.copy(divided[0], copy)
@@ -102,6 +106,7 @@ def stopped(street: Path, divided: Made, monkeypatch: pytest.MonkeyPatch) -> Pat
 
 def test_a_stopped_run_goes_on(street: Path, divided: Made, stopped: Path) -> None:
     assert not (stopped.parent / "stopped.ply").exists()
+    (stopped / "region-2" / "task.pt").write_bytes(b"cut off")
     ply, report = reconstruct(street, "stopped", "--regions", "2")
     assert report["resumed"] == ["went on with the cameras and 1 region of an unfinished run"]
     assert ply.read_bytes() == divided[0].read_bytes()

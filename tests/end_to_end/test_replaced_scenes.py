@@ -1,6 +1,7 @@
 """What --force replaces, and what of the user's it never touches."""
 
 import os
+import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -76,6 +77,44 @@ def test_the_folder_beside_a_cut_scene_is_no_other_folder(place: Path, capsys: p
     (place / "cut").rmdir()
 
 
+@pytest.mark.parametrize(
+    ("command", "beside", "mine"),
+    [
+        (["reconstruct", "photos", "-o", "mine.ply"], '{"frames": [{"file_path": "images/a.jpg"}]}', "images/only.jpg"),
+        (["reconstruct", "photos", "-o", "mine.ply"], '[{"id": 0}]', "cfg_args"),
+        (["convert", "s/cameras.json", "mine", "--photos", "photos"], '[{"id": 0}]', "images/only.jpg"),
+        (["render", "s", "-o", "mine"], '{"frames": [{"file_path": "images/a.png"}]}', "holiday.png"),
+        (["convert", "s", "mine"], None, "images.zip"),
+    ],
+)
+def test_a_name_as_in_a_scene_makes_no_folder_this_programs(
+    place: Path,
+    command: list[str],
+    beside: str | None,
+    mine: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Other programs write a cameras.json as well, and users name their files as they like."""
+    monkeypatch.chdir(place)
+    folder = place / "mine"
+    with with_files(folder, mine):
+        if beside:
+            (folder / "cameras.json").write_text(beside)
+        assert run([*command, "--force"]) == ExitCode.BAD_INPUT
+        assert "holds files that this command did not write" in capsys.readouterr().err
+        assert beside is None or (folder / "cameras.json").read_text() == beside
+    shutil.rmtree(folder)
+
+
+def test_the_cameras_that_are_read_are_never_replaced(place: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = (place / "s" / "cameras.json").read_text()
+    poses = ["--poses", str(place / "s" / "cameras.json"), "--force"]
+    assert run(["reconstruct", str(place / "photos"), "-o", str(place / "s.ply"), *poses]) == ExitCode.BAD_INPUT
+    assert "cameras.json, which is read" in " ".join(capsys.readouterr().err.split())
+    assert (place / "s" / "cameras.json").read_text() == before
+
+
 def test_what_the_commands_wrote_is_replaced(place: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With what the system left in the folder, too."""
     monkeypatch.chdir(place)
@@ -115,6 +154,21 @@ def test_a_scene_folder_keeps_the_files_of_the_user(place: Path) -> None:
         assert not (place / "cut" / "notes.txt").exists()  # it belongs to the first scene
         assert os.readlink(link) == "renders"
         link.unlink()
+
+
+def test_a_photo_among_the_pictures_of_a_scene_stays(place: Path) -> None:
+    with with_files(place / "s", "images/mine.jpg", "images/more/mine.jpg"):
+        assert run(["tto", str(place / "s"), "--steps", "0", "-q"]) == ExitCode.DONE
+    (place / "s" / "images" / "more").rmdir()
+
+
+def test_the_folder_of_a_cut_scene_can_be_written_to(place: Path) -> None:
+    """Also where that of the whole scene is protected."""
+    parts = [Path("photos.json"), *(path.relative_to(place / "s") for path in (place / "s" / "images").iterdir())]
+    for part in parts:
+        (place / "s" / part).chmod(0o444)
+    assert run(["convert", str(place / "s.ply"), str(place / "twice.ply"), "--scale", "2", "-q"]) == ExitCode.DONE
+    assert all((place / "twice" / part).stat().st_mode & 0o200 for part in parts)
 
 
 @pytest.mark.parametrize("verb", ["reconstruct", "tto"])

@@ -12,6 +12,9 @@ from querysplat_cli.encoders.base import Geometry, PosedViews
 from querysplat_cli.model.checkpoints import load
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.pipeline.build import build_scene, encode_and_build
+from querysplat_cli.pipeline.kept_parts import read_part, write_part
+from querysplat_cli.pipeline.regions import task
+from querysplat_cli.pipeline.regions.scene import RegionTask
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.runtime.progress import Progress, Stages
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera
@@ -138,6 +141,17 @@ def test_near_duplicates_are_left_out_before_depth_is_estimated(model: QuerySpla
     kept = encode_and_build(posed, encoder, model, replace(SETTINGS, tto=0, keep_everything=True), Stages())
     assert encoder.asked[2:] == [("a", "b", "c", "d"), ("freed",)]
     assert kept.duplicates == ()
+
+
+def test_a_region_leaves_no_photo_out(model: QuerySplat, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Near-duplicates are found once, ahead of the division: in a region, photos are in another order."""
+    posed, geometry = wall(model, (-0.1, -0.1, 0.0, 0.1))
+    encoder = GivenGeometry(geometry)
+    monkeypatch.setattr(task, "_parts", lambda settings: (model, encoder))
+    write_part(tmp_path / task.TASK, RegionTask(posed, 3, {}, replace(SETTINGS, tto=0, quality="draft")))
+    task.run_region(tmp_path)
+    assert encoder.asked == [("a", "b", "c", "d")]
+    assert len(read_part(tmp_path / task.SCENE).depth) == 3
 
 
 def test_features_are_freed_before_the_scene_is_optimised(model: QuerySplat) -> None:

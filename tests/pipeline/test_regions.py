@@ -1,9 +1,11 @@
 """Photos are divided into groups, every place has one region, and regions get common colours."""
 
 import math
+import sys
 import weakref
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -17,10 +19,11 @@ from querysplat_cli.pipeline.policy import PIPELINE_POLICY
 from querysplat_cli.pipeline.regions.build import region_count
 from querysplat_cli.pipeline.regions.colours import common_exposures, recoloured
 from querysplat_cli.pipeline.regions.groups import Group, divide
-from querysplat_cli.pipeline.regions.join import join
+from querysplat_cli.pipeline.regions.join import _optimised, join
 from querysplat_cli.pipeline.regions.owners import CoreViews, depth_maps, owners, small_cameras
 from querysplat_cli.pipeline.regions.scene import KeptRegions, RegionScene
 from querysplat_cli.pipeline.regions.seams import Seam, disagreement, find_seams, parts_needed, verdict
+from querysplat_cli.pipeline.regions.task import region_task
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.queries.prepare import MemoryMap, PreparedQueries
 from querysplat_cli.runtime.errors import ImpossibleScene, QuerySplatError
@@ -28,8 +31,10 @@ from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.exposures import Exposures
 from querysplat_cli.scene.filed_views import FiledViews
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
-from querysplat_cli.scene.views import Views
+from querysplat_cli.scene.views import PhotoSource, Views
 from querysplat_cli.training.streets import stroll
+from querysplat_cli.tto.options import TtoSettings
+from querysplat_cli.tto.plan import TtoRun
 
 VIEWS = 20
 
@@ -183,6 +188,37 @@ def test_regions_get_common_colours() -> None:
             after = exposures.matrices[row, :, :3] @ colour + exposures.matrices[row, :, 3]
             torch.testing.assert_close(before, after, atol=1e-5, rtol=0)
     assert common_exposures(groups, [region(None), region(None)], 4)[0] is None
+
+
+def test_a_task_has_no_path_of_the_current_folder(
+    street: PosedViews, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A worker of Dask has another current folder, and so may the run that goes on."""
+    monkeypatch.chdir(tmp_path)
+    given = ReconstructSettings((), Path(), preset="my.safetensors", weights=Path("weights"), lpips=Path("lpips"))
+    sources = {name: PhotoSource(Path(f"{name}.jpg")) for name in street.views.names}
+    task = region_task(street, divide(street, 2)[0], given, sources)
+    assert task.sources == {name: PhotoSource(tmp_path / f"{name}.jpg") for name in task.posed.views.names}
+    found = task.settings
+    assert found.preset == str(tmp_path / "my.safetensors")
+    assert (found.weights, found.lpips) == (tmp_path / "weights", tmp_path / "lpips")
+    bundled = region_task(street, divide(street, 2)[0], replace(given, preset="compact"), sources)
+    assert bundled.settings.preset == "compact"
+
+
+def test_ctrl_c_in_the_last_optimisation_ends_the_run(street: PosedViews, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It would be lost in the parts after it, and the kept regions with it."""
+    taken = []
+
+    def interrupted(rows: list[int], *rest: object, **more: object) -> tuple[Gaussians, TtoRun, SimpleNamespace]:
+        taken.append(rows)
+        return grey(), TtoRun("gaussians", TtoSettings(1, 0.1)), SimpleNamespace(interrupted=True)
+
+    monkeypatch.setattr(sys.modules[join.__module__], "smoothed", interrupted)
+    photos = LargePhotos(street.views, street.cameras)
+    with pytest.raises(KeyboardInterrupt):
+        _optimised(divide(street, 2), photos, 40, grey(), 42, lambda text, fraction: None)
+    assert len(taken) == 1
 
 
 def some_encoder(*, own_frame: bool) -> Encoder:

@@ -1,5 +1,6 @@
 """What a long run keeps is used again only where it was made of the same photos and settings."""
 
+import shutil
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -40,13 +41,13 @@ def photo(folder: Path) -> Photo:
     return Photo("a", folder / "a.jpg", np.zeros((4, 4, 3), np.uint8))
 
 
-def goes_on(settings: ReconstructSettings, size: int = 64) -> tuple[bool, bool, str]:
+def goes_on(settings: ReconstructSettings, size: int = 64, *, regions: bool = True) -> tuple[bool, bool, str]:
     """Whether a run with these settings takes the cameras, whether it takes the region, and what the user reads."""
     made_again = []
     folder = settings.inputs[0]
     with suppress(Stopped), unfinished(settings, [photo(folder)], size) as work:
         work.cameras(lambda: made_again.append("cameras") or PART)
-        region = (work.region(1) / "scene.pt").is_file()
+        region = regions and (work.region(1) / "scene.pt").is_file()
         raise Stopped
     return not made_again, region, " ".join(work.notes)
 
@@ -99,6 +100,60 @@ def test_another_photo_or_size_invalidates_both(settings: ReconstructSettings) -
     assert (cameras, region) == (False, False)
     assert "photos" in said
     assert goes_on(settings, size=32)[:2] == (False, False)
+
+
+def test_a_new_mask_invalidates_both(settings: ReconstructSettings) -> None:
+    (settings.inputs[0] / "masks").mkdir()
+    (settings.inputs[0] / "masks" / "a.jpg.png").write_bytes(b"a mask")
+    cameras, region, said = goes_on(settings)
+    assert (cameras, region) == (False, False)
+    assert "other values of masks" in said
+
+
+def test_another_model_in_the_folder_of_poses_invalidates_both(settings: ReconstructSettings) -> None:
+    model = settings.inputs[0] / "model"
+    model.mkdir()
+    for name in ("cameras.bin", "images.bin"):
+        (model / name).write_bytes(b"a model")
+    posed = replace(settings, poses=model)
+    goes_on(posed)
+    assert goes_on(posed)[0]
+    (model / "images.bin").write_bytes(b"another model")
+    cameras, _, said = goes_on(posed)
+    assert not cameras
+    assert "other values of the files of --poses" in said
+
+
+def test_a_kill_while_old_stages_are_removed_keeps_none_as_new(
+    settings: ReconstructSettings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def killed(folder: Path) -> None:
+        raise Stopped
+
+    changed = replace(settings, quality="draft")
+    with monkeypatch.context() as patch:
+        patch.setattr(shutil, "rmtree", killed)
+        with suppress(Stopped), unfinished(changed, [photo(settings.inputs[0])], 64):
+            pass
+    assert goes_on(changed)[:2] == (True, False)
+
+
+def test_nothing_is_said_of_regions_where_there_are_none(settings: ReconstructSettings) -> None:
+    for number in (1, 2):
+        shutil.rmtree(settings.inputs[0] / ".scene.ply.unfinished" / f"region-{number}")
+    kept = "went on with the cameras of an unfinished run"
+    assert goes_on(replace(settings, tto=7), regions=False) == (True, False, kept)
+    again = "an unfinished run had other values of --seed: its cameras are made again"
+    assert goes_on(replace(settings, tto=7, seed=7), regions=False) == (False, False, again)
+
+
+@pytest.mark.parametrize("damage", ["cut off", "[]", None])
+def test_cameras_of_unknown_settings_are_made_again(settings: ReconstructSettings, damage: str | None) -> None:
+    made_of = settings.inputs[0] / ".scene.ply.unfinished" / "made_of.json"
+    made_of.write_text(damage) if damage else made_of.unlink()
+    cameras, region, said = goes_on(settings)
+    assert (cameras, region) == (False, False)
+    assert said == "what an unfinished run was made of is not known: its cameras and regions are made again"
 
 
 def test_what_a_stopped_run_keeps_is_noted(settings: ReconstructSettings) -> None:

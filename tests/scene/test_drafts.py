@@ -192,3 +192,12 @@ def test_where_nothing_was_put_aside_what_is_new_stays(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         fail_beside(tmp_path / "photos", new=True)
     assert listing(tmp_path) == ["photos", "photos/new"]
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may remove everything")
+def test_a_draft_with_a_read_only_folder_is_removed(tmp_path: Path) -> None:
+    with own_folder(tmp_path) as folder:
+        (folder / "scene" / "kept").mkdir(parents=True)
+        (folder / "scene" / "kept" / "notes.txt").touch(mode=0o444)
+        (folder / "scene" / "kept").chmod(0o555)
+    assert not list(tmp_path.iterdir())

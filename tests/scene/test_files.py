@@ -1,6 +1,7 @@
 """Files are written completely or not at all."""
 
 import errno
+import os
 import shutil
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,6 +17,7 @@ from querysplat_cli.scene.files import (
     refuse_existing,
     refuse_replacing,
     sole_writer,
+    writable,
 )
 
 
@@ -68,6 +70,20 @@ def test_a_folder_replaces_the_old_one_wholly(tmp_path: Path) -> None:
         with atomic_folder(folder) as draft:
             (draft / name).write_text(name)
     assert listing(tmp_path) == ["scene", "scene/second"]
+
+
+def test_files_that_may_only_be_read_are_flushed_and_links_are_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Beside a scene's parts, users keep what they like, also links to files that no one may write to."""
+    fcntl = pytest.importorskip("fcntl")
+    flushed = []
+    monkeypatch.setattr(os, "fsync", lambda handle: flushed.append(fcntl.fcntl(handle, fcntl.F_GETFL) & os.O_ACCMODE))
+    with atomic_folder(tmp_path / "scene") as draft:
+        (draft / "notes.txt").touch(mode=0o444)
+        (draft / "link").symlink_to("notes.txt")
+    assert flushed == [os.O_RDONLY]
+    assert (tmp_path / "scene" / "link").is_symlink()
 
 
 def test_a_failed_swap_puts_the_old_folder_back(tmp_path: Path) -> None:
@@ -146,6 +162,18 @@ def test_a_file_where_a_folder_is_needed(tmp_path: Path) -> None:
 def test_a_writable_folder_is_made_and_left_empty(tmp_path: Path) -> None:
     check_writable(tmp_path / "out")
     assert listing(tmp_path) == ["out"]
+
+
+def test_a_folder_that_was_made_for_a_failed_run_is_gone_again(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="no number"), writable(tmp_path / "new" / "sub"):
+        int("no number")
+    assert listing(tmp_path) == []
+    with pytest.raises(KeyboardInterrupt), writable(tmp_path / "new" / "sub"):
+        write_half(tmp_path / "new" / "result", KeyboardInterrupt())
+    assert listing(tmp_path) == ["new", "new/result"]
+    with writable(tmp_path / "out"):
+        pass
+    assert (tmp_path / "out").is_dir()
 
 
 def test_existing_outputs_are_refused_by_name_unless_forced(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
-from querysplat_cli.scene.paths import interpolate, look_at, on_the_line, orbit
+from querysplat_cli.scene.paths import halfway, interpolate, look_at, on_the_line, orbit
 
 MIDDLE = torch.tensor([1.0, 2.0, 3.0])
 UP = np.array([0.0, -1.0, 0.0])
@@ -114,6 +114,16 @@ def test_interpolation_between_equal_and_opposite_cameras_is_finite(degrees: flo
 
 def test_interpolation_of_one_camera_repeats_it() -> None:
     assert interpolate(CAMERA, 3).w2c.shape == (3, 4, 4)
+
+
+def test_halfway_places_are_between_neighbours_in_any_order() -> None:
+    """Photos of both sides of an object: the middle between the sides lies in it."""
+    degrees = np.array([0.0, 10, 25, 180, 192])
+    places = halfway(ring(degrees)).centres
+    assert azimuths(halfway(ring(degrees))).round().tolist() == [5, 18, -174]
+    shuffled = halfway(ring(degrees[[3, 0, 4, 2, 1]])).centres
+    assert torch.cdist(places, shuffled).min(1).values.max() < 1e-3
+    assert len(halfway(ring(degrees[:1]))) == 1
 
 
 def test_a_line_goes_on_beyond_both_cameras() -> None:

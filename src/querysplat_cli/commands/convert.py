@@ -29,7 +29,11 @@ from querysplat_cli.scene.pictures import stored_name
 from querysplat_cli.scene.undistort import undistorted
 from querysplat_cli.scene.views import LeftOut
 
-MODEL = FolderKind(tuple(f"{part}.*" for part in ("cameras", "images", "points3D")), ("rigs.*", "frames.*"))
+MODEL_KINDS = (".bin", ".txt")
+MODEL = FolderKind(
+    tuple(f"{part}{kind}" for part in ("cameras", "images", "points3D") for kind in MODEL_KINDS),
+    tuple(f"{part}{kind}" for part in ("rigs", "frames") for kind in MODEL_KINDS),
+)
 """Files of a COLMAP model."""
 
 

@@ -56,10 +56,10 @@ def write_moved_folder(source: Path, draft: Path, moved: Moved) -> None:
     inputs, _, frame = read_working_cameras(draft / "cameras.json")
     write_supersplat(draft / "supersplat.json", moved.gaussians, inputs.cameras, inputs.sizes, frame)
     if (source / "images").is_dir():
-        shutil.copytree(source / "images", draft / "images")
+        shutil.copytree(source / "images", draft / "images", copy_function=shutil.copyfile)
     for name in FILES:
         if (source / name).is_file():
-            shutil.copy(source / name, draft / name)
+            shutil.copyfile(source / name, draft / name)
     try:
         scene, report = read_scene(source)
     except QuerySplatError:
@@ -71,7 +71,7 @@ def write_moved_folder(source: Path, draft: Path, moved: Moved) -> None:
     (draft / "report.json").write_text(json.dumps(_brought_up_to_date(report, scene, moved), indent=2) + "\n")
     write_preview(draft / "preview.png", moved.gaussians, scene.groups)
     if (source / "curve.png").is_file():
-        shutil.copy(source / "curve.png", draft / "curve.png")
+        shutil.copyfile(source / "curve.png", draft / "curve.png")
 
 
 def _fitting_memories(source: Path, report: dict[str, Any], kept: Bool[Tensor, "n"]) -> bytes | None:

@@ -21,7 +21,13 @@ from querysplat_cli.runtime.limits import require_memory
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera, rescaled
 from querysplat_cli.scene.files import FolderKind, atomic_folder, atomic_path, refuse_existing, with_name
-from querysplat_cli.scene.formats.transforms import NamedCameras, read_cameras, working_frame, write_transforms
+from querysplat_cli.scene.formats.transforms import (
+    NamedCameras,
+    listed_files,
+    read_cameras,
+    working_frame,
+    write_transforms,
+)
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.paths import centred, interpolate, opaque_centres, orbit, scene_middle, surround
 from querysplat_cli.scene.pictures import eight_bit, write_picture
@@ -38,9 +44,19 @@ STEP_SECONDS, FILM_SECONDS = 1.5, (3.0, 12.0)
 """How long a film takes from one input camera to the next, and altogether at least and at most."""
 OTHER_KINDS = {".avi", ".mov", ".mkv", ".webm", ".gif", ".png", ".jpg", ".jpeg", ".ply", ".spz"}
 """Endings of files, in a target, that are no films and no names of folders."""
-FRAMES = FolderKind(("cameras.json",), ("*.png", "*.npy"))
+BESIDE = ("_depth.png", "_alpha.png", "_depth.npy", "_confidence.npy")
+"""Endings of the files beside a picture, in place of its .png."""
 PIXEL_BYTES = 100
 """About the memory of one pixel while a picture is rendered and written."""
+
+
+def frame_files(folder: Path) -> set[str]:
+    """What `render` wrote to `folder`: its cameras.json, the pictures that it lists, and the files beside these."""
+    listed = {name.removeprefix("images/") for name in listed_files(folder)}
+    return listed | {name.removesuffix(".png") + ending for name in listed for ending in BESIDE}
+
+
+FRAMES = FolderKind(("cameras.json",), listed=("*",), listing=frame_files)
 
 
 @dataclass(frozen=True)

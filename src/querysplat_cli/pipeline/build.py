@@ -6,17 +6,17 @@ from dataclasses import dataclass, field, replace
 import torch
 
 from querysplat_cli.encoders.base import Encoder, Geometry, PosedViews
-from querysplat_cli.encoders.holdout import PosedSplit, select_views
+from querysplat_cli.encoders.holdout import PosedSplit
 from querysplat_cli.model.memories import Features
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.pipeline.budget import Budget, OptimisingTime
+from querysplat_cli.pipeline.distinct import distinct_views
 from querysplat_cli.pipeline.full_size import FullSize, LargePhotos, take_to_full_size
 from querysplat_cli.pipeline.optimise import optimise_start
 from querysplat_cli.pipeline.perceptual import optimisation_lpips
 from querysplat_cli.pipeline.policy import PIPELINE_POLICY
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.prune.gaussians import target_count
-from querysplat_cli.prune.views import near_duplicates
 from querysplat_cli.queries.backdrop import shows_background
 from querysplat_cli.queries.prepare import PreparedQueries, prepare
 from querysplat_cli.runtime.compiler import SCENE_KERNELS, wait_until_compiled
@@ -108,18 +108,30 @@ def encode_and_build(
     stages: Stages,
     allowance: Allowance = Allowance(),
 ) -> BuiltScene:
-    """`build_scene` without near-duplicate views, with the geometry that the encoder estimates.
+    """`encode_and_build_all` without near-duplicate views."""
+    posed, duplicates = (posed, ()) if settings.keep_everything else distinct_views(posed)
+    scene = encode_and_build_all(posed, encoder, model, settings, stages, allowance)
+    return replace(scene, duplicates=duplicates)
+
+
+def encode_and_build_all(
+    posed: PosedViews,
+    encoder: Encoder,
+    model: QuerySplat,
+    settings: ReconstructSettings,
+    stages: Stages,
+    allowance: Allowance,
+) -> BuiltScene:
+    """`build_scene` with the geometry that the encoder estimates.
 
     The encoder is freed then: its weights make room for the decoders.
     """
-    posed, duplicates = (posed, ()) if settings.keep_everything else distinct_views(posed)
     with stages("depth") as progress:
         geometry = encoder.estimate_geometry(posed, seed=settings.seed, progress=progress)
     encoder.free()
     prepared, colours = _prepared(posed, geometry, model, settings, stages)
     geometry = replace(geometry, features=())  # they are large, and optimisation needs the memory
-    scene = _finished(posed, geometry, prepared, colours, model, settings, stages, allowance)
-    return replace(scene, duplicates=duplicates)
+    return _finished(posed, geometry, prepared, colours, model, settings, stages, allowance)
 
 
 def build_scene(
@@ -280,13 +292,3 @@ def _refines(wanted: bool | None, posed: PosedViews) -> bool:
         return wanted
     error = posed.epipolar_error_px
     return error is not None and error > PIPELINE_POLICY.refine_above_px and refinable(posed.cameras)
-
-
-def distinct_views(posed: PosedViews) -> tuple[PosedViews, tuple[LeftOut, ...]]:
-    """The views without near-duplicates, and the near-duplicates."""
-    names = posed.views.names
-    same = near_duplicates(posed.cameras, posed.points, posed.visibility)
-    if not same:
-        return posed, ()  # the same object: encoders and memos recognise the views of their own pass by it
-    left_out = tuple(LeftOut(names[view], f"shows what {names[other]} shows") for view, other in same.items())
-    return select_views(posed, [view for view in range(len(names)) if view not in same]), left_out

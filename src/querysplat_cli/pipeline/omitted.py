@@ -14,7 +14,7 @@ def omissions_of(settings: ReconstructSettings, scene: BuiltScene, finest: Blurr
     found += omissions.of_adapted(scene.adapted)
     if scene.prepared.anchor_report and not settings.keep_everything:
         found.append(omissions.queries(scene.prepared.anchor_report, scene.adapted))
-    if scene.geometry.depth is None:
+    if scene.geometry.depth is None and scene.prepared.anchors is None:  # a scene of regions keeps no depth, either
         found.append(omissions.UNUSED_DEPTH)
     if finest:
         found.append(omissions.resolution(finest))

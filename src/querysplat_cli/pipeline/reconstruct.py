@@ -51,7 +51,7 @@ from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.drafts import claimed
 from querysplat_cli.scene.filed_pixels import FiledPixels
-from querysplat_cli.scene.files import check_writable, refuse_existing, refuse_replacing, without_steps
+from querysplat_cli.scene.files import refuse_existing, refuse_replacing, without_steps, writable
 from querysplat_cli.scene.formats.known import read_known_cameras
 from querysplat_cli.scene.inputs import load_inputs
 from querysplat_cli.scene.lenses import pinhole_photos
@@ -104,12 +104,12 @@ def reconstruct(settings: ReconstructSettings, stages: Stages | None = None) -> 
     outputs = [settings.ply, folder_of_scene(settings.ply)]
     if settings.encoder:
         ENCODERS.check(settings.encoder)
-    refuse_replacing(settings.inputs, outputs)
+    refuse_replacing([*settings.inputs, *([settings.poses] if settings.poses else [])], outputs)
     refuse_existing(outputs[:1], force=settings.force)
     refuse_existing(outputs[1:], force=settings.force, kind=SCENE_FOLDER)
-    check_writable(settings.ply.parent)
     device = find_device(settings.device)
-    with claimed(without_steps(outputs[1])), matrix_products(check_precision(settings.precision)):
+    place, products = without_steps(outputs[1]), matrix_products(check_precision(settings.precision))
+    with writable(settings.ply.parent), claimed(place), products:
         return _reconstruct(settings, device, stages or Stages())
 
 

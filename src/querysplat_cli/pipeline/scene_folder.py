@@ -43,7 +43,7 @@ from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.exposures import Exposures, write_exposures
 from querysplat_cli.scene.files import FolderKind, atomic_together
 from querysplat_cli.scene.formats.supersplat import write_supersplat
-from querysplat_cli.scene.formats.transforms import write_cameras
+from querysplat_cli.scene.formats.transforms import listed_files, write_cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.photo_files import PhotoFile, write_photo_files
 from querysplat_cli.scene.pictures import LOSSLESS_SUFFIXES, eight_bit, stored_name, write_picture
@@ -54,11 +54,12 @@ from querysplat_cli.splat.transform import transform_gaussians
 
 JPEG_SETTINGS = (cv2.IMWRITE_JPEG_QUALITY, 100, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
 
-SCENE_FOLDER = FolderKind(("report.json", "cameras.json", "memories.safetensors"), ("*",))
-"""A scene's folder may hold other files, which stay in it (`keep_others`)."""
-OTHER_PARTS = {
-    *("images", "photos.json", "points.safetensors", "exposures.json"),
-    *("preview.png", "curve.png", "supersplat.json"),
+SCENE_FOLDER = FolderKind(("cameras.json",), ("*",), ("cameras.json", "images/*"), listed_files)
+"""A scene's folder may hold other files, which stay in it (`keep_others`). Those in `images/` have to be listed, as
+pictures of a new scene could have their names."""
+PARTS = {
+    *("cameras.json", "images", "photos.json", "points.safetensors", "exposures.json", "memories.safetensors"),
+    *("report.json", "preview.png", "curve.png", "supersplat.json"),
 }
 
 
@@ -108,14 +109,23 @@ def scores_of(scene: StoredScene, gaussians: Gaussians) -> dict[str, Any]:
 
 
 def keep_others(folder: Path, draft: Path) -> None:
-    """Copy to `draft` what the scene folder `folder`, which it is to replace, holds beside the parts of a scene."""
+    """Copy to `draft` what the scene folder `folder`, which it is to replace, holds beside the parts of a scene.
+
+    What is in `images/`, and is no picture of the scene, is copied, too.
+    """
     for path in sorted(folder.iterdir()) if folder.is_dir() else ():
-        if path.name in SCENE_FOLDER.marks or path.name in OTHER_PARTS:
+        if path.name in PARTS:
             continue
         if path.is_dir() and not path.is_symlink():
             shutil.copytree(path, draft / path.name, symlinks=True)
         else:
             shutil.copy2(path, draft / path.name, follow_symlinks=False)
+    pictures = listed_files(folder)
+    for path in sorted((folder / "images").rglob("*")):
+        name = path.relative_to(folder)
+        if not path.is_dir() and name.as_posix() not in pictures:
+            (draft / name.parent).mkdir(parents=True, exist_ok=True)
+            shutil.copy2(path, draft / name, follow_symlinks=False)
 
 
 def write_scene(target: Path, scene: StoredScene, gaussians: Gaussians, report: dict[str, Any]) -> int:

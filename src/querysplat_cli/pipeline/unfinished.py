@@ -29,6 +29,8 @@ from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.json_files import read_json
 from querysplat_cli.scene.filed_views import FiledViews
 from querysplat_cli.scene.files import atomic_path, sole_writer, without_steps
+from querysplat_cli.scene.formats.known import find_known_cameras
+from querysplat_cli.scene.masks import mask_file
 from querysplat_cli.scene.views import Photo, Views
 
 Part = TypeVar("Part")
@@ -104,43 +106,62 @@ def unfinished(settings: ReconstructSettings, photos: Sequence[Photo], size: int
 
 def _made_of(settings: ReconstructSettings, photos: Sequence[Photo], size: int) -> dict[str, dict[str, Any]]:
     given = {name: str(value) for name, value in asdict(settings).items() if name not in OF_FILES}
-    poses = settings.poses and settings.poses.is_file() and settings.poses.stat().st_mtime_ns
     cameras = {name: given.pop(name) for name in OF_CAMERAS}
-    seen = {"photos": [_state(photo) for photo in photos], "working size": size, "the file of --poses": poses}
+    seen = {
+        "photos": [[photo.name, photo.pts, _state(photo.path)] for photo in photos],
+        "masks": [_state(mask_file(photo.path)) for photo in photos],
+        "working size": size,
+        "the files of --poses": _states_of_poses(settings.poses) if settings.poses else None,
+    }
     return {"cameras": {"version": querysplat_cli.__version__, **seen, **cameras}, "regions": given}
 
 
-def _state(photo: Photo) -> list[Any]:
+def _state(file: Path | None) -> list[int] | None:
+    """Size and time of a file; None where there is none."""
     with suppress(OSError):
-        state = os.stat(photo.path)
-        return [photo.name, photo.pts, state.st_size, state.st_mtime_ns]
-    return [photo.name, photo.pts]
+        state = os.stat(file) if file else None
+        return state and [state.st_size, state.st_mtime_ns]
+    return None
+
+
+def _states_of_poses(poses: Path) -> dict[str, list[int] | None]:
+    """Of the file that cameras were read from, or of each file of a model of COLMAP."""
+    source = find_known_cameras(poses)
+    return {file.name: _state(file) for file in (sorted(source.iterdir()) if source.is_dir() else [source])}
 
 
 def _notes(folder: Path, made_of: dict[str, dict[str, Any]]) -> tuple[str, ...]:
     """Remove the stages that were made of something else, and say so."""
-    before: dict[str, Any] = {}
-    with suppress(QuerySplatError):
-        before = read_json(folder / MADE_OF, "") if (folder / MADE_OF).is_file() else {}
+    before = _made_of_before(folder)
     changed = {stage: _changes(before.get(stage, {}), parts) for stage, parts in made_of.items()}
-    with atomic_path(folder / MADE_OF) as draft:
-        draft.write_text(json.dumps(made_of, indent=1) + "\n")
-    if not before:
-        return ()
-    regions = sorted(folder.glob(f"{REGION}*"))
+    kept, regions = (folder / CAMERAS).is_file(), sorted(folder.glob(f"{REGION}*"))
     done = sum((region / "scene.pt").is_file() for region in regions)
     if changed["cameras"]:
         (folder / CAMERAS).unlink(missing_ok=True)
     if changed["cameras"] or changed["regions"]:
         for region in regions:
             shutil.rmtree(region)
-        what = "cameras and regions" if changed["cameras"] else "regions"
-        why = ", ".join([*changed["cameras"], *changed["regions"]])
-        return (f"an unfinished run had other values of {why}: its {what} are made again",)
-    if not (folder / CAMERAS).is_file():
+    # After the removals: a run that is killed between them would leave old stages with the values of new ones.
+    with atomic_path(folder / MADE_OF) as draft:
+        draft.write_text(json.dumps(made_of, indent=1) + "\n")
+    if not kept:
         return ()
+    removed = " and ".join([*(["cameras"] if changed["cameras"] else []), *(["regions"] if regions else [])])
+    if not before:
+        return (f"what an unfinished run was made of is not known: its {removed} are made again",)
+    if changed["cameras"] or (changed["regions"] and regions):
+        why = ", ".join([*changed["cameras"], *changed["regions"]])
+        return (f"an unfinished run had other values of {why}: its {removed} are made again",)
     made = f" and {done} region{'s' if done > 1 else ''}" if done else ""
     return (f"went on with the cameras{made} of an unfinished run",)
+
+
+def _made_of_before(folder: Path) -> dict[str, Any]:
+    """What the run before wrote; empty where that is missing or damaged."""
+    with suppress(QuerySplatError):
+        found = read_json(folder / MADE_OF, "") if (folder / MADE_OF).is_file() else {}
+        return found if isinstance(found, dict) else {}
+    return {}
 
 
 def _changes(before: dict[str, Any], now: dict[str, Any]) -> list[str]:

@@ -124,6 +124,8 @@ def _remove(folder: Path) -> None:
         for path in before.iterdir() if before.is_dir() else ():
             if not os.path.lexists(folder.parent / path.name):
                 os.rename(path, folder.parent / path.name)
+        for inside, _, _ in os.walk(folder):
+            os.chmod(inside, 0o700)  # nothing can be removed from a read-only folder
         shutil.rmtree(folder, ignore_errors=True)
 
 

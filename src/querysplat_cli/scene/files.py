@@ -3,7 +3,7 @@
 import errno
 import os
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -29,24 +29,30 @@ class FolderKind:
     """What a command writes into a folder of its own: `--force` replaces such a folder, and none with other files.
 
     Patterns are those of fnmatch, for paths relative to the folder. One of the files is named by a pattern of `marks`,
-    and all others by one of those or of `files`.
+    and all others by one of those or of `files`. Files with a name like those of `listed` have to be among what
+    `listing` returns for the folder, as well: others have such names, too.
     """
 
     marks: tuple[str, ...]
     files: tuple[str, ...] = ()
+    listed: tuple[str, ...] = ()
+    listing: Callable[[Path], Collection[str]] = lambda folder: ()
 
     def refuse_others(self, folder: Path) -> None:
         """Raise QuerySplatError when `folder` is none of this kind; an empty one is of any kind."""
         if not folder.is_dir():
             raise QuerySplatError(f"{folder} is a file, and a folder goes there", "Choose another output.")
         names = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if not path.is_dir()}
-        foreign = min((name for name in names if not self._knows(name)), default=None)
+        own = self.listing(folder)
+        foreign = min((name for name in names if not self._knows(name, own)), default=None)
         if foreign or (names and not any(_matches(name, self.marks) for name in names)):
             why = f"{folder} holds files that this command did not write, as {foreign or min(names)}"
             raise QuerySplatError(why, "Choose another output, or move them.")
 
-    def _knows(self, name: str) -> bool:
-        return PurePosixPath(name).name in OF_THE_SYSTEM or _matches(name, (*self.marks, *self.files))
+    def _knows(self, name: str, own: Collection[str]) -> bool:
+        if PurePosixPath(name).name in OF_THE_SYSTEM:
+            return True
+        return name in own if _matches(name, self.listed) else _matches(name, (*self.marks, *self.files))
 
 
 def _matches(name: str, patterns: tuple[str, ...]) -> bool:
@@ -107,6 +113,16 @@ def check_writable(folder: Path) -> None:
 
 
 @contextmanager
+def writable(folder: Path) -> Iterator[None]:
+    """`check_writable`; on any exception the folders that were made for it are removed again, if nothing is in them."""
+    with ExitStack() as undo:
+        _take_back(folder.resolve(), undo)
+        check_writable(folder)
+        yield
+        undo.pop_all()
+
+
+@contextmanager
 def sole_writer(folder: Path) -> Iterator[None]:
     """Hold `folder` for this process; raises QuerySplatError when another process holds it.
 
@@ -164,7 +180,7 @@ def atomic_together(*paths: Path) -> Iterator[tuple[Path, ...]]:
         yield drafts
         for draft in drafts:
             for file in (draft, *draft.rglob("*")):
-                if file.is_file():
+                if file.is_file() and not file.is_symlink():
                     _sync(file)
         # One after the other, so that errors of each are in words. Folders first: they can be put back.
         pairs = sorted(zip(drafts, places, strict=True), key=lambda pair: not pair[0].is_dir())
@@ -199,8 +215,7 @@ def _draft(place: Path) -> Iterator[Path]:
     """A name for a draft of `place`, which is as `without_steps` makes it. Errors of writing are put in words."""
     try:
         with ExitStack() as undo:
-            for folder in reversed([folder for folder in place.parents if not folder.exists()]):
-                undo.callback(_remove_if_empty, folder)
+            _take_back(place.parent, undo)
             place.parent.mkdir(parents=True, exist_ok=True)
             with own_folder(place.parent) as folder:
                 yield folder / place.name
@@ -213,6 +228,12 @@ def _draft(place: Path) -> Iterator[Path]:
         if why is None:
             raise
         raise why from error
+
+
+def _take_back(folder: Path, undo: ExitStack) -> None:
+    """Let `undo` remove `folder` and those above it, as far as they are missing now and empty then."""
+    for each in reversed([each for each in (folder, *folder.parents) if not each.exists()]):
+        undo.callback(_remove_if_empty, each)
 
 
 def _remove_if_empty(folder: Path) -> None:
@@ -262,5 +283,6 @@ def _exchange(draft: Path, place: Path, undo: ExitStack) -> None:
 
 
 def _sync(file: Path) -> None:
-    with file.open("rb+") as handle:
+    # A copy of a read-only file cannot be opened for writing. Windows flushes no others.
+    with file.open("rb+" if os.name == "nt" else "rb") as handle:
         os.fsync(handle.fileno())

@@ -1,5 +1,6 @@
 """Camera paths for films of a scene."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -106,8 +107,14 @@ def interpolate(cameras: Cameras, frames: int) -> Cameras:
 
 
 def halfway(cameras: Cameras) -> Cameras:
-    """A camera between each and the next one on the path of `interpolate`; a single camera itself."""
-    return interpolate(cameras, 2 * len(cameras) - 1)[1::2] if len(cameras) > 1 else cameras
+    """A camera in the middle between each and the one nearest to it, one for each such pair; a single camera itself."""
+    if len(cameras) == 1:
+        return cameras
+    apart = torch.cdist(cameras.centres, cameras.centres).fill_diagonal_(math.inf)
+    pairs = sorted({(min(pair), max(pair)) for pair in enumerate(apart.argmin(1).tolist())})
+    middles = [on_the_line(cameras[list(pair)], 0.5) for pair in pairs]
+    w2c, K = torch.cat([each.w2c for each in middles]), torch.cat([each.K for each in middles])
+    return Cameras(w2c, K, cameras.height, cameras.width)
 
 
 def on_the_line(pair: Cameras, share: float) -> Cameras:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from querysplat_cli.encoders.base import Encoder, PosedViews
-from querysplat_cli.pipeline.build import distinct_views
+from querysplat_cli.pipeline.distinct import distinct_views
 from querysplat_cli.pipeline.kept_parts import read_part, write_part
 from querysplat_cli.pipeline.policy import PIPELINE_POLICY
 from querysplat_cli.pipeline.regions.groups import divide
@@ -69,8 +69,8 @@ def build_regions(
         groups = divide(posed, count)
         folders = [work.region(number) for number in range(1, count + 1)]
         for folder, group in zip(folders, groups, strict=True):
-            if not (folder / TASK).is_file():
-                write_part(folder / TASK, region_task(posed, group, settings, sources))
+            # Anew each time: photos may have moved since an earlier run, and its task may be cut off.
+            write_part(folder / TASK, region_task(posed, group, settings, sources))
     try:
         _carry_out(folders, engine, stages)
     except KeyboardInterrupt:

@@ -64,7 +64,8 @@ def join(
     """One scene of the regions of `groups`, optimised as a whole, with a backdrop behind it.
 
     Beside the joint scene, the Gaussians of two regions are in memory at a time, and then the photos of one part of the
-    last optimisation. Raises ImpossibleScene where regions do not fit together.
+    last optimisation. Raises ImpossibleScene where regions do not fit together, and KeyboardInterrupt where Ctrl-C
+    ended that optimisation.
     """
     joint = _Joint.of(posed, groups, kept)
     scenes, seams = joint.scenes, find_seams(groups)
@@ -148,11 +149,16 @@ def _optimised(
     seed: int,
     progress: Progress,
 ) -> tuple[Gaussians, list[dict[str, Any]]]:
-    """The joint scene after the last optimisation on the photos of every part, and its entries in the report."""
+    """The joint scene after the last optimisation on the photos of every part, and its entries in the report.
+
+    Raises KeyboardInterrupt where Ctrl-C ended a part.
+    """
     runs = []
     for number, group in enumerate(parts):
         shown = partial(_part, progress, number / len(parts), 1 / len(parts))
         gaussians, run, result = smoothed(list(group.rows), photos, size, gaussians, seed=seed, progress=shown)
+        if result.interrupted:
+            raise KeyboardInterrupt  # the regions stay, and the same command goes on with them
         (entry,) = tto_entries([(run, result)])
         runs.append({**entry, "max_size": size})
     return gaussians, runs

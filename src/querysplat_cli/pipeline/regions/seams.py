@@ -47,10 +47,11 @@ def find_seams(groups: Sequence[Group]) -> list[Seam]:
 
 @torch.no_grad()
 def disagreement(seam: Seam, cameras: Cameras, scenes: Sequence[Gaussians]) -> float:
-    """The PSNR in dB between pictures of two regions, from places halfway between their common photos.
+    """The PSNR in dB between pictures of two regions, from places halfway between two common photos.
 
-    `scenes` are those of the regions of `seam`, whole. No photo was taken there, so both have to be right to
-    agree. Pixels that either leaves empty do not count.
+    The two are neighbours: the middle between others may lie in what they show. `scenes` are those of the regions of
+    `seam`, whole. No photo was taken there, so both have to be right to agree. Pixels that either leaves empty do not
+    count.
     """
     between = halfway(cameras[list(seam.photos)])
     some = evenly_spaced(range(len(between)), PIPELINE_POLICY.seam_views)

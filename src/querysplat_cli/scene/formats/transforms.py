@@ -58,6 +58,18 @@ def listed_paths(path: Path) -> dict[str, str]:
     return {name: with_slashes(str(frame["file_path"])) for name, frame in _named_frames(path, _load(path)).items()}
 
 
+def listed_files(folder: Path) -> set[str]:
+    """The cameras.json of `folder` and the pictures that it lists, by their paths in the folder.
+
+    Empty where there is no such file, or it is no list of cameras.
+    """
+    path = folder / "cameras.json"
+    try:
+        return {path.name, *listed_paths(path).values()}
+    except QuerySplatError:
+        return set()
+
+
 def write_cameras(
     path: Path,
     cameras: Cameras,

@@ -1,0 +1,16 @@
+"""The views of a scene without near-duplicates."""
+
+from querysplat_cli.encoders.base import PosedViews
+from querysplat_cli.encoders.holdout import select_views
+from querysplat_cli.prune.views import near_duplicates
+from querysplat_cli.scene.views import LeftOut
+
+
+def distinct_views(posed: PosedViews) -> tuple[PosedViews, tuple[LeftOut, ...]]:
+    """The views without near-duplicates, and the near-duplicates."""
+    names = posed.views.names
+    same = near_duplicates(posed.cameras, posed.points, posed.visibility)
+    if not same:
+        return posed, ()  # the same object: encoders and memos recognise the views of their own pass by it
+    left_out = tuple(LeftOut(names[view], f"shows what {names[other]} shows") for view, other in same.items())
+    return select_views(posed, [view for view in range(len(names)) if view not in same]), left_out
