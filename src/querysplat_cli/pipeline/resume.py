@@ -67,7 +67,8 @@ def _optimised(settings: ResumeSettings, stages: Stages) -> Report:
         if scene.joined and space != "gaussians":
             raise joined_of_regions(path, "Use --space gaussians, or make the scene again with --regions 1.")
         _check(path, options, space, count, apart=apart)
-        gaussians = _without_backdrop(path, scene) if apart else None
+        beside = _own_gaussians(path, scene, before) if apart or file_of_scene(path).is_file() else None
+        gaussians = beside if apart else None
     with stages("tto") as progress:
         perceptual = optimisation_lpips(settings.lpips, official=scene.anchors is None)
         options = replace(
@@ -96,7 +97,7 @@ def _at_full_size(settings: ResumeSettings, level: FullSizeLevel, stages: Stages
     path, device = settings.scene, find_device(settings.device)
     with stages("read"):
         scene, before = _read(settings)
-        gaussians = _without_backdrop(path, scene)
+        gaussians = _own_gaussians(path, scene, before)
     inputs, heldout = stored_photos(scene)
     with stages("full size") as progress:
         plan = plan_full_size(level, inputs.summary(), len(gaussians))
@@ -165,6 +166,8 @@ def _write_back(
 def _read(settings: ResumeSettings) -> tuple[StoredScene, dict[str, Any]]:
     """The stored scene, without colour transforms where --exposure is off, and its report."""
     scene, before = read_scene(settings.scene)
+    if before["gaussians"] <= scene.backdrop:
+        raise QuerySplatError(f"nothing but its backdrop is left of {settings.scene}", "Cut less of the scene.")
     if settings.exposure == "off" and scene.exposures:
         measured = before.get("exposure")
         corrected = {**measured, "corrected": False} if measured else None
@@ -172,12 +175,16 @@ def _read(settings: ResumeSettings) -> tuple[StoredScene, dict[str, Any]]:
     return scene, before
 
 
-def _without_backdrop(path: Path, scene: StoredScene) -> Gaussians:
-    whole = read_scene_gaussians(path, scene)
-    if len(whole) <= scene.backdrop:
+def _own_gaussians(path: Path, scene: StoredScene, report: dict[str, Any]) -> Gaussians:
+    """The Gaussians beside the scene folder without their backdrop. Raises QuerySplatError where they are other ones.
+
+    Without this check, a file that was copied over the scene's own would lose Gaussians as a backdrop, or be replaced.
+    """
+    whole, reported = read_scene_gaussians(path, scene), report["gaussians"]
+    if len(whole) != reported:
         raise QuerySplatError(
-            f"{file_of_scene(path)} has {len(whole):,} Gaussians, and {scene.backdrop:,} of the scene are its backdrop",
-            "Put the scene's own file back, or run `querysplat reconstruct` again.",
+            f"{file_of_scene(path)} has {len(whole):,} Gaussians, and {folder_of_scene(path)} is of {reported:,}",
+            "Put the scene's own file back, or take a copy that `convert` cut, with the folder beside it.",
         )
     return whole[: len(whole) - scene.backdrop]
 
@@ -236,8 +243,6 @@ def load_again(scene: StoredScene, settings: dict[str, Any], weights: Path | Non
 
 def _check(path: Path, options: OptimiseOptions, space: Space, count: int, *, apart: bool) -> None:
     """Refuse what a scene of `count` Gaussians cannot do; `apart` where memories no longer decode to them."""
-    if not count:
-        raise QuerySplatError(f"nothing but its backdrop is left of {path}", "Cut less of the scene.")
     if apart and space != "gaussians":
         raise QuerySplatError(
             f"the Gaussians of {path} were optimised themselves, and its memories would undo that",
