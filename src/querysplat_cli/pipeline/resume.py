@@ -44,7 +44,10 @@ def optimise_scene(settings: ResumeSettings, stages: Stages | None = None) -> Re
     when `quality` comes with options that it decides, or needs photos that are gone.
     """
     folder = require_scene(with_name(settings.scene)).parent
-    path = folder.resolve() if folder.is_symlink() else with_name(settings.scene)
+    path = with_name(settings.scene)
+    beside = file_of_scene(path)
+    if folder.is_symlink() and (beside.is_symlink() or not beside.is_file()):
+        path = folder.resolve()  # the scene is elsewhere, and not the folder alone
     settings = replace(settings, scene=path)
     if settings.quality:
         _check_plain(settings)
