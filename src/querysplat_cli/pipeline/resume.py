@@ -1,5 +1,6 @@
 """A stored scene is read, optimised further, and written back."""
 
+from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -80,7 +81,7 @@ def _optimised(settings: ResumeSettings, stages: Stages) -> Report:
             finest_size=_finest_size(scene, before),
             smooth=bool(spaces) and "backdrop" in before,  # scenes of earlier versions were not smoothed
         )
-        plan = _plan(scene, count, options, space, resumed=space in spaces)
+        plan = _plan(scene, count, options, space, resumed=spaces)
         start = Start(scene.memories, scene.anchors, gaussians, None if apart else scene.kept)
         photos = scene.views, scene.cameras
         adapted = optimise_start(model, start, photos, plan, options, progress, scene.exposures)
@@ -263,7 +264,7 @@ def _check(path: Path, options: OptimiseOptions, space: Space, count: int, *, ap
 
 
 def _plan(
-    scene: StoredScene, count: int, options: OptimiseOptions, space: Space, *, resumed: bool
+    scene: StoredScene, count: int, options: OptimiseOptions, space: Space, *, resumed: Collection[str]
 ) -> tuple[TtoRun, ...]:
     if scene.anchors is None:
         steps = TTO_POLICY.release_steps if options.steps is None else options.steps
