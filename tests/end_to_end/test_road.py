@@ -98,6 +98,21 @@ def test_tto_optimises_a_stored_scene(scene: tuple[Path, dict[str, Any]], capsys
     assert again["quality"]["input"]["psnr"] == after["quality"]["input"]["psnr"]
 
 
+def test_tto_keeps_where_held_out_cameras_come_from_and_forgets_what_an_earlier_run_went_on_with(
+    scene: tuple[Path, dict[str, Any]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source, before = scene
+    ply = Path(shutil.copy(source, tmp_path / "scene.ply"))
+    shutil.copytree(source.with_suffix(""), ply.with_suffix(""))
+    file = ply.with_suffix("") / "report.json"
+    file.write_text(json.dumps({**json.loads(file.read_text()), "resumed": ["cameras are those of an earlier run"]}))
+    assert run(["tto", str(ply), "--steps", "0", "--json", "-q"]) == 0
+    after = json.loads(capsys.readouterr().out)
+    for key in ("cameras", "pose_difference"):
+        assert after["quality"]["heldout"][key] == before["quality"]["heldout"][key]
+    assert after["resumed"] == []
+
+
 def test_a_scene_is_pruned_to_a_number(
     scene: tuple[Path, dict[str, Any]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -18,7 +18,7 @@ from querysplat_cli.pipeline.resume_settings import ResumeSettings
 from querysplat_cli.pipeline.scene_folder import StoredScene, scores_of, write_scene
 from querysplat_cli.prune.gaussians import target_count
 from querysplat_cli.reporting import omissions
-from querysplat_cli.reporting.report import Report, machine, seconds_entry, tto_entries
+from querysplat_cli.reporting.report import Report, machine, rescored, seconds_entry, tto_entries
 from querysplat_cli.reporting.unseen import unseen
 from querysplat_cli.runtime.choices import FullSizeLevel, Space
 from querysplat_cli.runtime.device import find_device, peak_gib
@@ -154,12 +154,13 @@ def _write_back(
             scene=str(folder_of_scene(path)),
             gaussians=len(gaussians),
             seconds=seconds_entry(stages.seconds),
-            quality=scores | {"before": _psnr(before["quality"])} | (quality or {}),
+            quality=rescored(scores, before["quality"]) | {"before": _psnr(before["quality"])} | (quality or {}),
             tto=[*before["tto"], *tto],
             peak_memory_gib=round(peak_gib(), 2),
             machine=machine(),
             unseen=film.entry() if film else None,
             backdrop=scene.backdrop,
+            resumed=[],
             **changes,
         )
         entries = report.as_dict()

@@ -119,6 +119,15 @@ def heldout_entry(
     return {**quality_entry(quality), "cameras": protocol, "pose_difference": apart}
 
 
+def rescored(scores: dict[str, Any], before: dict[str, Any]) -> dict[str, Any]:
+    """New scores of a stored scene. Its report's `quality`, `before`, says where the held-out cameras come from."""
+    heldout, old = scores["heldout"], before.get("heldout")
+    if not heldout or not isinstance(old, dict):
+        return scores
+    kept = {name: old[name] for name in ("cameras", "pose_difference") if name in old}
+    return {**scores, "heldout": {**heldout, **kept}}
+
+
 def exposure_entry(colours: PhotoColours | None) -> dict[str, Any] | None:
     """The difference between neighbouring photos, in shares of a channel's range, and whether it is corrected."""
     if colours is None:
