@@ -239,7 +239,7 @@ def _report(
         scene=str(folder_of_scene(settings.ply)),
         views=views_entry(scene.posed.views.names, (*inputs.left_out, *passes.left_out, *scene.duplicates)),
         gaussians=len(scene.gaussians),
-        seconds=seconds_entry(stages.seconds),
+        seconds=seconds_entry(stages.seconds, stages.elapsed()),
         quality={
             "input": quality_entry(scores.inputs),
             "heldout": heldout_entry(passes.split.protocol, scores.heldout, passes.difference),

@@ -153,7 +153,7 @@ def _write_back(
             ply=str(file_of_scene(path)),
             scene=str(folder_of_scene(path)),
             gaussians=len(gaussians),
-            seconds=seconds_entry(stages.seconds),
+            seconds=seconds_entry(stages.seconds, stages.elapsed()),
             quality=rescored(scores, before["quality"]) | {"before": _psnr(before["quality"])} | (quality or {}),
             tto=[*before["tto"], *tto],
             peak_memory_gib=round(peak_gib(), 2),

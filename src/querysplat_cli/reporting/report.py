@@ -85,9 +85,10 @@ def views_entry(used: Sequence[str], left_out: Sequence[LeftOut]) -> dict[str, A
     return {"used": list(used), "left_out": [{"name": photo.name, "why": photo.why} for photo in left_out]}
 
 
-def seconds_entry(seconds: dict[str, float]) -> dict[str, float]:
+def seconds_entry(seconds: dict[str, float], total: float | None = None) -> dict[str, float]:
+    """Seconds of each stage, and the `total` of the command; their sum where it is None."""
     rounded = {stage: round(spent, 3) for stage, spent in seconds.items()}
-    return {**rounded, "total": round(sum(seconds.values()), 3)}
+    return {**rounded, "total": round(sum(seconds.values()) if total is None else total, 3)}
 
 
 def settings_entry(settings: Mapping[str, Any]) -> dict[str, Any]:
