@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -122,6 +123,19 @@ def test_the_whole_time_is_that_of_the_clock(scene: tuple[Path, dict[str, Any]],
     shutil.copytree(source.with_suffix(""), ply.with_suffix(""))
     report = optimise_scene(ResumeSettings(ply, steps=0), Stages(started=time.perf_counter() - 1000))
     assert 1000 < report.seconds["total"] < 1100
+
+
+def test_a_scene_of_a_checkpoint_file_is_taken_further_in_another_folder(
+    room: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "elsewhere").mkdir()
+    shutil.copy(resources.files("querysplat_cli") / "weights" / "compact.safetensors", tmp_path / "my.safetensors")
+    monkeypatch.chdir(tmp_path)
+    photo = str(next(room.iterdir()))
+    assert run(["reconstruct", photo, "--preset", "my.safetensors", "--max-size", "96", "--tto", "0", "-q"]) == 0
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    assert run(["tto", "../scene", "--steps", "0", "-q"]) == 0
+    assert run(["inspect", "../scene", "-q"]) == 0
 
 
 def test_a_scene_is_pruned_to_a_number(

@@ -19,7 +19,7 @@ from querysplat_cli.pipeline.given_frame import given_frame
 from querysplat_cli.pipeline.memory import MemoryNeeds, within_memory
 from querysplat_cli.pipeline.metric import in_metres, metres_of
 from querysplat_cli.pipeline.omitted import omissions_of
-from querysplat_cli.pipeline.parts import load_parts
+from querysplat_cli.pipeline.parts import load_parts, with_absolute_parts
 from querysplat_cli.pipeline.perceptual import optimisation_lpips
 from querysplat_cli.pipeline.policy import PIPELINE_POLICY
 from querysplat_cli.pipeline.regions.build import build_regions, region_count
@@ -109,7 +109,7 @@ def reconstruct(settings: ReconstructSettings, stages: Stages | None = None) -> 
     check_writable(settings.ply.parent)
     device = find_device(settings.device)
     with claimed(without_steps(outputs[1])), matrix_products(check_precision(settings.precision)):
-        return _reconstruct(settings, device, stages or Stages())
+        return _reconstruct(with_absolute_parts(settings), device, stages or Stages())
 
 
 def _reconstruct(settings: ReconstructSettings, device: torch.device, stages: Stages) -> Report:
