@@ -79,3 +79,15 @@ def test_a_cut_copy_in_place_of_the_scenes_own_file_is_not_optimised(
     scene.write_bytes(whole)
     assert run(["tto", str(tmp_path / "s"), "--steps", "0", "-q"]) == ExitCode.DONE
     assert run(["tto", str(cut), "--steps", "0", "-q"]) == ExitCode.DONE
+
+
+@pytest.mark.parametrize(("option", "metres"), [("--scale=2", False), ("--no-backdrop", True)])
+def test_a_scene_in_metres_that_is_scaled_is_in_metres_no_more(option: str, metres: bool, tmp_path: Path) -> None:
+    photos = [str(path) for path in take_photos(tmp_path / "photos", 3, 2)]
+    apart = f"{Path(photos[0]).name},{Path(photos[1]).name}=0.5"
+    scene = tmp_path / "s.ply"
+    made = ["reconstruct", *photos, "--scale", apart, "--max-size", "96", "--tto", "0", "-q", "-o", str(scene)]
+    assert run(made) == ExitCode.DONE
+    assert report_in(tmp_path / "s")["scale"]
+    assert run(["convert", str(scene), str(tmp_path / "c.ply"), option, "-q"]) == ExitCode.DONE
+    assert bool(report_in(tmp_path / "c")["scale"]) == metres

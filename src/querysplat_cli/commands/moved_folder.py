@@ -102,6 +102,7 @@ def _brought_up_to_date(report: dict[str, Any], scene: StoredScene, moved: Moved
         "backdrop": int(moved.kept[len(moved.kept) - backdrop :].sum()),
         "quality": rescored(scores_of(scene, moved.gaussians), report["quality"]),
         "unseen": hidden.entry() if hidden else None,
+        "scale": report.get("scale") if moved.place.scale == 1 else None,
         "bytes": moved.size,
         "left_out": [*before, *map(asdict, moved.left_out)],
     }
