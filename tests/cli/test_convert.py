@@ -233,6 +233,15 @@ def test_of_two_files_the_scenes_own_is_the_one_that_its_report_names(tmp_path: 
         assert file_of_scene(tmp_path / "s") == tmp_path / f"s.{kind}"
 
 
+def test_a_scene_is_found_by_its_folder_where_its_suffix_has_capital_letters(tmp_path: Path) -> None:
+    (tmp_path / "s").mkdir()
+    (tmp_path / "s.PLY").touch()
+    assert file_of_scene(tmp_path / "s") == tmp_path / "s.PLY"
+    (tmp_path / "s.Spz").touch()
+    (tmp_path / "s" / "report.json").write_text('{"ply": "s.Spz"}')
+    assert file_of_scene(tmp_path / "s") == tmp_path / "s.Spz"
+
+
 @pytest.mark.parametrize(("given", "said"), [("photo.jpg", "not a kind of file"), ("photos", "makes a scene of them")])
 def test_photos_are_no_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str], given: str, said: str) -> None:
     (tmp_path / "photo.jpg").touch()
