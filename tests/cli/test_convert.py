@@ -267,6 +267,12 @@ def test_poses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "--colmap" in capsys.readouterr().err
 
 
+def test_a_plot_of_another_kind_is_refused_ahead_of_colmap(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_transforms(tmp_path / "a.json", cameras(6))
+    assert run(["poses", str(tmp_path / "a.json"), "--colmap", "--plot", "a.gif"]) == ExitCode.BAD_INPUT
+    assert "not a kind of picture" in capsys.readouterr().err  # not that photos for COLMAP are missing
+
+
 def test_cameras_that_are_no_rigid_motions_are_left_out_by_name(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
