@@ -127,6 +127,7 @@ def test_an_orbit_takes_the_lens_of_the_inputs(ball: Path) -> None:
         (["--cameras", "inputs"], "no cameras there"),
         (["--cameras", "nowhere.json"], "no cameras there"),
         (["-o", "film.mp4", "--depth"], "not films"),
+        (["-o", "film.mp4", "--size", "3x1"], "at least 2 pixels"),
         (["-o", "film.mov"], "films into an .mp4"),
         (["-o", "frames", "--seconds", "2"], "is for films"),
         (["--size", "70000x2"], "not a size"),

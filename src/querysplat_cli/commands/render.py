@@ -39,6 +39,8 @@ STEP_SECONDS, FILM_SECONDS = 1.5, (3.0, 12.0)
 OTHER_KINDS = {".avi", ".mov", ".mkv", ".webm", ".gif", ".png", ".jpg", ".jpeg", ".ply", ".spz"}
 """Endings of files, in a target, that are no films and no names of folders."""
 FRAMES = FolderKind(("cameras.json",), ("*.png", "*.npy"))
+LEAST_SIDE = 2
+"""Pixels of a film's side: H.264 needs even ones."""
 PIXEL_BYTES = 100
 """About the memory of one pixel while a picture is rendered and written."""
 
@@ -93,6 +95,8 @@ def _check_target(request: RenderRequest) -> None:
         raise QuerySplatError("depth and --alpha are pictures, not films", "Write to a folder instead of an .mp4.")
     if request.seconds and not request.is_film:
         raise QuerySplatError("--seconds is for films", "Write to an .mp4, or leave it out.")
+    if request.is_film and request.size and min(request.size) < LEAST_SIDE:
+        raise QuerySplatError("--size: films have sides of at least 2 pixels", "Ask for a larger size.")
     if request.target.suffix.lower() in OTHER_KINDS:
         raise QuerySplatError(
             f"{request.target}: frames go into a folder, and films into an .mp4", "Choose another output."
