@@ -78,6 +78,16 @@ def test_names_that_differ_in_their_suffix_alone(ball: Path) -> None:
     assert len(list((ball.parent / "frames").glob("*.png"))) == 2
 
 
+@pytest.mark.parametrize("part", ["depth", "alpha"])
+def test_two_pictures_of_one_name_are_refused(ball: Path, part: str, capsys: pytest.CaptureFixture[str]) -> None:
+    give_cameras(ball, ("a.jpg", f"a_{part}.jpg"))
+    command = ["render", str(ball), "-o", str(ball.parent / "frames"), "-q"]
+    assert run([*command, f"--{part}"]) == ExitCode.BAD_INPUT
+    assert f"a_{part}.png" in capsys.readouterr().err
+    assert not (ball.parent / "frames").exists()
+    assert run(command) == ExitCode.DONE
+
+
 def test_a_film_of_a_scene_without_cameras(ball: Path) -> None:
     film = ball.parent / "film.mp4"
     assert run(["render", str(ball), "-o", str(film), "--frames", "8", "--fps", "24", "--size", "81x61", "-q"]) == 0

@@ -68,6 +68,7 @@ def render_file(request: RenderRequest, stages: Stages) -> Rendered:
         gaussians = read_gaussians(scene)
         beside = folder_of_scene(scene) / "cameras.json"
         names, cameras, sizes = _cameras(request, beside, gaussians)
+        _check_names(names, request)
         listed = _listed(names, cameras, sizes, request.size)
         frame = working_frame(beside) if beside.is_file() else None
         if frame:  # the splatter's limits are in the units in which the scene was made
@@ -101,6 +102,16 @@ def _check_target(request: RenderRequest) -> None:
         raise QuerySplatError(
             f"{request.target}: frames go into a folder, and films into an .mp4", "Choose another output."
         )
+
+
+def _check_names(names: list[str], request: RenderRequest) -> None:
+    """Raise QuerySplatError where two pictures would have one name, as the depth of `a` and a camera `a_depth`."""
+    given = set(names)
+    for part, wanted in (("depth", request.depth), ("alpha", request.alpha)):
+        both = [name for name in names if wanted and f"{name}_{part}" in given]
+        if both:
+            why = f"--{part}: that of the camera {both[0]} would have the name of the picture {both[0]}_{part}.png"
+            raise QuerySplatError(why, f"Leave --{part} out, or rename a camera.")
 
 
 Path3D = tuple[list[str], Cameras, list[tuple[int, int]]]
