@@ -138,6 +138,7 @@ def test_an_orbit_takes_the_lens_of_the_inputs(ball: Path) -> None:
         (["--cameras", "nowhere.json"], "no cameras there"),
         (["-o", "film.mp4", "--depth"], "not films"),
         (["-o", "film.mp4", "--size", "3x1"], "at least 2 pixels"),
+        (["-o", "film.mp4", "--frames", "5", "--seconds", "1"], "Leave one of them out"),
         (["-o", "film.mov"], "films into an .mp4"),
         (["-o", "frames", "--seconds", "2"], "is for films"),
         (["--size", "70000x2"], "not a size"),
@@ -152,6 +153,17 @@ def test_what_cannot_be_rendered(
     assert run(["render", str(ball), *options]) == ExitCode.BAD_INPUT
     assert said in capsys.readouterr().err
     assert [path.name for path in ball.parent.iterdir()] == ["ball.ply"]
+
+
+@pytest.mark.parametrize("output", ["film.mp4", "frames"])
+def test_frames_of_an_orbit_are_refused_where_the_input_cameras_are_rendered(
+    ball: Path, output: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    give_cameras(ball, ("left.jpg", "right.jpg"))
+    command = ["render", str(ball), "-o", str(ball.parent / output), "--size", "40x30", "-q"]
+    assert run([*command, "--frames", "5"]) == ExitCode.BAD_INPUT
+    assert "--frames is for orbits" in capsys.readouterr().err
+    assert run([*command, "--cameras", "orbit", "--frames", "5"]) == ExitCode.DONE
 
 
 @pytest.mark.parametrize("size", [None, "128x96"])
