@@ -138,6 +138,15 @@ def test_a_scene_of_a_checkpoint_file_is_taken_further_in_another_folder(
     assert run(["inspect", "../scene", "-q"]) == 0
 
 
+def test_a_cluster_that_one_region_does_not_use_is_mentioned(
+    room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    photo = str(next(room.iterdir()))
+    made = ["reconstruct", photo, "--max-size", "96", "--tto", "0", "-o", str(tmp_path / "s.ply")]
+    assert run([*made, "--cluster", "local:2"]) == 0
+    assert capsys.readouterr().err.count("--cluster is not used") == 1
+
+
 def test_a_scene_is_pruned_to_a_number(
     scene: tuple[Path, dict[str, Any]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

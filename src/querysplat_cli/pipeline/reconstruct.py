@@ -133,6 +133,8 @@ def _made(inputs: _Inputs, settings: ReconstructSettings, stages: Stages, work: 
     metres = metres_of(settings.metres_by, passes.split.inputs, inputs.photos, poses_known=inputs.known is not None)
     forget_pixels(inputs.photos)
     count = region_count(settings, len(passes.split.inputs.views), inputs.encoder)
+    if settings.cluster and count == 1:
+        stages.say("--cluster is not used: there is one region")
     built = None
     if work and count > 1:
         passes = replace(passes, split=work.put_away(passes.split))
