@@ -115,7 +115,7 @@ def measured(options: argparse.Namespace, views: int, precision: str) -> dict[st
 
 
 def _key(row: dict[str, Any]) -> tuple[object, ...]:
-    return row["views"], row["precision"], row.get("part")
+    return row["machine"], row["views"], row["precision"], row["part"]
 
 
 def table(rows: list[dict[str, Any]]) -> str:
@@ -171,14 +171,15 @@ def main() -> None:
         row = measure(options.views[0], options.queries, options.precision[0], device, options.part, options.runs)
         print(json.dumps(row))
         return
-    rows = [measured(options, views, precision) for precision in options.precision for views in options.views]
     name = torch.cuda.get_device_name(device) if device.type == "cuda" else machine()
+    where = {"machine": name, "torch": torch.__version__}
+    rows = [where | measured(options, views, precision) for precision in options.precision for views in options.views]
     print(table(rows))
     if options.json:
         before = json.loads(options.json.read_text())["rows"] if options.json.is_file() else []
         new = {_key(row) for row in rows}
         kept = [row for row in before if _key(row) not in new]
-        write_json(options.json, machine=name, torch=torch.__version__, rows=kept + rows)
+        write_json(options.json, machine="that of each row", rows=kept + rows)
 
 
 if __name__ == "__main__":

@@ -29,7 +29,7 @@ from common.arguments import PhotoParser, folder_or_scratch
 from common.output import Table, write_json
 from common.photo_sets import PHOTO_SETS
 from querysplat_cli.runtime.figures import new_figure, save_figure
-from querysplat_cli.scene.photos import longer_side
+from querysplat_cli.scene.decoding import longer_side
 
 PIXELS = (224, 896, 1600)
 """Longer sides of the working pictures beside the default's 448."""

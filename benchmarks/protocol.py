@@ -70,6 +70,10 @@ def main() -> None:
     parser.add_argument("--workers", default="2", help="as for `querysplat eval`")
     options = parser.parse()
     options.output.mkdir(parents=True, exist_ok=True)
+    begun = options.output / "sets.txt"
+    if begun.is_file() and begun.read_text().split() != list(options.sets):
+        parser.error(f"{options.output} has the splits of {begun.read_text()}: give these sets, or another output")
+    begun.write_text(" ".join(options.sets))
     places = scene_folders(options.sets, options.data, options.output)
     write_splits(places, [int(number) for number in options.views.split(",")], options.output / "splits")
     rows = ("--cameras", options.cameras, "--sweep", "tto=0,20,50,auto", "--workers", options.workers)

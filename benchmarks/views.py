@@ -110,7 +110,7 @@ def main() -> None:
     table = Table({"photos": "", "placed": "", **scores, "s": ".0f", "CPU s": ".0f", "GiB": ".2f", "Gaussians": ","})
     with folder_or_scratch(options.keep) as folder:
         for count in options.views:
-            if options.again or count not in rows:
+            if options.again or count not in rows or "error" in rows[count]:
                 known = photos[0].parents[1] / "transforms.json"
                 rows[count] = measure(photos, chosen(count, len(photos)), known, folder)
                 write_json(options.json, rows=[rows[views] for views in sorted(rows)])

@@ -50,6 +50,14 @@ def test_a_similarity_is_no_error() -> None:
     )
 
 
+def test_photos_of_one_name_in_two_folders_are_not_mixed_up() -> None:
+    both = {f"cam{number % 2}/{number // 2}.jpg": camera for number, camera in enumerate(track().values())}
+    backwards = {f"images/{name}": both[name] for name in reversed(both)}
+    errors = compare_cameras(backwards, both)
+    assert len(errors.names) == 8
+    assert errors.ate < 1e-6
+
+
 def test_a_turned_camera_is_found() -> None:
     """One of eight cameras is rolled by 10°: 7 of 28 pairs have that rotation error, and a direction error, too."""
     cameras = track()

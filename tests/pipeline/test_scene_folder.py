@@ -10,7 +10,7 @@ import torch
 from stored_scene import a_report
 
 from querysplat_cli.pipeline.read_scene import read_scene
-from querysplat_cli.pipeline.scene_folder import StoredScene, write_scene
+from querysplat_cli.pipeline.scene_folder import StoredScene, write_images, write_scene
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.formats.dataset import find_scenes
 from querysplat_cli.scene.formats.ply import read_ply
@@ -28,6 +28,16 @@ def equal(one: object, two: object) -> None:
             equal(value, other)
         else:
             assert other == value
+
+
+@pytest.mark.parametrize("name", ["{}/a.png", "../a.png", "sub/../../a.png"])
+def test_no_picture_is_written_outside_its_folder(
+    stored: tuple[StoredScene, Gaussians], tmp_path: Path, name: str
+) -> None:
+    views = replace(stored[0].views, names=(name.format(tmp_path), "b.png", "c.png"))
+    with pytest.raises(QuerySplatError, match="outside the scene's folder"):
+        write_images(tmp_path / "images", views)
+    assert not (tmp_path / "a.png").exists()
 
 
 def test_round_trip(stored: tuple[StoredScene, Gaussians], tmp_path: Path) -> None:

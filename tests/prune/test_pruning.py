@@ -79,6 +79,14 @@ def test_importance_is_blending_weight_times_change_of_the_render() -> None:
         assert found[each] == pytest.approx(float(expected), rel=0.2)
 
 
+def test_a_gaussian_counts_whatever_its_red_is() -> None:
+    """A red that is below zero in the picture has no gradient, but green and blue are seen."""
+    scene, views = wall_and_hidden(0)[::9], cameras(-0.1, 0.0, 0.1)
+    cyan = scene.sh.clone()
+    cyan[0, 0] = torch.tensor([-1.5, 0.5, 0.5]) / SH_0
+    assert float(importance(replace(scene, sh=cyan), views)[0]) > 0.3 * float(importance(scene, views)[0])
+
+
 def test_gaussians_that_no_photo_shows_are_pruned() -> None:
     scene, views = wall_and_hidden(144), cameras(-0.1, 0.0, 0.1)
     target = photos(scene, views)

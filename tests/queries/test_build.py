@@ -1,5 +1,7 @@
 """Anchors against closed forms: planes seen from known places."""
 
+import math
+
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
@@ -102,6 +104,18 @@ def test_what_the_mask_hides_has_no_query() -> None:
     anchors, report = build(views, cameras, depth, confidence)
     assert (report.kept, report.empty) == (BLOCKS // 2, BLOCKS // 2)
     assert float(anchors.means[: report.kept, :, 0].max()) < 0.01
+
+
+@pytest.mark.parametrize("outside", [0.0, -1.0, math.nan, math.inf])
+def test_depth_outside_of_masks_is_never_used(outside: float) -> None:
+    """An encoder need not know it. Blocks at the border of a mask have pixels on both sides."""
+    views, cameras, depth, confidence = plane([0.0, 0.2])
+    views.masks[:, :, 25:] = False
+    expected, _ = build(views, cameras, depth, confidence)
+    depth[~views.masks] = outside
+    found, _ = build(views, cameras, depth, confidence)
+    torch.testing.assert_close(found.means, expected.means)
+    torch.testing.assert_close(found.scales, expected.scales)
 
 
 def test_masks_that_leave_nothing_are_refused() -> None:

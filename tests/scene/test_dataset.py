@@ -91,6 +91,22 @@ def test_a_colmap_project(tmp_path: Path, home: str, text: bool) -> None:
     assert find_scenes([tmp_path / "in"])[0].cameras.keys() == known.cameras.keys()
 
 
+def test_a_colmap_project_with_folders_of_pictures(tmp_path: Path) -> None:
+    write_scene(tmp_path / "dl3dv")
+    (known,) = find_scenes([tmp_path / "dl3dv"])
+    home, cameras = tmp_path / "in" / "scene1", list(known.cameras.values())
+    names = ("cam1/frame_00001.png", "cam1/frame_00002.png", "cam2/frame_00002.png")
+    (home / "sparse" / "0").mkdir(parents=True)
+    write_colmap(home / "sparse" / "0", dict(zip(names, cameras, strict=False)))
+    write_pictures(home / "images" / "cam1", [1, 2])
+    write_pictures(home / "images" / "cam2", [2])
+    packed = Path(shutil.make_archive(str(tmp_path / "archive"), "zip", tmp_path / "in"))
+    for place in (tmp_path / "in", packed):
+        (scene,) = find_scenes([place], "images")
+        assert [frame.name for frame in scene.frames] == ["frame_00001.png", *names[1:]]
+        assert scene.notes == ()
+
+
 def test_a_damaged_listing_is_named(tmp_path: Path) -> None:
     write_scene(tmp_path / "scene1")
     (tmp_path / "scene1" / "transforms.json").write_text("{")

@@ -1,5 +1,6 @@
 """Drafts of killed processes are removed by the next run; nothing of the user's, and nothing that is in use, is."""
 
+import errno
 import os
 import subprocess
 import sys
@@ -9,8 +10,15 @@ from pathlib import Path
 import pytest
 
 from querysplat_cli.runtime.errors import QuerySplatError
-from querysplat_cli.scene.drafts import DRAFTS, own_folder, put_aside, scratch_folder, sweep
-from querysplat_cli.scene.files import atomic_folder, atomic_path, atomic_together, check_writable, without_steps
+from querysplat_cli.scene.drafts import DRAFTS, claimed, own_folder, put_aside, scratch_folder, sweep
+from querysplat_cli.scene.files import (
+    atomic_folder,
+    atomic_path,
+    atomic_together,
+    check_writable,
+    sole_writer,
+    without_steps,
+)
 
 KILLED_BETWEEN_RENAMES = """
 import os, signal, sys
@@ -46,6 +54,23 @@ def listing(folder: Path) -> list[str]:
 def killed(program: str, path: Path) -> None:
     done = subprocess.run([sys.executable, "-c", program, str(path)], check=False)
     assert done.returncode == -9
+
+
+@pytest.mark.parametrize("number", [errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP, errno.EBADF])
+def test_file_systems_without_locks_are_written_to(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, number: int
+) -> None:
+    in_use = tmp_path / f"{DRAFTS}12345678"
+    in_use.mkdir()
+
+    def no_locks(*_: object) -> None:
+        raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr("fcntl.flock", no_locks)
+    with claimed(tmp_path / "scene"), atomic_folder(tmp_path / "scene") as draft, sole_writer(tmp_path):
+        (draft / "new").touch()
+    assert (tmp_path / "scene" / "new").is_file()
+    assert listing(tmp_path) == [in_use.name, "scene", "scene/new"]  # it may be in use
 
 
 def test_a_kill_between_two_renames_loses_no_scene(tmp_path: Path) -> None:

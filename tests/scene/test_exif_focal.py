@@ -65,6 +65,18 @@ def test_the_sensor_states_the_same_along_either_side_and_in_any_unit(
     assert focal == pytest.approx(ratio * WIDTH, rel=1e-3)
 
 
+def test_pixels_that_a_program_turned_keep_their_focal_length() -> None:
+    tags = {
+        ExifTags.Base.FocalLength: 30.0,
+        ExifTags.Base.FocalPlaneXResolution: 10 * 25.4,
+        ExifTags.Base.FocalPlaneResolutionUnit: 2,
+        ExifTags.Base.ExifImageWidth: WIDTH,
+        ExifTags.Base.ExifImageHeight: HEIGHT,
+    }
+    for size in ((WIDTH, HEIGHT), (HEIGHT, WIDTH)):
+        assert stated_focal(tags, size) == pytest.approx(300)
+
+
 @settings(max_examples=60, deadline=None)
 @given(
     tags=st.dictionaries(

@@ -1,5 +1,7 @@
 """The frames of films that become photos."""
 
+from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 
 import cv2
@@ -7,8 +9,10 @@ import numpy as np
 import pytest
 
 from film_files import pan, write_film
+from querysplat_cli.scene import film_survey
 from querysplat_cli.scene.film_choice import choose_frames
 from querysplat_cli.scene.film_survey import FilmSurvey, survey_film
+from querysplat_cli.scene.films import film_frames
 from querysplat_cli.scene.policy import FILM_POLICY
 
 
@@ -38,6 +42,16 @@ def test_a_cut_is_a_whole_step(tmp_path: Path) -> None:
     survey = surveyed(write_film(tmp_path / "cut.mp4", pan([0, 0, 0, 900, 900, 900])))
     assert survey.travel[2] < 0.01
     assert survey.travel[3] >= FILM_POLICY.step
+
+
+def test_another_size_in_the_middle_of_a_film_is_a_whole_step(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    one, other = (write_film(tmp_path / f"{width}.mp4", pan([0, 0, 0], width)) for width in (192, 128))
+    frames = [replace(frame, seconds=0.1 * i) for i, frame in enumerate(chain(film_frames(one), film_frames(other)))]
+    monkeypatch.setattr(film_survey, "film_frames", lambda path: iter(frames))
+    survey = surveyed(one)
+    assert survey.travel[2] < 0.01
+    assert survey.travel[3] == pytest.approx(survey.travel[2] + FILM_POLICY.step)
+    assert survey.travel[5] == pytest.approx(survey.travel[3], abs=0.01)
 
 
 def test_frames_are_taken_by_motion_not_by_time(tmp_path: Path) -> None:

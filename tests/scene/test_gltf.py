@@ -8,16 +8,18 @@ import pytest
 import torch
 from test_compressed import cloud
 
-from querysplat_cli.pipeline.gaussian_files import read_gaussians, write_gaussians
+from querysplat_cli.pipeline.gaussian_files import FLIPPED, read_gaussians, write_gaussians
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.formats.gltf import EXTENSION, read_glb, write_glb
+from querysplat_cli.splat.transform import transform_gaussians
 
 
 @pytest.mark.parametrize("degree", [0, 1, 2, 3])
 def test_what_is_written_is_read_back(tmp_path: Path, degree: int) -> None:
     scene = cloud(50, degree)
     assert write_glb(tmp_path / "a.glb", scene) == 50
-    found = read_glb(tmp_path / "a.glb")
+    found, place = read_glb(tmp_path / "a.glb")
+    assert place is None
     for name in ("means", "scales", "opacities", "sh"):
         assert getattr(found, name).equal(getattr(scene, name)), name
     torch.testing.assert_close(found.quats, torch.nn.functional.normalize(scene.quats, dim=1))
@@ -49,10 +51,60 @@ def test_the_file_is_valid_gltf(tmp_path: Path) -> None:
 def test_y_is_up_in_the_file_and_down_in_a_scene(tmp_path: Path) -> None:
     scene = cloud(20, 1)
     write_gaussians(tmp_path / "a.glb", scene)
-    torch.testing.assert_close(read_glb(tmp_path / "a.glb").means, scene.means * torch.tensor([1.0, -1.0, -1.0]))
+    torch.testing.assert_close(read_glb(tmp_path / "a.glb")[0].means, scene.means * torch.tensor([1.0, -1.0, -1.0]))
     found = read_gaussians(tmp_path / "a.glb")
     torch.testing.assert_close(found.means, scene.means)
     torch.testing.assert_close(found.sh, scene.sh, atol=1e-5, rtol=1e-5)
+
+
+def rewritten(path: Path, **changes: object) -> Path:
+    """The file with other entries in its JSON."""
+    content = path.read_bytes()
+    (length,) = struct.unpack_from("<I", content, 12)
+    listing = json.dumps({**json.loads(content[20 : 20 + length]), **changes}).encode()
+    listing += b" " * (-len(listing) % 4)
+    rest = content[20 + length :]
+    header = struct.pack("<4sIII4s", b"glTF", 2, 20 + len(listing) + len(rest), len(listing), b"JSON")
+    path.write_bytes(header + listing + rest)
+    return path
+
+
+def test_nodes_place_the_gaussians(tmp_path: Path) -> None:
+    scene = cloud(20, 1)
+    write_glb(tmp_path / "a.glb", scene)
+    turned = {"rotation": [0, 0, 0.5**0.5, 0.5**0.5], "children": [0]}
+    file = rewritten(tmp_path / "a.glb", nodes=[{"mesh": 0, "scale": [2, 2, 2], "translation": [1, 0, 0]}, turned])
+    found = transform_gaussians(read_gaussians(file), FLIPPED)
+    x, y, z = scene.means.unbind(1)
+    torch.testing.assert_close(found.means, torch.stack([-2 * y, 2 * x + 1, 2 * z], 1))
+    torch.testing.assert_close(found.scales, 2 * scene.scales)
+    by_columns = [0, 2, 0, 0, -2, 0, 0, 0, 0, 0, 2, 0, 0, 1, 0, 1]
+    same = transform_gaussians(read_gaussians(rewritten(file, nodes=[{"mesh": 0, "matrix": by_columns}])), FLIPPED)
+    torch.testing.assert_close(same.means, found.means)
+    torch.testing.assert_close(same.quats.abs(), found.quats.abs())
+
+
+@pytest.mark.parametrize(
+    ("node", "why"),
+    [({"scale": [1, 2, 1]}, "stretches"), ({"scale": [-1, 1, 1]}, "mirrors"), ({"children": [0]}, "children")],
+)
+def test_nodes_that_change_shapes_are_refused(tmp_path: Path, node: dict[str, object], why: str) -> None:
+    write_glb(tmp_path / "a.glb", cloud(7, 1))
+    with pytest.raises(QuerySplatError, match=why):
+        read_glb(rewritten(tmp_path / "a.glb", nodes=[{"mesh": 0, **node}]))
+
+
+def test_strides_are_kept_to(tmp_path: Path) -> None:
+    scene = cloud(7, 0)
+    write_glb(tmp_path / "a.glb", scene)
+    content = (tmp_path / "a.glb").read_bytes()
+    document = json.loads(content[20 : 20 + struct.unpack_from("<I", content, 12)[0]])
+    views = [{**view, "byteStride": view["byteLength"] // 7} for view in document["bufferViews"]]
+    assert read_glb(rewritten(tmp_path / "a.glb", bufferViews=views))[0].means.equal(scene.means)
+    views[0] |= {"byteStride": 24}
+    accessors = [{**accessor, "count": 4} for accessor in document["accessors"]]
+    found = read_glb(rewritten(tmp_path / "a.glb", bufferViews=views, accessors=accessors))[0]
+    assert found.means.equal(scene.means[::2])
 
 
 @pytest.mark.parametrize("content", [b"", b"no such file", b"glTF" + bytes(40)])

@@ -160,6 +160,20 @@ def test_panoramas_by_option_and_by_xmp(tmp_path: Path) -> None:
     assert not same_panorama(every[0], every[8])
 
 
+@pytest.mark.parametrize("entry", [b'GPano:%s="%d"', b"<GPano:%s>%d</GPano:%s>"], ids=["attributes", "elements"])
+def test_a_part_of_a_panorama_is_an_ordinary_photo(tmp_path: Path, entry: bytes) -> None:
+    for name, part in (("whole", 256), ("part", 200)):
+        sizes = {b"CroppedAreaImageWidthPixels": part, b"FullPanoWidthPixels": 256}
+        stated = [entry % (key, size, *[key] * (entry.count(b"%") - 2)) for key, size in sizes.items()]
+        packet = b'<x GPano:ProjectionType="equirectangular" ' + b" ".join(stated) + b">"
+        Image.fromarray(np.zeros((128, 256, 3), np.uint8)).save(tmp_path / f"{name}.jpg", xmp=packet)
+    photos, _ = load_photos([tmp_path / "whole.jpg", tmp_path / "part.jpg"])
+    assert [photo.panorama for photo in photos] == [True, False]
+    Image.fromarray(np.zeros((128, 512, 3), np.uint8)).save(tmp_path / "part.jpg", xmp=packet)
+    photos, _ = load_photos([tmp_path / "part.jpg"])
+    assert [photo.name for photo in pinhole_photos(photos, None, "auto")[0]] == ["part.jpg"]
+
+
 def test_what_is_no_panorama_is_refused(tmp_path: Path) -> None:
     photo = Photo("a.png", tmp_path, np.zeros((HEIGHT, WIDTH, 3), np.uint8))
     with pytest.raises(QuerySplatError, match="twice as wide as high"):

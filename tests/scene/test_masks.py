@@ -66,6 +66,28 @@ def test_where_masks_are(tmp_path: Path, photo: str, mask: str) -> None:
     assert not found[:, WIDTH // 2 + 8 :].any()
 
 
+@pytest.mark.parametrize(("place", "given"), [("images", "."), ("images", "a.jpg"), ("images/sub", "..")])
+def test_masks_are_found_from_inside_the_folder(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, place: str, given: str
+) -> None:
+    grey(tmp_path / "images")
+    save(tmp_path / "masks" / "a.png", left_half())
+    (tmp_path / place).mkdir(exist_ok=True)
+    monkeypatch.chdir(tmp_path / place)
+    assert load(*find_photos([Path(given)])).mask is not None
+
+
+def test_a_photo_that_is_a_link_keeps_its_mask(tmp_path: Path) -> None:
+    stored = grey(tmp_path / "store")
+    link = tmp_path / "set" / "images" / "a.jpg"
+    link.parent.mkdir(parents=True)
+    link.symlink_to(stored)
+    save(tmp_path / "set" / "masks" / "a.png", left_half())
+    photo = load(link)
+    assert photo.mask is not None
+    assert PhotoFile.of("a.jpg", photo.source, LENS).load(WIDTH).mask is not None
+
+
 def test_masks_are_no_photos(tmp_path: Path) -> None:
     path = grey(tmp_path)
     save(tmp_path / "masks" / "a.png", left_half())

@@ -1,6 +1,7 @@
 """Camera paths: their course, their direction of view, and their smoothness."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -50,6 +51,13 @@ def test_an_orbit_looks_at_the_middle_from_the_usual_distance(degrees: np.ndarra
     assert (path.w2c[:, 1, 1] > 0.5).all()
     assert path.w2c[:, 0, 1].abs().max() < tilt
     assert (path.height, path.width) == (240, 320)
+
+
+def test_an_orbit_of_portrait_and_landscape_photos_has_its_middle_in_the_middle() -> None:
+    inputs = ring(np.linspace(-25, 25, 8))
+    inputs.K[::2, :2, 2] = torch.tensor([120.0, 160.0])  # every second photo is 240 wide and 320 high
+    path = orbit(replace(inputs, height=240, width=320), MIDDLE, 12)
+    torch.testing.assert_close(aim(path), torch.tensor([160.0, 120.0]).expand(12, 2), atol=1e-2, rtol=0)
 
 
 def test_an_orbit_is_closed_and_smooth() -> None:

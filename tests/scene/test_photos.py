@@ -9,7 +9,8 @@ import pytest
 from PIL import ExifTags, Image
 
 from querysplat_cli.runtime.errors import QuerySplatError
-from querysplat_cli.scene.photos import find_photos, load_photos, short_names
+from querysplat_cli.scene.photo_names import short_names
+from querysplat_cli.scene.photos import find_photos, load_photos
 from querysplat_cli.scene.views import Photo
 
 GENERATOR = np.random.default_rng(0)
@@ -219,6 +220,14 @@ def test_equal_names_in_two_folders_get_different_short_names(tmp_path: Path) ->
 def test_short_names_are_as_short_as_they_can_be() -> None:
     paths = [Path("/x/a/images/1.png"), Path("/x/b/images/1.png"), Path("/x/b/images/2.png"), Path("/y/3.png")]
     assert short_names(paths) == ["a/images/1.png", "b/images/1.png", "2.png", "3.png"]
+
+
+def test_no_short_name_leads_out_of_a_folder(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir("/")
+    assert short_names([Path("/tmp/x/1.png"), Path("tmp/y/1.png")]) == ["x/1.png", "y/1.png"]
+    assert short_names([Path("/tmp/1.png"), Path("/1.png")]) == ["tmp/1.png", "1.png"]
+    monkeypatch.chdir("/tmp")
+    assert short_names([Path("../1.png"), Path("1.png")]) == ["1.png", "tmp/1.png"]
 
 
 def test_mixed_sizes_and_progress(tmp_path: Path) -> None:

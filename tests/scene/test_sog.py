@@ -97,6 +97,17 @@ def test_what_is_written_is_read_back(tmp_path: Path, degree: int) -> None:
         assert lost < 0.7  # of noise, which a palette of half as many entries suits worst
 
 
+def test_centres_are_rounded_to_the_nearest_step_and_not_downwards(tmp_path: Path) -> None:
+    scene = cloud(2000, 0)
+    write_sog(tmp_path / "a.sog", scene)
+    found = read_sog(tmp_path / "a.sog")
+    before, after = (each.sign() * each.abs().log1p() for each in (scene.means.double(), found.means.double()))
+    step = (before.max(0).values - before.min(0).values) / 65535
+    errors = (after - before) / step
+    assert errors.abs().max() < 0.55
+    assert errors.mean(0).abs().max() < 0.05
+
+
 def test_another_reader_sees_the_same(tmp_path: Path) -> None:
     gsply = pytest.importorskip("gsply")
     pytest.importorskip("imagecodecs")

@@ -12,13 +12,15 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from querysplat_cli.runtime.errors import QuerySplatError
-from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.cameras import Cameras, PhotoCamera
 from querysplat_cli.scene.formats.known import read_known_cameras
 from querysplat_cli.scene.formats.transforms import (
+    listed_paths,
     opengl_from_opencv,
     read_cameras,
     read_transforms,
     write_cameras,
+    write_transforms,
 )
 from querysplat_cli.scene.formats.transforms_frame import opencv_from_opengl
 from querysplat_cli.scene.views import Views
@@ -107,6 +109,18 @@ def test_missing_centre_and_second_focal_length(tmp_path: Path) -> None:
 def test_frames_of_one_name_get_their_folder_in_the_name(tmp_path: Path) -> None:
     path = write(tmp_path / "transforms.json", frame("./left/1.png"), frame("./right/1.png"), frame("right/2.png"))
     assert list(read_transforms(path)) == ["left/1.png", "right/1.png", "2.png"]
+
+
+def test_paths_may_have_been_written_on_windows(tmp_path: Path) -> None:
+    path = write(tmp_path / "transforms.json", frame(r"images\a\1.png"), frame(r".\images\b\1.png"))
+    assert list(read_transforms(path)) == ["a/1.png", "b/1.png"]
+    assert list(listed_paths(path).values()) == ["images/a/1.png", "./images/b/1.png"]
+
+
+def test_a_backslash_in_a_photos_name_is_kept(tmp_path: Path) -> None:
+    given = PhotoCamera.pinhole(np.eye(4), np.diag([500.0, 500.0, 1.0]), 480, 640)
+    write_transforms(tmp_path / "cameras.json", {r"a\b.png": given})
+    assert list(read_transforms(tmp_path / "cameras.json")) == [r"a\b.png"]
 
 
 def test_a_matrix_that_is_no_motion_is_left_to_the_encoder_but_not_rendered(tmp_path: Path) -> None:

@@ -87,9 +87,9 @@ def test_an_order_flip_moves_the_picture_no_more_than_the_swap_allows() -> None:
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_sizes_without_bounds(backend: str) -> None:
-    """Row 39: e⁴⁰ is drawn; what overflows when squared in float32 (e⁴⁵), zero, and 3e38 are culled."""
+    """Row 39: e⁴⁰ is drawn; what leaves float32's range when squared (1e18, e⁴⁵), zero, and 3e38 are culled."""
     assert all_finite(single(scales=[math.exp(40)] * 3), camera(8, 8), backend).max() > 0.1
-    for wrong in ([math.exp(45)] * 3, [0.3, 0.0, 0.3], [3e38, 0.1, 0.1], [-0.1, 0.1, 0.1]):
+    for wrong in ([1e18] * 3, [math.exp(45)] * 3, [0.3, 0.0, 0.3], [3e38, 0.1, 0.1], [-0.1, 0.1, 0.1]):
         assert_culled(single(scales=wrong), camera(8, 8), backend)
 
 

@@ -156,6 +156,7 @@ def test_what_is_prepared_once_is_not_prepared_again(tmp_path: Path) -> None:
         CachedSamples(data, 0).path(Draw(0, 0, (2, 2)))
     assert cache_folder(data, source) != cache_folder(replace(data, max_size=72), source)
     assert cache_folder(data, source) == cache_folder(data, replace(source, scenes=9))
+    assert cache_folder(replace(data, weights="one"), source) != cache_folder(replace(data, weights="other"), source)
 
 
 def make_recorder() -> Surveyor:

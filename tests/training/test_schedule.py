@@ -55,6 +55,14 @@ def test_the_papers_stages() -> None:
     assert config.losses == LossSettings()
 
 
+def test_a_stored_average_goes_where_the_model_is() -> None:
+    """The state of a training is read on the CPU; "meta" stands for a GPU here."""
+    model = nn.Linear(2, 3)
+    stored = {name: tensor.detach().clone() for name, tensor in model.named_parameters()}
+    average = Average(model.to("meta"), 0.9, stored)
+    assert {tensor.device.type for tensor in average.values.values()} == {"meta"}
+
+
 def test_weight_decay_acts_on_matrices_outside_of_the_heads() -> None:
     model = QuerySplat(ModelConfig(width=16, heads=2, mixed_layers=2, query_count=5, vgm_width=8))
     named = dict(model.named_parameters())

@@ -192,9 +192,7 @@ def test_ablations_learn(tmp_path: Path, branches: str, blocks: int) -> None:
 
 
 def test_learned_queries_grow_from_stage_to_stage(tmp_path: Path) -> None:
-    model = replace(
-        TINY, queries="learned", colour_prior="none", anchor_features=0, gaussians_per_query=4, heads=2, width=32
-    )
+    model = replace(TINY, queries="learned", anchor_features=0, gaussians_per_query=4, heads=2, width=32)
     stages = (StageSettings(steps=2, lr=1e-3, queries=8), StageSettings(steps=3, lr=1e-4, queries=20))
     config = training(tmp_path / "cache", model=model, stages=stages, start="scratch", save_every=1)
     run(config, tmp_path / "whole")
@@ -218,6 +216,19 @@ def test_a_batch_of_several_samples_is_one_step(tmp_path: Path) -> None:
         add_gradient(model, scene, anchored(scene), StepSettings(config, weights(0, config.losses)), torch.Generator())
     summed = model.appearance_head.bias.grad
     torch.testing.assert_close(moment / moment.norm(), summed / summed.norm(), rtol=1e-3, atol=1e-5)
+
+
+def test_each_growth_has_noise_of_its_own(tmp_path: Path) -> None:
+    """With the same noise, the copy of a query would lie on that query's earlier copy."""
+    stages = tuple(StageSettings(steps=1, lr=0.0, queries=queries) for queries in (8, 16, 32))
+    config = training(tmp_path / "cache", stages=stages)
+    config = replace(config, model=replace(config.model, queries="learned", query_count=8))
+    trainer = Trainer(config, tmp_path, Processes(), CPU, resume=False)
+    trainer._enter(1)
+    trainer._enter(2)
+    queries = trainer.model.geometry_queries.detach().flatten(0, -2)
+    assert len(queries) == 32
+    assert torch.cdist(queries, queries).fill_diagonal_(1.0).min() > 1e-3
 
 
 def test_processes_that_cannot_share_a_batch_are_refused(tmp_path: Path) -> None:
@@ -250,6 +261,10 @@ def test_two_processes_resume_exactly(tmp_path: Path) -> None:
             more = (*more, "--resume")
         subprocess.run([*command, "-o", str(folder), *more], env=environment, check=True, capture_output=True)
     assert_same_weights(whole, parts)
+    run(config, tmp_path / "alone")
+    logs = [(folder / "log.jsonl").read_text().splitlines() for folder in (whole, tmp_path / "alone")]
+    together, alone = ([json.loads(line)["loss"] for line in log] for log in logs)
+    assert together == pytest.approx(alone, rel=1e-3), "the log is of the whole batch, not of the first process"
 
 
 @pytest.mark.slow

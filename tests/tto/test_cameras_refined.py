@@ -116,6 +116,30 @@ def test_a_run_that_ends_no_better_keeps_the_cameras() -> None:
     assert result.cameras is true
 
 
+def test_going_back_takes_the_cameras_to_the_mark_and_slows_them() -> None:
+    """Otherwise the scene of an earlier step would have the cameras of a later one."""
+    gaussians, views, true = scene()
+    refined = RefinedCameras(turned(true, 1.0), gaussians)
+    leaves = gaussians.map(lambda field: field.clone().requires_grad_())
+
+    def step() -> float:
+        before = refined.current()
+        replace(RenderingLoss(views, true), cameras=before).value_and_gradient(leaves, [0, 1, 2, 3]).send_back(
+            leaves, before
+        )
+        refined.step(1.0)
+        return float((refined.current().w2c - before.w2c).detach().abs().max())
+
+    marked = []
+    for _ in range(3):
+        marked.append(refined.current().w2c.detach())
+        refined.mark()
+        moved = step()
+    refined.go_back()
+    torch.testing.assert_close(refined.current().w2c.detach(), marked[1], atol=1e-7, rtol=0)
+    assert step() < 0.8 * moved
+
+
 def test_an_undone_step_takes_the_cameras_back() -> None:
     gaussians, views, true = scene()
     refined = RefinedCameras(turned(true, 1.0), gaussians)

@@ -167,6 +167,13 @@ def test_only_photos_that_are_shown_often_have_dropout() -> None:
     assert {each.settings.dropout for each in seldom.stages} == {0.0}
 
 
+@pytest.mark.parametrize(("seconds", "dropout"), [(60.0, 0.0), (4000.0, FULL_SIZE_POLICY.dropout)])
+def test_a_budget_has_dropout_only_if_its_time_shows_photos_often(seconds: float, dropout: float) -> None:
+    """Its steps end by the clock; their limit says nothing about how many there will be."""
+    plan = plan_full_size("high", LARGE, 40_000, seconds=seconds)
+    assert {each.settings.dropout for each in plan.stages} == {dropout}
+
+
 def test_photos_without_more_pixels_are_shown_less_often() -> None:
     def passes(level: FullSizeLevel, width: int, count: int = 8) -> float:
         photos = Photos(count, width * 3 // 4, width, 448)

@@ -50,3 +50,13 @@ def test_the_distance_joins_the_loss_by_its_weight() -> None:
     torch.testing.assert_close(found.gradient.means, without.gradient.means + leaves.means.grad)
     torch.testing.assert_close(found.gradient.sh, without.gradient.sh + leaves.sh.grad)
     assert found.psnr == without.psnr
+
+
+def test_losses_that_are_compared_have_one_background() -> None:
+    """Gradients are over random colours, which would make the curve and the undo test jump."""
+    grey = torch.full((3,), 0.5)
+    faint = replace(target(), background=grey, backgrounds=torch.Generator().manual_seed(0), perceptual=distance)
+    gaussians = wall(6, size=0.5, opacity=0.2)
+    values = faint.values(gaussians, [0, 1])
+    for _ in range(3):
+        assert faint.value_and_gradient(gaussians, [0, 1]).losses == pytest.approx(values, rel=1e-6)

@@ -7,7 +7,7 @@ import torch
 from tto_scenes import wall
 
 from querysplat_cli.scene.cameras import Cameras
-from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.gaussians import Gaussians, joined
 from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.render import render
 from querysplat_cli.splat.smoothing import least_scales
@@ -110,3 +110,13 @@ def test_large_photos_bound_the_scales_by_their_own_pixels(size: int) -> None:
     result = optimise_full_size(thin, photos, FullSizePlan((stage,), 0.0), seed=0)
     assert thinnest(result.gaussians, photos(size)[1]) >= 1 - 1e-6
     assert thinnest(result.gaussians, photos(SIZE)[1]) < 1.2 * SIZE / size
+
+
+def test_far_gaussians_that_are_drawn_in_are_no_thinner_than_pixels() -> None:
+    """They become smaller on the way, so the bound comes last."""
+    near = wall(20, size=0.9, opacity=0.5)
+    far = replace(near[:2], means=torch.tensor([[0.0, 0, 300], [0, 0, 400]]), scales=torch.full((2, 3), 1e-4))
+    stage = FullSizeStage(SIZE, TtoSettings(3, 0.01, views_per_step=1), 500)
+    result = optimise_full_size(joined(far, near), photos, FullSizePlan((stage,), 0.0), seed=0)
+    assert float(result.gaussians.means.norm(dim=1).max()) < 100
+    assert thinnest(result.gaussians, photos(SIZE)[1]) >= 1 - 1e-6

@@ -6,7 +6,7 @@ import torch
 
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.tto.gaussians import Changes
-from querysplat_cli.tto.variables import Parametrisation, UndoableAdam
+from querysplat_cli.tto.variables import Denser, Parametrisation, UndoableAdam
 from scenes import camera, cloud
 
 RATE = 0.1
@@ -46,6 +46,15 @@ def test_squared_gradients_that_overflowed_do_not_stop_the_rest() -> None:
     adam.undo()
     step(adam, 1.0)
     assert bool(adam.variables().moves.isfinite().all())
+
+
+def test_a_split_and_an_undo_before_the_first_step_are_harmless() -> None:
+    gaussians, adam = started()
+    rows = torch.tensor([0, 0, 1, 2, 3, 4])
+    denser = Denser(Changes.none(gaussians[rows]), lambda changes: gaussians[rows], rows)
+    adam.go_on_with(denser)
+    adam.undo()
+    assert len(adam.gaussians()) == 6
 
 
 def test_going_back_is_to_the_mark_before_the_last() -> None:

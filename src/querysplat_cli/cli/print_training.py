@@ -30,7 +30,7 @@ def print_training_plan(plan: TrainPlan, printing: Printing) -> None:
     measured = (
         ("peak memory", plan.peak_memory_gib, "GiB"),
         ("a sample", plan.seconds_per_sample, "s"),
-        ("a step's sample", plan.seconds_per_step, "s"),
+        ("a step", plan.seconds_per_step, "s"),
         (f"all of it, in {_counted(plan.processes, 'process', 'es')}", plan.hours, "h"),
     )
     rows += [(name, f"{value:.2f} {unit}") for name, value, unit in measured if value is not None]

@@ -20,9 +20,11 @@ from querysplat_cli.scene.formats.known import find_known_cameras, read_known_ca
 from querysplat_cli.scene.formats.mesh import MESH_KINDS
 from querysplat_cli.scene.formats.transforms import write_transforms
 from querysplat_cli.scene.formats.transforms_frame import is_rigid
-from querysplat_cli.scene.match_cameras import match_cameras
+from querysplat_cli.scene.match_cameras import cameras_of, match_cameras
+from querysplat_cli.scene.orientation import upright_camera
 from querysplat_cli.scene.photo_files import read_photo_files
-from querysplat_cli.scene.photos import WHOLE, find_photos, load_photo, short_names
+from querysplat_cli.scene.photo_names import short_names
+from querysplat_cli.scene.photos import WHOLE, find_photos, load_photo
 from querysplat_cli.scene.pictures import stored_name
 from querysplat_cli.scene.undistort import undistorted
 from querysplat_cli.scene.views import LeftOut
@@ -116,15 +118,18 @@ def _with_lenses(folder: Path, cameras: Mapping[str, PhotoCamera]) -> dict[str, 
 def _make_scene_folder(target: Path, cameras: Mapping[str, PhotoCamera], place: Path) -> dict[str, Any]:
     """Write a scene folder: the cameras in their own frame, and the photos, undistorted at their own size."""
     files = find_photos([place])
+    named = dict(zip(short_names(files), files, strict=True))
+    matched = cameras_of(named, cameras)
     kept: dict[str, PhotoCamera] = {}
     left_out: list[LeftOut] = []
     with atomic_folder(target) as draft:
-        for file, name in zip(files, short_names(files), strict=True):
+        for name, file in named.items():
             photo = load_photo(file, name, WHOLE)
             if isinstance(photo, LeftOut):
                 left_out.append(photo)
                 continue
-            usable, unusable = match_cameras([photo], cameras)
+            own = {name: upright_camera(matched[name], photo)} if name in matched else {}
+            usable, unusable = match_cameras([photo], own)
             left_out += unusable
             for camera in usable.values():
                 views, straight = undistorted([photo], [camera], max_size=max(photo.height, photo.width))
@@ -137,6 +142,8 @@ def _make_scene_folder(target: Path, cameras: Mapping[str, PhotoCamera], place: 
             )
         write_transforms(draft / "cameras.json", kept, stored_name)
         keep_others(target, draft)
-    names = {*kept, *(each.name for each in left_out)}
-    left_out += [LeftOut(name, "there is no photo of it") for name in cameras if name not in names]
+    used = {camera.file for camera in matched.values()}
+    left_out += [
+        LeftOut(name, "there is no photo of it") for name, camera in cameras.items() if camera.file not in used
+    ]
     return {"target": str(target), "cameras": len(kept), "left_out": [vars(each) for each in left_out]}

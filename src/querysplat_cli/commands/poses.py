@@ -13,7 +13,8 @@ from querysplat_cli.scene.files import refuse_existing
 from querysplat_cli.scene.formats.known import find_known_cameras, read_known_cameras
 from querysplat_cli.scene.formats.transforms import listed_paths
 from querysplat_cli.scene.photo_files import check_photo_files, read_photo_files
-from querysplat_cli.scene.photos import PICTURE_FOLDERS, find_photos, load_photos, names_a_photo
+from querysplat_cli.scene.photo_names import names_a_photo
+from querysplat_cli.scene.photos import PICTURE_FOLDERS, find_photos, load_photos
 from querysplat_cli.scene.views import Photo
 
 LONGEST_SIDE = 1600

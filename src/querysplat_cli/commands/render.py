@@ -23,7 +23,7 @@ from querysplat_cli.scene.cameras import Cameras, PhotoCamera, rescaled
 from querysplat_cli.scene.files import FolderKind, atomic_folder, atomic_path, refuse_existing, with_name
 from querysplat_cli.scene.formats.transforms import NamedCameras, read_cameras, working_frame, write_transforms
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.scene.paths import interpolate, opaque_centres, orbit, scene_middle, surround
+from querysplat_cli.scene.paths import centred, interpolate, opaque_centres, orbit, scene_middle, surround
 from querysplat_cli.scene.pictures import eight_bit, write_picture
 from querysplat_cli.splat.render import Rendering, render
 from querysplat_cli.splat.surface_depth import SurfaceDepth, surface_depth
@@ -161,7 +161,8 @@ def _through(inputs: NamedCameras, request: RenderRequest) -> Path3D:
     usual = min(max(STEP_SECONDS * (len(inputs.names) - 1), FILM_SECONDS[0]), FILM_SECONDS[1])
     size = inputs.sizes[0]
     frames = max(2, round((request.seconds or usual) * request.fps))
-    return _numbered(interpolate(replace(inputs.cameras, height=size[0], width=size[1]), frames), size)
+    path = interpolate(replace(inputs.cameras, height=size[0], width=size[1]), frames)
+    return _numbered(centred(path), size)
 
 
 def _numbered(path: Cameras, size: tuple[int, int]) -> Path3D:

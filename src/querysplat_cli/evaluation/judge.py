@@ -17,6 +17,7 @@ from querysplat_cli.scene.cameras import PhotoCamera, rescaled, same_shape
 from querysplat_cli.scene.drafts import scratch_folder
 from querysplat_cli.scene.formats.dataset import Frame, fetch
 from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.orientation import upright_camera
 from querysplat_cli.scene.photos import WHOLE, load_photos
 from querysplat_cli.scene.views import Photo
 
@@ -79,7 +80,7 @@ class Judge:
             named = replace(photo, name=frame.name)
             self.photos[frame.name] = named, protocol.shown(named)
         self.known = {
-            name: protocol.shown_camera(cameras[name], photo)
+            name: protocol.shown_camera(upright_camera(cameras[name], photo), photo)
             for name, (photo, _) in self.photos.items()
             if name in cameras
         }

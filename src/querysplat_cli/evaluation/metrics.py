@@ -1,7 +1,7 @@
 """PSNR, SSIM and LPIPS of one picture, the same without its exposure, and further metrics that are asked for."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 import torch
 from jaxtyping import Float
@@ -15,15 +15,6 @@ from querysplat_cli.splat.lpips import Lpips
 from querysplat_cli.splat.similarity import psnr, ssim_metric
 
 METRICS = ("psnr", "ssim", "lpips")
-CORRECTED = tuple(f"{metric}_cc" for metric in METRICS)
-"""Of the picture with each channel mapped to the photo's by a slope and an offset, as gsplat's trainer scores."""
-HALF = tuple(f"{metric}_half" for metric in METRICS)
-"""Of the right half of the picture, after the 3 × 4 transform that fits the left half best, as Inria's code scores."""
-FITTED = tuple(f"{metric}_fitted" for metric in METRICS)
-"""Of a target that is rendered from a camera that was fitted to the scene. Never the score of a protocol."""
-FURTHER = ("flip", "ssimulacra2")
-ALL_METRICS = (*METRICS, *CORRECTED, *HALF, *FITTED, *FURTHER)
-"""Names of all fields of `Scores`."""
 
 
 @dataclass(frozen=True)
@@ -31,9 +22,10 @@ class Scores:
     """PSNR in dB; SSIM as in scikit-image, with an 11-pixel Gaussian window; LPIPS is None without its weights.
 
     What follows stands beside these three, and is None where it was not measured. `_cc` is of the picture with each
-    channel fitted to the whole photo, `_half` of its right half with colours fitted to the left half, `_fitted` of the
-    picture from a fitted camera. `flip` is LDR-FLIP's mean error (0 is best) and `ssimulacra2` SSIMULACRA2 (100 is
-    best), both of pictures in 8 bits.
+    channel mapped to the photo's by a slope and an offset, as gsplat's trainer scores. `_half` is of its right half
+    after the 3 × 4 transform that fits the left half best, as Inria's code scores. `_fitted` is of the picture from a
+    camera that was fitted to the scene, and never the score of a protocol. `flip` is LDR-FLIP's mean error (0 is best)
+    and `ssimulacra2` SSIMULACRA2 (100 is best), both of pictures in 8 bits.
     """
 
     psnr: float
@@ -50,6 +42,9 @@ class Scores:
     lpips_fitted: float | None = None
     flip: float | None = None
     ssimulacra2: float | None = None
+
+
+ALL_METRICS = tuple(each.name for each in fields(Scores))
 
 
 @dataclass(frozen=True)

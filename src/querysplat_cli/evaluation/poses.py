@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.figures import check_drawing, new_figure, save_figure
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.files import atomic_path
+from querysplat_cli.scene.match_cameras import matched_names
 from querysplat_cli.scene.rotations import rotation_angles
 from querysplat_cli.scene.sim3 import Sim3, align_cameras
 
@@ -69,19 +70,18 @@ class PoseErrors:
 
 
 def compare_cameras(a: Mapping[str, PhotoCamera], b: Mapping[str, PhotoCamera]) -> PoseErrors:
-    """Errors of `a` against `b`; photos are the same when their names are, without folder and suffix.
+    """Errors of `a` against `b`, whose photos are paired as `matched_names` does.
 
     Raises QuerySplatError when fewer than two photos are in both, and DegenerateAlignment when these do not fix a
     similarity.
     """
-    names_a, names_b = ({Path(name).stem: name for name in side} for side in (a, b))
-    shared = [stem for stem in names_a if stem in names_b]
+    shared = matched_names({name: PurePosixPath(camera.file or name) for name, camera in a.items()}, b)
     if len(shared) < 2:
         raise QuerySplatError(
             f"{len(shared)} photos are in both sets of cameras",
             f"Names must agree: one has {next(iter(a), 'none')}, the other {next(iter(b), 'none')}.",
         )
-    mine, theirs = [a[names_a[stem]] for stem in shared], [b[names_b[stem]] for stem in shared]
+    mine, theirs = [a[name] for name in shared], [b[name] for name in shared.values()]
     w2c_a, w2c_b = (np.stack([camera.w2c for camera in side]) for side in (mine, theirs))
     similarity = align_cameras(torch.from_numpy(w2c_a), torch.from_numpy(w2c_b))
     centres_a, centres_b = _transformed(_centres(w2c_a), similarity), _centres(w2c_b)
@@ -90,9 +90,9 @@ def compare_cameras(a: Mapping[str, PhotoCamera], b: Mapping[str, PhotoCamera]) 
     apart = np.linalg.norm(centres_b[:, None] - centres_b[None], axis=2)
     pairs = np.array(list(combinations(range(len(shared)), 2)))
     return PoseErrors(
-        names=tuple(names_b[stem] for stem in shared),
-        only_a=tuple(name for stem, name in names_a.items() if stem not in names_b),
-        only_b=tuple(name for stem, name in names_b.items() if stem not in names_a),
+        names=tuple(shared.values()),
+        only_a=tuple(name for name in a if name not in shared),
+        only_b=tuple(name for name in b if name not in set(shared.values())),
         scale=similarity.scale,
         rotation=_angles(turned @ w2c_b[:, :3, :3].swapaxes(1, 2)),
         centre=distance,
@@ -149,9 +149,10 @@ def _trajectory_error(a: np.ndarray, b: np.ndarray) -> float:
     """Root mean square distance of the places [n, 3] after the least-squares similarity (Umeyama 1991)."""
     around_a, around_b = a - a.mean(0), b - b.mean(0)
     u, spreads, vt = np.linalg.svd(around_b.T @ around_a)
-    spreads[-1] *= np.sign(np.linalg.det(u @ vt))  # a rotation, no reflection
-    left = np.square(around_b).sum() - spreads.sum() ** 2 / np.square(around_a).sum()
-    return float(np.sqrt(max(left, 0.0) / len(a)))
+    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])  # a rotation, no reflection
+    scale = (signs * spreads).sum() / np.square(around_a).sum()
+    left = around_b - scale * around_a @ (u * signs @ vt).T
+    return float(np.sqrt(np.square(left).sum() / len(a)))
 
 
 def _transformed(points: np.ndarray, similarity: Sim3) -> np.ndarray:

@@ -13,7 +13,7 @@ docs/other-methods.md has an example for each system of the paper's main table.
 
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import torch
 
@@ -28,6 +28,7 @@ from querysplat_cli.scene.formats.dataset import Frame
 from querysplat_cli.scene.formats.known import JSON_NAMES
 from querysplat_cli.scene.formats.ply import read_ply
 from querysplat_cli.scene.formats.transforms import read_transforms
+from querysplat_cli.scene.match_cameras import cameras_of
 from querysplat_cli.scene.photos import SUFFIXES, WHOLE, load_photo
 from querysplat_cli.scene.views import LeftOut
 
@@ -102,12 +103,10 @@ def _cameras(judge: Judge, folder: Path) -> dict[str, PhotoCamera]:
     file = next((folder / name for name in JSON_NAMES if (folder / name).is_file()), None)
     if file is None:
         return dict(judge.known)
-    by_stem = {Path(name).stem: camera for name, camera in read_transforms(file).items()}
+    found = cameras_of({name: PurePosixPath(name) for name in judge.photos}, read_transforms(file))
     given: dict[str, PhotoCamera] = {}
-    for name, (photo, cut) in judge.photos.items():
-        camera = by_stem.get(Path(name).stem)
-        if camera is None:
-            continue
+    for name, camera in found.items():
+        photo, cut = judge.photos[name]
         of_shown = same_shape((camera.height, camera.width), (cut.height, cut.width))
         given[name] = camera if of_shown else judge.protocol.shown_camera(camera, photo)
     return _completed(given, judge.known)

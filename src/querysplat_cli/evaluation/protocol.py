@@ -18,7 +18,7 @@ from querysplat_cli.evaluation.policy import EVALUATION_POLICY
 from querysplat_cli.runtime.choices import ProtocolName
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera, rescaled, same_shape
-from querysplat_cli.scene.fit import resized
+from querysplat_cli.scene.fit import Crop, centred_crop, resized
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.pictures import eight_bit
 from querysplat_cli.scene.views import Photo
@@ -41,9 +41,8 @@ class Protocol:
         """The photo as an input of a method, with the size of the whole photo, whose lens it has."""
         pixels = photo.pixels
         if self.name == "release":
-            side = min(photo.height, photo.width)
-            top, left = (photo.height - side) // 2, (photo.width - side) // 2
-            pixels = pixels[top : top + side, left : left + side]
+            square = _square(photo)
+            pixels = pixels[square.top : square.top + square.height, square.left : square.left + square.width]
         scale = min(1.0, self._shorter_side / min(pixels.shape[:2]))
         height, width = (round(size * scale) for size in pixels.shape[:2])
         if scale < 1:
@@ -64,10 +63,9 @@ class Protocol:
             )
         fitted = rescaled(camera, photo.height, photo.width)
         if self.name == "release":
-            side = min(photo.height, photo.width)
-            top, left = (photo.height - side) // 2, (photo.width - side) // 2
-            principal = fitted.principal[0] - left, fitted.principal[1] - top
-            fitted = replace(fitted, principal=principal, height=side, width=side)
+            square = _square(photo)
+            principal = fitted.principal[0] - square.left, fitted.principal[1] - square.top
+            fitted = replace(fitted, principal=principal, height=square.height, width=square.width)
         scale = min(1.0, self._shorter_side / min(fitted.height, fitted.width))
         return rescaled(fitted, round(fitted.height * scale), round(fitted.width * scale))
 
@@ -92,6 +90,10 @@ class Protocol:
             return resized(photograph(gaussians, own), (photo.height, photo.width))
         side = EVALUATION_POLICY.release_target_side
         return photograph(gaussians, rescaled(camera, side, side))
+
+
+def _square(photo: Photo) -> Crop:
+    return centred_crop((photo.height, photo.width), (1, 1))
 
 
 def photograph(gaussians: Gaussians, camera: PhotoCamera) -> Float[Tensor, "3 height width"]:

@@ -16,7 +16,7 @@ class ModelConfig:
 
     `queries` "learned" takes `query_count` learned tokens and predicts positions in the VGM's frame;
     "anchored" makes a token for each anchor from its `anchor_features` numbers and predicts changes to the
-    anchor's prior, whose colour was projected from the photos (`colour_prior`). With `branches` "one", a single
+    anchor's prior, whose colours come from the photos. With `branches` "one", a single
     decoder reads both memories. That, and `appearance_blocks` 0, are the paper's ablations. `special_tokens` are the
     camera and register tokens in front of a view's patches; `vgm_width` is the width of the VGM's tokens. `frame` is
     that of a learned VGM's cameras: as it predicts them (the release), or relative to the first view (the paper).
@@ -31,7 +31,6 @@ class ModelConfig:
     appearance_blocks: int = 6
     branches: Literal["two", "one"] = "two"
     queries: Literal["learned", "anchored"] = "learned"
-    colour_prior: Literal["none", "projected"] = "none"
     query_count: int = 8192
     anchor_features: int = 0
     gaussians_per_query: int = 64
@@ -62,7 +61,6 @@ class ModelConfig:
             raise QuerySplatError("one branch has no appearance_blocks", "Give them to geometry_blocks.")
         choices = {
             "queries": ("learned", "anchored"),
-            "colour_prior": ("none", "projected"),
             "branches": ("two", "one"),
             "frame": ("predicted", "first_view"),
         }
@@ -89,7 +87,8 @@ class ModelConfig:
     @staticmethod
     def from_dict(values: dict[str, Any]) -> "ModelConfig":
         """Raises QuerySplatError when a name is not a field, or a value is of another type."""
-        return from_tables(ModelConfig, values, what="model", docs="docs/method.md")
+        known = {name: value for name, value in values.items() if name != "colour_prior"}  # older files state it
+        return from_tables(ModelConfig, known, what="model", docs="docs/method.md")
 
 
 def preset(name: str) -> ModelConfig:

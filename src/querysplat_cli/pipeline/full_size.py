@@ -8,7 +8,6 @@ from typing import Any
 import torch
 
 from querysplat_cli.pipeline.scene_folder import StoredScene
-from querysplat_cli.prune.far import drawn_in
 from querysplat_cli.prune.hiding import hiding
 from querysplat_cli.queries.backdrop import backdrop
 from querysplat_cli.reporting.report import quality_entry, tto_entries
@@ -102,7 +101,7 @@ def take_to_full_size(
     device: torch.device,
     progress: StageProgress,
 ) -> FullSize:
-    """Optimise `gaussians`, without those that hide what `photos` show (`prune/hiding.py`), and draw the far ones in.
+    """Optimise `gaussians`, without those that hide what `photos` show (`prune/hiding.py`).
 
     Raises QuerySplatError when photos are gone or have changed.
     """
@@ -125,7 +124,7 @@ def take_to_full_size(
         start[~hidden], views_at, plan, seed=seed, exposures=photos.exposures, progress=show, look=look
     )
     return FullSize(
-        drawn_in(to_device(result.gaussians, torch.device("cpu")), photos.cameras),
+        to_device(result.gaussians, torch.device("cpu")),
         result.runs[-1][0].max_size,
         _entries(result),
         _summary(plan, result, int(hidden.sum())),

@@ -21,11 +21,19 @@ from querysplat_cli.scene.sim3 import Sim3
 from querysplat_cli.splat.transform import transform_gaussians
 
 Writer = Callable[[Path, Gaussians], int]
+
+
+def _read_glb(path: Path) -> Gaussians:
+    """In the frame of the file."""
+    gaussians, place = read_glb(path)
+    return transform_gaussians(gaussians, place) if place else gaussians
+
+
 READERS: dict[str, Callable[[Path], Gaussians]] = {
     ".ply": read_ply,
     ".spz": read_spz,
     ".sog": read_sog,
-    ".glb": read_glb,
+    ".glb": _read_glb,
 }
 WRITERS: dict[str, Writer] = {
     ".ply": write_ply,

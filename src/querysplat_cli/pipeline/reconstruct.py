@@ -55,6 +55,7 @@ from querysplat_cli.scene.files import check_writable, refuse_existing, refuse_r
 from querysplat_cli.scene.formats.known import read_known_cameras
 from querysplat_cli.scene.inputs import load_inputs
 from querysplat_cli.scene.lenses import pinhole_photos
+from querysplat_cli.scene.match_cameras import cameras_of_photos
 from querysplat_cli.scene.photo_files import photo_files
 from querysplat_cli.scene.photos import find_photos
 from querysplat_cli.scene.views import LeftOut, Photo, PhotoSource, forget_pixels
@@ -169,6 +170,7 @@ def _read_inputs(settings: ReconstructSettings, device: torch.device, stages: St
         model, encoder = load_parts(settings, device)
         optimisation_lpips(settings.lpips, official=model.config.queries == "learned")  # a damaged file ends it here
         known = read_known_cameras(settings.poses, fisheye=True) if settings.poses else None
+        known = cameras_of_photos(photos, known) if known else None
         photos, known = pinhole_photos(photos, known, settings.lens)
         budget = Budget(settings.budget, stages.elapsed) if settings.budget else None
         size = settings.max_size or encoder.size
@@ -197,7 +199,7 @@ def _find_cameras(inputs: _Inputs, settings: ReconstructSettings, stages: Stages
         settings.holdout_every,
         settings.holdout_cameras,
         estimate_cameras,
-        poses_known=bool(inputs.known),
+        poses_known=inputs.known is not None,
         own_frame=inputs.encoder.own_frame,
     )
 

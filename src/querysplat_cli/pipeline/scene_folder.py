@@ -16,6 +16,7 @@ scene/
 
 import dataclasses
 import json
+import os
 import shutil
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -37,6 +38,7 @@ from querysplat_cli.reporting.omissions import PRECISION, Omission, of_kind
 from querysplat_cli.reporting.preview import write_preview
 from querysplat_cli.reporting.report import quality_entry
 from querysplat_cli.reporting.view_scores import score
+from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.exposures import Exposures, write_exposures
 from querysplat_cli.scene.files import FolderKind, atomic_together
@@ -164,8 +166,13 @@ def _lost_by_kind(file: Path, scene: StoredScene, gaussians: Gaussians, report: 
 
 
 def write_images(folder: Path, views: Views) -> None:
-    """Write the pictures, without their padding, under the names of `views`; lossless, or JPEG at its best quality."""
+    """Write the pictures, without their padding, under the names of `views`; lossless, or JPEG at its best quality.
+
+    Raises QuerySplatError when a name leads out of the folder.
+    """
     for row, (name, (height, width)) in enumerate(zip(views.names, views.sizes, strict=True)):
         path = folder / stored_name(name)
+        if os.path.isabs(name) or ".." in path.parts:
+            raise QuerySplatError(f"the picture of {name} would lie outside the scene's folder", "Rename the photo.")
         settings = () if path.suffix.lower() in LOSSLESS_SUFFIXES else JPEG_SETTINGS
         write_picture(path, eight_bit(views.images[row, :, :height, :width]), settings)

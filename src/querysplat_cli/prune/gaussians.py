@@ -14,6 +14,7 @@ from querysplat_cli.queries.policy import QUERY_POLICY
 from querysplat_cli.runtime.choices import Amount
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
+from querysplat_cli.splat.blending_weights import blending_weights
 from querysplat_cli.splat.render import RenderSettings, render
 
 
@@ -74,15 +75,13 @@ def importance(gaussians: Gaussians, cameras: Cameras) -> Float[Tensor, "n"]:
     sh[:, 0] += 0.5 / SH_0
     # An opacity at the cap of α would get no gradient.
     opacities = gaussians.opacities.detach().clamp(max=0.99 * settings.alpha_max)
-    scene = replace(gaussians.detach(), sh=sh.requires_grad_(), opacities=opacities.requires_grad_())
-    weight, change = torch.zeros(2, len(gaussians)).to(sh)
+    scene = replace(gaussians.detach(), sh=sh, opacities=opacities.requires_grad_())
+    weight, change = blending_weights(scene, wider, settings=settings), torch.zeros_like(opacities)
     for view in range(len(wider)):
         with torch.enable_grad():
             picture = render(scene, wider[[view]], settings=settings).colour
-            (by_sh,) = torch.autograd.grad(picture[:, 0].sum(), sh, retain_graph=True)
             signs = torch.randint(0, 2, picture.shape, generator=random).to(picture) * 2 - 1
             (by_opacity,) = torch.autograd.grad((picture * signs).sum(), opacities)
-        weight += by_sh[:, 0, 0] / SH_0
         change += (by_opacity * opacities.detach()).square()
     return weight * (change.sqrt() + PRUNE_POLICY.hidden_change * weight)
 

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from querysplat_cli.prune.policy import PRUNE_POLICY
-from querysplat_cli.scene.photos import reduced
+from querysplat_cli.scene.decoding import reduced
 from querysplat_cli.scene.views import Photo
 
 

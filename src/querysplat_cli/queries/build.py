@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Bool, Float
+from scipy.ndimage import distance_transform_edt
 from scipy.spatial import cKDTree
 from torch import Tensor
 
@@ -46,18 +47,35 @@ def build_anchors(
     """
     assert geometry.depth is not None
     assert geometry.confidence is not None
+    depth = _whole(geometry.depth)
     limit = _Limit(soft_query_limit if queries is None else queries, strict=queries is not None)
-    chosen = _cut(views, cameras, geometry.depth, geometry.confidence, limit, keep_all)
+    chosen = _cut(views, cameras, depth, geometry.confidence, limit, keep_all)
     keep, side = chosen.keep, chosen.report.side
     if not keep.any():
         raise QuerySplatError("the masks hide nearly all of every photo", "White in a mask is what takes part.")
-    border = border_blocks(views, cameras, geometry.depth, QUERY_POLICY.border_coarser * (side // CELLS))
+    border = border_blocks(views, cameras, depth, QUERY_POLICY.border_coarser * (side // CELLS))
     if queries is not None:
         border = border.map(lambda part: part[: queries - chosen.report.kept])
     features = torch.cat([photo_features(chosen.cells, chosen.comparison)[keep], border_features(border)])
     cells = replace(chosen.cells, colour=chosen.comparison.colour).map(lambda part: part[keep]).joined(border)
-    anchors = _anchors(cells, features, _patch_positions(cameras, geometry.depth, geometry.patch))
+    anchors = _anchors(cells, features, _patch_positions(cameras, depth, geometry.patch))
     return anchors, replace(chosen.report, beyond=len(border.point))
+
+
+def _whole(depth: Float[Tensor, "views height width"]) -> Float[Tensor, "views height width"]:
+    """Depth that is positive everywhere: where it is not, outside of masks, that of the nearest pixel.
+
+    Blocks at the border of a mask read it as well.
+    """
+    usable = depth.isfinite() & (depth > 0)
+    if usable.all():
+        return depth
+    filled = depth.clone()
+    for view, there in enumerate(usable):
+        if there.any():
+            nearest = distance_transform_edt(~there.numpy(), return_distances=False, return_indices=True)
+            filled[view] = depth[view][tuple(torch.from_numpy(nearest).long())]
+    return filled.where(filled.isfinite() & (filled > 0), 1.0)
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,7 @@ class Unseen:
 
 @torch.no_grad()
 def unseen(gaussians: Gaussians, cameras: Cameras) -> Unseen | None:
-    """Of the film that `querysplat render` makes by default, around a scene with these input cameras.
+    """Of the film of `querysplat render --cameras orbit`, around a scene with these input cameras.
 
     None where there is no such film, because the cameras stand at what they look at.
     """

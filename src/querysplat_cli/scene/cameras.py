@@ -35,7 +35,9 @@ class PhotoCamera:
     """One photo's camera as other tools describe it: OpenCV world-to-camera, and intrinsics with lens distortion.
 
     `focal` is (fx, fy), `principal` (cx, cy) in pixels of a photo of `height` × `width`, pixel centres at
-    +0.5; `distortion` is OpenCV's (k1, k2, p1, p2), or (k1, k2, k3, k4) of its fisheye model.
+    +0.5; `distortion` is OpenCV's (k1, k2, p1, p2), or (k1, k2, k3, k4) of its fisheye model. `file` is the path of the
+    photo in the file of cameras, if there is one. `as_stored` is whether its pixels are known to be those that the
+    photo's file stores, before EXIF's orientation turns them.
     """
 
     w2c: np.ndarray
@@ -45,6 +47,8 @@ class PhotoCamera:
     height: int
     width: int
     fisheye: bool = False
+    file: str = ""
+    as_stored: bool = False
 
     @staticmethod
     def pinhole(w2c: np.ndarray, K: np.ndarray, height: int, width: int) -> "PhotoCamera":

@@ -77,7 +77,7 @@ def claimed(place: Path) -> Iterator[None]:
     """Keep other processes from making `place`, an absolute path, while this one does.
 
     The claim is a hidden folder beside it, which is swept after a kill. Raises QuerySplatError when another process has
-    it. Windows has no such locks, and nothing is claimed there.
+    it. Windows and some file systems have no such locks, and nothing is claimed there.
     """
     if fcntl is None:
         yield
@@ -86,7 +86,10 @@ def claimed(place: Path) -> Iterator[None]:
     lock = None
     while lock is None:
         folder.mkdir(exist_ok=True)
-        lock = _lock(folder)
+        try:
+            lock = _lock(folder)
+        except _NoLocks:
+            break
         if lock is None and folder.is_dir():
             why = f"another process is making {place}"
             raise QuerySplatError(why, "Wait until it ends, or choose another output.")
@@ -94,7 +97,8 @@ def claimed(place: Path) -> Iterator[None]:
         yield
     finally:
         _remove(folder)
-        os.close(lock)
+        if lock is not None:
+            os.close(lock)
 
 
 def sweep(place: Path, prefix: str) -> None:
@@ -126,14 +130,24 @@ def _remove(folder: Path) -> None:
 def _locked_folder(place: Path, prefix: str) -> tuple[Path, int | None]:
     while True:
         folder = Path(tempfile.mkdtemp(prefix=prefix, dir=place))
-        lock = _lock(folder)
+        try:
+            lock = _lock(folder)
+        except _NoLocks:
+            return folder, None
         if fcntl is None or lock is not None or folder.is_dir():
             return folder, lock
         # Another process swept it before it was locked.
 
 
+class _NoLocks(OSError):
+    """The file system has no locks, so nobody can tell which folders are in use."""
+
+
 def _lock(folder: Path) -> int | None:
-    """The lock of a folder, to be closed; None where a living process has it, or it is another user's."""
+    """The lock of a folder, to be closed; None where a living process has it, or it is another user's.
+
+    Raises _NoLocks where the file system has none: NFS and some of clusters and containers.
+    """
     if fcntl is None:
         return None
     try:
@@ -144,9 +158,14 @@ def _lock(folder: Path) -> int | None:
         return None
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(handle)
+        return None
+    except OSError as error:
+        os.close(handle)
+        raise _NoLocks from error
+    with suppress(OSError):
         if folder.stat().st_ino == os.fstat(handle).st_ino:
             return handle
-    except OSError:
-        pass
     os.close(handle)
     return None

@@ -58,10 +58,23 @@ def focal_length(image: Image.Image) -> float | None:
 
 
 def says_panorama(image: Image.Image) -> bool:
-    """Whether XMP says that the picture shows 360° (GPano:ProjectionType, Google's photo sphere metadata)."""
+    """Whether XMP says that the picture shows 360° (GPano:ProjectionType, Google's photo sphere metadata).
+
+    The panoramas of phones show a part of it: their cropped area is smaller than the full panorama.
+    """
     packet = image.info.get("xmp", b"")
     text = packet if isinstance(packet, bytes) else str(packet).encode(errors="replace")
-    return re.search(rb"GPano:ProjectionType(=[\"']|>)\s*equirectangular", text) is not None
+    sides = ("Width", "Height")
+    cropped = [_stated(text, f"CroppedAreaImage{side}Pixels", rb"\d+") for side in sides]
+    full = [_stated(text, f"FullPano{side}Pixels", rb"\d+") for side in sides]
+    whole = all(part == all_of_it for part, all_of_it in zip(cropped, full, strict=True) if part and all_of_it)
+    return whole and _stated(text, "ProjectionType", b"equirectangular") is not None
+
+
+def _stated(xmp: bytes, name: str, pattern: bytes) -> bytes | None:
+    """The value of a GPano entry that begins with the pattern."""
+    found = re.search(rb"GPano:%s(?:=[\"']|>)\s*(%s)" % (name.encode(), pattern), xmp)
+    return found[1] if found else None
 
 
 def _focal_from_film(exif: dict[int, Any], width: int, height: int) -> float | None:
@@ -70,18 +83,16 @@ def _focal_from_film(exif: dict[int, Any], width: int, height: int) -> float | N
 
 
 def _focal_from_sensor(exif: dict[int, Any], width: int, height: int) -> float | None:
-    """Focal length times the sensor's pixels per millimetre; the file may have been reduced after it was taken.
+    """Focal length times the sensor's pixels per millimetre; the file may have been reduced or turned since.
 
     Some cameras state the density along one side only.
     """
     millimetres = float(exif.get(ExifTags.Base.FocalLength, 0))
     unit = MILLIMETRES[int(exif.get(ExifTags.Base.FocalPlaneResolutionUnit, 2))]
-    sides = (
-        (ExifTags.Base.FocalPlaneXResolution, ExifTags.Base.ExifImageWidth, width),
-        (ExifTags.Base.FocalPlaneYResolution, ExifTags.Base.ExifImageHeight, height),
-    )
-    for density_tag, full_tag, pixels in sides:
-        density = float(exif.get(density_tag, 0))
-        if millimetres and density:
-            return millimetres * density / unit * pixels / (float(exif.get(full_tag, 0)) or pixels)
-    return None
+    densities = (exif.get(tag, 0) for tag in (ExifTags.Base.FocalPlaneXResolution, ExifTags.Base.FocalPlaneYResolution))
+    density = next(filter(None, map(float, densities)), 0.0)
+    stated = float(exif.get(ExifTags.Base.ExifImageWidth, 0)), float(exif.get(ExifTags.Base.ExifImageHeight, 0))
+    sides = [(full, pixels) for full, pixels in zip(stated, (width, height), strict=True) if full]
+    # The longer sides belong together, also where a program turned the pixels and left the entries.
+    scale = max(pixels for _, pixels in sides) / max(full for full, _ in sides) if sides else 1.0
+    return millimetres * density / unit * scale or None

@@ -110,8 +110,8 @@ def check_writable(folder: Path) -> None:
 def sole_writer(folder: Path) -> Iterator[None]:
     """Hold `folder` for this process; raises QuerySplatError when another process holds it.
 
-    The system frees the folder when the process ends, however it ends. Windows has no such locks, and nothing is
-    checked there.
+    The system frees the folder when the process ends, however it ends. Windows and some file systems have no such
+    locks, and nothing is checked there.
     """
     # The lock is on the folder itself. filelock would leave a file of its own among the user's.
     try:
@@ -126,6 +126,8 @@ def sole_writer(folder: Path) -> Iterator[None]:
         except BlockingIOError:
             why = f"{folder}: another process is writing there"
             raise QuerySplatError(why, "Wait until it ends, or use another folder.") from None
+        except OSError:
+            pass  # the file system has no locks
         yield
     finally:
         os.close(handle)

@@ -66,7 +66,8 @@ def _sharpness(grey: np.ndarray) -> float:
 class _Motion:
     """Follows corners from a key frame on, and takes a new key frame after half a step.
 
-    A shaking hand does not add up, because motion is measured from the key frame.
+    A shaking hand does not add up, because motion is measured from the key frame. A change of the picture's size is a
+    whole step: no corner is followed across it.
     """
 
     def __init__(self, policy: FilmPolicy) -> None:
@@ -87,6 +88,10 @@ class _Motion:
         if before is None:
             self._new_key(grey)
             return 0.0
+        if before.shape != grey.shape:
+            self._travel += self._policy.step
+            self._new_key(grey)
+            return self._travel
         moved = self._followed(before, grey)
         self._travel = max(self._travel, self._travel_of_key + moved)
         few = len(self._now) < self._policy.lost_share * self._corners

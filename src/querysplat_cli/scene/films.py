@@ -13,8 +13,9 @@ from av.container import InputContainer
 from av.video.stream import VideoStream
 
 from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.scene.decoding import reduced
 from querysplat_cli.scene.film_colours import rgb_of
-from querysplat_cli.scene.photos import FILM_SUFFIXES, reduced
+from querysplat_cli.scene.photos import FILM_SUFFIXES
 from querysplat_cli.scene.views import Photo
 
 GIVE_A_FILM = "Give an MP4, MOV or WebM film."

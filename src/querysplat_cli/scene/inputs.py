@@ -5,10 +5,12 @@ from pathlib import Path
 
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Progress
+from querysplat_cli.scene.decoding import reduced
 from querysplat_cli.scene.film_choice import FilmChoice, choose_frames
 from querysplat_cli.scene.film_survey import FilmSurvey, survey_film
 from querysplat_cli.scene.films import frame_pixels, is_film, read_ahead
-from querysplat_cli.scene.photos import Keep, decoded_photos, load_photos, none_usable, reduced, short_names
+from querysplat_cli.scene.photo_names import short_names
+from querysplat_cli.scene.photos import Keep, decoded_photos, load_photos, none_usable
 from querysplat_cli.scene.views import LeftOut, Photo
 
 

@@ -1,5 +1,6 @@
 """Masks: which pixels of a photo take part. They are files in a folder `masks`, or the photo's own alpha channel."""
 
+import os
 from pathlib import Path
 
 import cv2
@@ -23,7 +24,7 @@ def mask_file(photo: Path) -> Path | None:
     For `images_4/a.jpg` these are, in this order, `images_4/masks/`, `masks_4/` and `masks/` with `a.jpg.png` (COLMAP),
     `a.png` or `a.jpg` (nerfstudio).
     """
-    folder = photo.parent
+    folder = Path(os.path.abspath(photo)).parent  # a photo may be given from inside its folder
     level = folder.name.removeprefix(IMAGES) if folder.name.startswith(IMAGES) else ""
     for place in dict.fromkeys((folder / MASKS, folder.parent / f"{MASKS}{level}", folder.parent / MASKS)):
         if place.is_dir():

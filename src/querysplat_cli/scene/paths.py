@@ -1,5 +1,7 @@
 """Camera paths for films of a scene."""
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 from jaxtyping import Float
@@ -24,8 +26,9 @@ def orbit(cameras: Cameras, middle: Float[Tensor, "3"], frames: int) -> Cameras:
     """A closed, smooth path around `middle`, looking at it, at the inputs' typical distance and height.
 
     Where the inputs surround `middle`, so does the path. Where they stand on one side (a forward-facing capture), it is
-    an ellipse on that side, within their angular range. The up direction is estimated from all inputs, the intrinsics
-    are the medians of theirs. Raises QuerySplatError when the inputs' centres are at `middle`.
+    an ellipse on that side, within their angular range. The up direction is estimated from all inputs. The focal
+    lengths are the medians of theirs, and the principal point is the middle of their canvas. Raises QuerySplatError
+    when the inputs' centres are at `middle`.
     """
     centres, target = cameras.centres.double().numpy(), middle.double().numpy()
     up = up_direction(cameras)
@@ -118,7 +121,7 @@ def on_the_line(pair: Cameras, share: float) -> Cameras:
 
 
 def look_at(places: np.ndarray, target: np.ndarray, up: np.ndarray, like: Cameras) -> Cameras:
-    """Cameras at `places` [n, 3] towards `target` [3] or [n, 3]; canvas and median intrinsics of `like`."""
+    """Cameras at `places` [n, 3] towards `target` [3] or [n, 3]; canvas and median focal lengths of `like`."""
     z = target - places
     z = z / np.linalg.norm(z, axis=1, keepdims=True)
     x = np.cross(z, up)
@@ -126,7 +129,14 @@ def look_at(places: np.ndarray, target: np.ndarray, up: np.ndarray, like: Camera
     path = np.tile(np.eye(4), (len(places), 1, 1))
     path[:, :3, :3] = np.stack([x, np.cross(z, x), z], 2)
     path[:, :3, 3] = places
-    return _cameras(path, like.K.median(0).values.expand(len(places), 3, 3), like)
+    return centred(_cameras(path, like.K.median(0).values.expand(len(places), 3, 3), like))
+
+
+def centred(cameras: Cameras) -> Cameras:
+    """The same cameras, looking through the middle of their canvas. Photos of several shapes have several middles."""
+    K = cameras.K.clone()
+    K[:, 0, 2], K[:, 1, 2] = cameras.width / 2, cameras.height / 2
+    return replace(cameras, K=K)
 
 
 def _cameras(c2w: np.ndarray, K: Tensor, like: Cameras) -> Cameras:

@@ -15,9 +15,10 @@ from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.json_files import read_json
 from querysplat_cli.runtime.tables import STRICT, from_tables
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera, same_shape
+from querysplat_cli.scene.decoding import longer_side, reduced
 from querysplat_cli.scene.films import film_size, frame_pixels
 from querysplat_cli.scene.lenses import shown_part
-from querysplat_cli.scene.photos import load_photo, longer_side, reduced
+from querysplat_cli.scene.photos import load_photo
 from querysplat_cli.scene.resample import PinholeView
 from querysplat_cli.scene.undistort import on_canvas, undistorted
 from querysplat_cli.scene.views import Photo, PhotoSource, Views
@@ -54,7 +55,7 @@ class PhotoFile:
         focal, principal = tuple(map(float, camera.focal)), tuple(map(float, camera.principal))
         distortion = tuple(map(float, camera.distortion))
         lens = focal, principal, distortion, camera.height, camera.width
-        return cls(name, source.path.resolve(), *lens, source.pts, source.view)  # type: ignore[arg-type]
+        return cls(name, source.path.absolute(), *lens, source.pts, source.view)  # type: ignore[arg-type]
 
     @property
     def lens(self) -> PhotoCamera:

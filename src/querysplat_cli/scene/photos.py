@@ -2,25 +2,24 @@
 
 import os
 import re
-from collections import Counter
-from collections.abc import Callable, Sequence
+from collections import deque
+from collections.abc import Callable, Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
-from pathlib import Path, PurePath
+from contextlib import closing
+from itertools import islice
+from pathlib import Path
 
-import cv2
 import numpy as np
-from PIL import Image, ImageOps, UnidentifiedImageError
+from PIL import Image, UnidentifiedImageError
 
 from querysplat_cli.runtime.errors import QuerySplatError
-from querysplat_cli.runtime.optional_parts import install_command
 from querysplat_cli.runtime.progress import Progress
-from querysplat_cli.scene.exif import Gps, focal_length, gps_place, says_panorama
+from querysplat_cli.scene.decoding import Decoded, decode, why_not_a_picture
 from querysplat_cli.scene.masks import BadMask, mask_file, read_mask, resized_mask
+from querysplat_cli.scene.photo_names import names_a_photo, short_names
 from querysplat_cli.scene.views import LeftOut, Photo
 
 SUFFIXES = {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".ppm", ".pgm", ".heic", ".heif", ".avif"}
-HEIF_SUFFIXES = {".heic", ".heif"}
 FILM_SUFFIXES = {".mp4", ".mov", ".m4v", ".webm", ".mkv", ".avi"}
 PICTURE_FOLDERS = ("images", "images_2", "images_4", "images_8")
 """Where DL3DV and nerfstudio keep the pictures of a scene, largest first."""
@@ -32,8 +31,6 @@ SMALLEST_SIDE = 64
 WHOLE = 1 << 16
 """As `max_side`, this reduces no photo."""
 Keep = Callable[[Photo], Photo]
-HALF_OPAQUE = 128
-"""Pixels of a smaller alpha, of 255, take no part."""
 
 
 def find_photos(inputs: Sequence[Path]) -> list[Path]:
@@ -81,8 +78,7 @@ def decoded_photos(
     """As `load_photos`, under these names; there may be no usable photo."""
     photos: list[Photo] = []
     left_out: list[LeftOut] = []
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        results = pool.map(lambda path, name: load_photo(path, name, max_side), paths, names)
+    with closing(_read_ahead(paths, names, max_side)) as results:
         for number, result in enumerate(results, start=1):
             if isinstance(result, Photo):
                 photos.append(keep(result))
@@ -90,6 +86,20 @@ def decoded_photos(
                 left_out.append(result)
             progress(result.name, number / len(paths))
     return photos, left_out
+
+
+def _read_ahead(paths: Sequence[Path], names: Sequence[str], max_side: int) -> Generator[Photo | LeftOut, None, None]:
+    """The photos in their order. At most two for each core wait in memory, or are left to decode after an error."""
+    cores = os.cpu_count() or 1
+    rest = zip(paths, names, strict=True)
+    pool = ThreadPoolExecutor(cores)
+    try:
+        jobs = deque(pool.submit(load_photo, path, name, max_side) for path, name in islice(rest, 2 * cores))
+        while jobs:
+            yield jobs.popleft().result()
+            jobs.extend(pool.submit(load_photo, path, name, max_side) for path, name in islice(rest, 1))
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 def none_usable(left_out: Sequence[LeftOut]) -> QuerySplatError:
@@ -110,10 +120,10 @@ def load_photo(path: Path, name: str, max_side: int) -> Photo | LeftOut:
     try:
         if not path.stat().st_size:
             return LeftOut(name, "the file is empty")
-        found = _decode(path, max_side)
+        found = decode(path, max_side)
         pixels, mask = found.pixels, _mask(path, found)
     except UnidentifiedImageError:
-        return LeftOut(name, _why_not_a_picture(path))
+        return LeftOut(name, why_not_a_picture(path))
     except BadMask as error:
         return LeftOut(name, str(error))
     except Image.DecompressionBombError:
@@ -121,42 +131,14 @@ def load_photo(path: Path, name: str, max_side: int) -> Photo | LeftOut:
     except Exception as error:  # damage can raise anything in Pillow's decoders
         return LeftOut(name, f"it cannot be decoded: {error}")
     if min(pixels.shape[:2]) < SMALLEST_SIDE:
-        return LeftOut(name, f"{pixels.shape[1]} × {pixels.shape[0]} pixels are too few")
+        what = "too few" if min(found.full) < SMALLEST_SIDE else "too long and narrow"
+        return LeftOut(name, f"{found.full[1]} × {found.full[0]} pixels are {what}")
     if mask is not None and not mask.any():
         return LeftOut(name, "its mask hides all of it")
-    return Photo(name, path, pixels, found.focal, mask=mask, panorama=found.panorama, gps=found.gps)
-
-
-def longer_side(path: Path, default: int) -> int:
-    """The longer side of the picture in a file, in pixels; `default` where only its pixels show that."""
-    if path.suffix.lower() in HEIF_SUFFIXES:
-        _register_heif()
-    try:
-        with Image.open(path) as image:
-            return max(image.size)
-    except UnidentifiedImageError:
-        return default
-
-
-def short_names(paths: Sequence[PurePath]) -> list[str]:
-    """The last parts of each path, as few as make it different from all others."""
-    names = [path.name for path in paths]
-    longest = max((len(path.parts) for path in paths), default=0)
-    for depth in range(2, longest + 1):
-        count = Counter(names)
-        names = [
-            name if count[name] == 1 else "/".join(path.parts[-depth:]) for path, name in zip(paths, names, strict=True)
-        ]
-    return names
-
-
-def names_a_photo(name: str) -> bool:
-    """Whether a text from a file can be the path of a photo: it ends in a file's name, in letters that exist."""
-    try:
-        name.encode()
-    except UnicodeEncodeError:
-        return False
-    return PurePath(name).name not in ("", "..") and "\0" not in name
+    return Photo(
+        name, path, pixels, found.focal,
+        mask=mask, panorama=found.panorama, gps=found.gps, orientation=found.orientation,
+    )  # fmt: skip
 
 
 def natural_key(path: Path) -> list[tuple[int, int | str]]:
@@ -188,18 +170,7 @@ def _is_picture(path: Path) -> bool:
     return path.suffix.lower() in SUFFIXES
 
 
-@dataclass(frozen=True)
-class _Decoded:
-    """A picture file: upright, reduced RGB, the focal length in its pixels, where it is opaque, and if it is 360°."""
-
-    pixels: np.ndarray
-    focal: float | None = None
-    opaque: np.ndarray | None = None
-    panorama: bool = False
-    gps: Gps | None = None
-
-
-def _mask(path: Path, found: _Decoded) -> np.ndarray | None:
+def _mask(path: Path, found: Decoded) -> np.ndarray | None:
     """The pixels that take part by the mask's file, or else by the alpha channel; None where all of them do."""
     file = mask_file(path)
     if file is None and found.opaque is None:
@@ -207,68 +178,3 @@ def _mask(path: Path, found: _Decoded) -> np.ndarray | None:
     height, width = found.pixels.shape[:2]
     mask = read_mask(file, height, width) if file else resized_mask(np.asarray(found.opaque), height, width)
     return None if mask.all() else mask
-
-
-def _decode(path: Path, max_side: int) -> _Decoded:
-    if path.suffix.lower() in HEIF_SUFFIXES:
-        _register_heif()
-    try:
-        image = Image.open(path)
-    except UnidentifiedImageError:
-        return _Decoded(reduced(_decode_deep_tiff(path), max_side))
-    with image:
-        focal, panorama, gps = focal_length(image), says_panorama(image), gps_place(image)
-        width, height = image.size
-        scale = min(1.0, max_side / max(width, height))
-        image.draft("RGB", (round(width * scale), round(height * scale)))
-        upright = ImageOps.exif_transpose(image)
-        pixels = reduced(_rgb(upright), max_side)
-        opaque = np.asarray(upright.convert("RGBA").getchannel("A")) >= HALF_OPAQUE if _has_alpha(upright) else None
-    return _Decoded(pixels, focal and focal * max(pixels.shape) / max(width, height), opaque, panorama, gps)
-
-
-def _rgb(image: Image.Image) -> np.ndarray:
-    if image.mode.startswith("I"):
-        high = np.asarray(image, dtype=np.int64) >> 8
-        return np.repeat(high.clip(0, 255).astype(np.uint8)[..., None], 3, axis=2)
-    if image.mode == "F":
-        raise ValueError("floating-point pixels have no agreed white")
-    if _has_alpha(image):
-        colour = image.convert("RGBA")
-        image = Image.alpha_composite(Image.new("RGBA", colour.size, "white"), colour)
-    return np.array(image.convert("RGB"))
-
-
-def _has_alpha(image: Image.Image) -> bool:
-    return image.mode in ("RGBA", "LA", "La", "RGBa", "PA") or "transparency" in image.info
-
-
-def _decode_deep_tiff(path: Path) -> np.ndarray:
-    """TIFF kinds that Pillow cannot read, such as three channels of 16 bits."""
-    pixels = cv2.imread(str(path), cv2.IMREAD_COLOR) if path.suffix.lower() in (".tif", ".tiff") else None
-    if pixels is None:
-        raise UnidentifiedImageError(path)
-    return np.ascontiguousarray(pixels[..., ::-1])
-
-
-def reduced(pixels: np.ndarray, max_side: int) -> np.ndarray:
-    """Pixels [height, width, 3] whose longer side is at most `max_side` (area filter)."""
-    height, width = pixels.shape[:2]
-    scale = max_side / max(height, width)
-    if scale >= 1:
-        return pixels
-    return cv2.resize(pixels, (round(width * scale), round(height * scale)), interpolation=cv2.INTER_AREA)
-
-
-def _register_heif() -> None:
-    try:
-        from pillow_heif import register_heif_opener
-    except ImportError:
-        return
-    register_heif_opener()
-
-
-def _why_not_a_picture(path: Path) -> str:
-    if path.suffix.lower() in HEIF_SUFFIXES:
-        return f"HEIC needs one more package: {install_command('heic')}"
-    return "not a picture that can be read"

@@ -35,7 +35,7 @@ class Photo:
     of a film's frame; None for a photo. `mask` [height, width] is True where the photo takes part; None: everywhere.
     `panorama` is whether the file says that it shows 360°, `gps` where it was taken. `view` is the part of a wide photo
     that this one shows. `cut_from` is the (height, width), in pixels of this photo, of the picture that it is
-    the middle of, where the program cut it.
+    the middle of, where the program cut it. `orientation` is EXIF's, by which the stored pixels were turned.
     """
 
     name: str
@@ -48,6 +48,7 @@ class Photo:
     gps: Gps | None = None
     view: PinholeView | None = None
     cut_from: tuple[int, int] | None = None
+    orientation: int = 1
 
     @property
     def source(self) -> PhotoSource:

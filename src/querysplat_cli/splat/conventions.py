@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 COLOUR_LIMIT = 1e6
 """Evaluated colours are clamped to [0, this], so that wild SH coefficients cannot overflow the blending."""
-SCALE_LIMIT = 1.8e19
-"""A Gaussian with a larger scale is culled: the square overflows float32."""
+SCALE_LIMIT = 3e17
+"""A Gaussian with a larger scale is culled: the squares of it and of its inverse leave float32's range."""
 SHORTEST_QUATERNION = 1e-30
 """A Gaussian whose quaternion is shorter is culled: its direction is lost in rounding, and its gradient overflows."""
 CLAMP_MARGIN = 0.3

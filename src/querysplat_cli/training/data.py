@@ -118,11 +118,16 @@ def _failed(data: DataSettings, job: Missing, why: str) -> None:
 
 
 def cache_folder(data: DataSettings, source: SourceSettings) -> Path:
-    """The folder of a source's samples. Its name depends on the encoder, the size and everything that a draw uses."""
+    """The folder of a source's samples. Its name depends on all that a sample does.
+
+    These are the encoder, the folder of its weights, the size, and everything that a draw uses.
+    """
     counted = {name: value for name, value in asdict(source).items() if name not in ("scenes", "samples")}
     if not source.varied:
         del counted["varied"]  # so that caches from before there were varied scenes are found
-    content = json.dumps([data.encoder, data.max_size, counted], sort_keys=True)
+    # Without weights the name is that of caches from before they counted.
+    weights = [str(Path(data.weights).expanduser().resolve())] if data.weights else []
+    content = json.dumps([data.encoder, data.max_size, counted, *weights], sort_keys=True)
     return Path(data.cache).expanduser() / f"{source.kind}-{hashlib.sha256(content.encode()).hexdigest()[:12]}"
 
 

@@ -129,7 +129,7 @@ def plan(request: TrainRequest, stages: Stages) -> TrainPlan:
         state_gib=4 * (whole + 4 * learning) / 2**30,
         peak_memory_gib=peak_gib(device) if measured.step is not None else None,
         seconds_per_sample=measured.sample,
-        seconds_per_step=measured.step,
+        seconds_per_step=None if measured.step is None else measured.step * in_turn,
         hours=hours,
         unmeasured=measured.reason,
     )

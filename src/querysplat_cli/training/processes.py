@@ -5,10 +5,12 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import timedelta
+from typing import TypeVar
 
 import torch
 from torch import Tensor, distributed, nn
 
+T = TypeVar("T")
 BARRIER_TIMEOUT = timedelta(hours=12)
 """How long the others wait for a process that still prepares samples."""
 
@@ -30,13 +32,12 @@ class Processes:
         if self.world > 1:
             distributed.barrier()
 
-    def gather(self, values: Sequence[float]) -> list[float]:
-        """The values of all processes, in the order of their ranks. Each process gives as many values."""
+    def gather(self, values: Sequence[T]) -> list[T]:
+        """The values of all processes, in the order of their ranks."""
         if self.world == 1:
             return list(values)
-        own = torch.tensor(values, dtype=torch.float64)
-        everyone: list[list[float]] = [[] for _ in range(self.world)]
-        distributed.all_gather_object(everyone, own.tolist())
+        everyone: list[list[T]] = [[] for _ in range(self.world)]
+        distributed.all_gather_object(everyone, list(values))
         return [value for each in everyone for value in each]
 
     def sum_gradients(self, parameters: Sequence[nn.Parameter]) -> None:

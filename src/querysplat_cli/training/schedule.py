@@ -83,7 +83,8 @@ class Average:
     def __init__(self, model: nn.Module, decay: float, values: Mapping[str, Tensor] | None = None) -> None:
         self._decay = decay
         self.values = {
-            name: (values[name] if values else tensor).detach().float().clone() for name, tensor in trained(model)
+            name: (values[name] if values else tensor).detach().to(tensor.device, torch.float32, copy=True)
+            for name, tensor in trained(model)
         }
 
     def update(self, model: nn.Module, step: int) -> None:

@@ -10,6 +10,7 @@ from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.drafts import scratch_folder
 from querysplat_cli.scene.films import evenly_spaced_frames, is_film
 from querysplat_cli.scene.formats.dataset import CapturedScene, fetch, find_scenes
+from querysplat_cli.scene.orientation import upright_camera
 from querysplat_cli.scene.photos import load_photos
 from querysplat_cli.scene.views import Photo
 from querysplat_cli.training.captures import Capture, drawn_views
@@ -74,7 +75,11 @@ class Captured:
         ]
         if settings.cameras == "posed" and not place.cameras:
             raise QuerySplatError(f"{place.name} has no cameras", 'Use cameras = "free" for it.')
-        known = place.cameras if settings.cameras == "posed" else None
+        pairs = [
+            (frame.name, photo) for frame, photo in zip(frames, loaded, strict=True) if frame.name in place.cameras
+        ]
+        turned = {name: upright_camera(place.cameras[name], photo) for name, photo in pairs}
+        known = turned if settings.cameras == "posed" else None
         return Capture(place.name, tuple(named), tuple(place.frames[i].name for i in inputs), known)
 
 

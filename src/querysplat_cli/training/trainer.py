@@ -145,7 +145,7 @@ class Trainer:
         )
 
     def _step(self, samples: Samples, kept: RecentResults[Anchors], before: int) -> tuple[list[SampleLoss], float]:
-        """One optimiser step. Returns the samples' losses, and the seconds spent on waiting for data."""
+        """One optimiser step. Returns the losses of all samples of the batch, and the seconds of waiting for data."""
         config, stage = self.config, self.config.stages[self._stage]
         waited, results = 0.0, []
         for index in self._indices():
@@ -162,8 +162,7 @@ class Trainer:
                 # Not in the reader's thread: the renderer's compiled code cannot run in two threads at once.
                 anchors = kept.get(path, lambda sample=sample: anchored(sample))  # type: ignore[misc]
             results.append(self._add(to_device(sample, self.device), to_device(anchors, self.device), index))
-        self._advance(results, rate(self.step - before, stage))
-        return results, waited
+        return self._advance(results, rate(self.step - before, stage)), waited
 
     def _indices(self) -> range:
         """The samples of a batch that are this process's: a batch is the same however many processes share it."""
@@ -181,24 +180,26 @@ class Trainer:
         generator = torch.Generator().manual_seed(int(seeds.generate_state(1)[0]))
         return add_gradient(self.model, sample, anchors, step, generator)
 
-    def _advance(self, results: list[SampleLoss], lr: float) -> None:
-        """Sum the processes' gradients and take a step, unless all samples were skipped or the sum is not finite."""
+    def _advance(self, own: list[SampleLoss], lr: float) -> list[SampleLoss]:
+        """Sum the processes' gradients and take a step, unless all samples were skipped or the sum is not finite.
+
+        Returns the losses of all processes' samples.
+        """
         parameters = [parameter for _, parameter in trained(self.model)]
         self.processes.sum_gradients(parameters)
-        gathered = self.processes.gather(
-            [part for each in results for part in (each.pictures, float(not each.skipped))]
-        )
-        self._filter.add(gathered[::2])
+        results = self.processes.gather(own)
+        self._filter.add([each.pictures for each in results])
         for each in results:
             if each.skipped:
                 self.skipped[each.skipped] = self.skipped.get(each.skipped, 0) + 1
         norm = nn.utils.clip_grad_norm_(parameters, self.config.optimiser.clip)
-        if any(gathered[1::2]) and bool(norm.isfinite()):
+        if not all(each.skipped for each in results) and bool(norm.isfinite()):
             for group in self._optimiser.param_groups:
                 group["lr"] = lr
             self._optimiser.step()
             self._average.update(self.model, self.step)
         self._optimiser.zero_grad(set_to_none=True)
+        return results
 
     def _row(self, recent: list[SampleLoss], seconds: float, steps: int, waited: float) -> dict[str, Any]:
         sound = [each for each in recent if not each.skipped] or recent
@@ -251,7 +252,9 @@ class Trainer:
 
     def _grow(self, queries: int) -> None:
         if queries and queries != self.model.config.query_count:
-            grow_queries(self.model, queries, torch.Generator().manual_seed(self.config.seed))
+            # Other noise each time: with the same, a copy would lie on the earlier copy of its query.
+            seed = int(np.random.SeedSequence([self.config.seed, queries]).generate_state(1)[0])
+            grow_queries(self.model, queries, torch.Generator().manual_seed(seed))
 
 
 def samples_in_turn(batch: int, processes: int) -> int:

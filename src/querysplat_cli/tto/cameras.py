@@ -36,7 +36,9 @@ class RefinedCameras:
         self._poses = [torch.zeros(6, dtype=torch.float64, requires_grad=True) for _ in range(len(cameras))]
         self._zoom = torch.zeros((), dtype=torch.float64, requires_grad=True)
         self._adam = torch.optim.Adam(self._changes, lr=TTO_POLICY.camera_rate, betas=CAMERA_BETAS)
-        self._before = [change.detach().clone() for change in self._changes]
+        self._rate = TTO_POLICY.camera_rate
+        self._before = self._copied()
+        self._marks = self._before, self._before
 
     @property
     def _changes(self) -> list[Tensor]:
@@ -60,16 +62,34 @@ class RefinedCameras:
         for pose in self._poses:
             if pose.grad is not None and not pose.grad.any():
                 pose.grad = None  # else momentum would move a camera whose view was not drawn
-        self._before = [change.detach().clone() for change in self._changes]
-        self._adam.param_groups[0]["lr"] = TTO_POLICY.camera_rate * share
+        self._before = self._copied()
+        self._adam.param_groups[0]["lr"] = self._rate * share
         self._adam.step()
         self._adam.zero_grad(set_to_none=True)
 
+    def mark(self) -> None:
+        """Keep the cameras as they are for `go_back`."""
+        self._marks = self._marks[1], self._copied()
+
     def undo(self) -> None:
-        """The cameras before the last step."""
+        """The cameras before the last step, at half the rate and without momentum, like the scene's variables."""
+        self._return_to(self._before)
+
+    def go_back(self) -> None:
+        """Like `undo`, to the cameras at the mark before the last one."""
+        self._return_to(self._marks[0])
+        self._marks = self._marks[0], self._marks[0]
+
+    def _copied(self) -> list[Tensor]:
+        return [change.detach().clone() for change in self._changes]
+
+    def _return_to(self, earlier: list[Tensor]) -> None:
+        self._rate /= 2
         with torch.no_grad():
-            for change, before in zip(self._changes, self._before, strict=True):
+            for change, before in zip(self._changes, earlier, strict=True):
                 change.copy_(before)
+        for state in self._adam.state.values():
+            state["exp_avg"].zero_()
         self._adam.zero_grad(set_to_none=True)
 
 

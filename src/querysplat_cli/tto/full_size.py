@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import torch
 
+from querysplat_cli.prune.far import drawn_in
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.exposures import Exposures
 from querysplat_cli.scene.gaussians import Gaussians
@@ -89,7 +90,7 @@ def optimise_full_size(
         elif plan.round:
             ended = _rounds(run, plan.round, plan.most_rounds)
     assert target
-    sharp = bounded(runs[-1][1].gaussians, target.cameras)
+    sharp = bounded(drawn_in(runs[-1][1].gaussians, target.cameras), target.cameras)
     lean = tuple((stage, _lean(result)) for stage, result in runs)
     return FullSizeResult(sharp, lean, ended, refitted.current if refitted else None)
 

@@ -86,13 +86,14 @@ def plan_full_size(
         most_passes = min(most_passes, TTO_POLICY.passes)
     shares = _stages(photos, size)
     halved = limits.halved if photos.enlarged(size) else 0.0
-    stages, expected = [], 0.0
+    stages, expected, lasting = [], 0.0, 0
     for number, (share, part) in enumerate(shares, start=1):
         more = round(gaussians * (target / gaussians) ** (number / len(shares)))
         seen = pixels * share**2
         cost = _step_seconds(seen, more) + halved * _step_seconds(seen / 4, more)
-        passes = most_passes * photos.count / len(shares)
-        steps = max(1, int(passes if seconds is not None else min(allowed * part / cost, passes)))
+        most_steps = max(1, int(most_passes * photos.count / len(shares)))
+        in_time = max(1, min(int(allowed * part / cost), most_steps))
+        steps = in_time if seconds is None else most_steps
         settings = TtoSettings(
             steps,
             policy.learning_rate,
@@ -103,7 +104,8 @@ def plan_full_size(
         )
         stages.append(FullSizeStage(round(size * share), settings, more, halved))
         expected += steps * cost
-    if sum(stage.settings.steps for stage in stages) > policy.dropout_passes * photos.count:
+        lasting += in_time
+    if lasting > policy.dropout_passes * photos.count:
         stages = [replace(stage, settings=replace(stage.settings, dropout=policy.dropout)) for stage in stages]
     if not limits.most_rounds or seconds is not None:
         return FullSizePlan(tuple(stages), expected if seconds is None else seconds, level=level)

@@ -116,6 +116,11 @@ class _Run(Generic[V]):
         self._again: list[int] = []
         self._began = time.perf_counter()
 
+    @property
+    def _steppers(self) -> list[UndoableAdam[V] | RefinedCameras]:
+        """The scene, and its cameras where they are refined."""
+        return [self._adam, self._refined] if self._refined else [self._adam]
+
     def take_steps(self, draws: Iterator[list[int]]) -> None:
         views = len(self._target.views)
         one_round = math.ceil(views / (self._settings.views_per_step or views))
@@ -124,7 +129,8 @@ class _Run(Generic[V]):
             if done >= 1:
                 break
             if step % one_round == 0:
-                self._adam.mark()
+                for each in self._steppers:
+                    each.mark()
             self._take(step, self._again or next(draws), done)
             if self._undone_in_a_row == TTO_POLICY.patience:
                 break
@@ -164,9 +170,8 @@ class _Run(Generic[V]):
             self._split(gaussians)
             return
         rate = _rate_share(step, done, self._settings)
-        self._adam.step(rate)
-        if self._refined:
-            self._refined.step(rate)
+        for each in self._steppers:
+            each.step(rate)
 
     def _decoded(self) -> Gaussians:
         """The Gaussians that stay, for a target whose cameras are the refined ones."""
@@ -206,13 +211,10 @@ class _Run(Generic[V]):
         """
         self.undone += 1
         self._undone_in_a_row += 1
-        if self._refined:
-            self._refined.undo()
+        for each in self._steppers:
+            each.go_back() if self._again else each.undo()
         if self._again:
-            self._adam.go_back()
             self._forget_losses()
-        else:
-            self._adam.undo()
         self._again = chosen
 
     def _note(self, loss: LossAndGradient, chosen: list[int], step: int, gaussians: Gaussians) -> None:

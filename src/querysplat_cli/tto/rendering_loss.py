@@ -124,7 +124,7 @@ class RenderingLoss:
             smaller = TTO_POLICY.half * self._half_loss(leaves, cameras, behind, view, photo) if halve else 0.0
             ((photometric_loss(picture, *photo) + distance + smaller) / len(chosen)).backward()
             value, error = self._compared(rendering, photo, view)
-            losses.append(value + float(distance.detach()))
+            losses.append(value)
             errors.append(error)
         camera_gradient = (gradient_of(w2c), gradient_of(K)) if asked else None
         return LossAndGradient(losses, _decibels(errors), leaves.map(gradient_of), camera_gradient)
@@ -153,8 +153,7 @@ class RenderingLoss:
     def _scores(self, gaussians: Gaussians, view: int) -> tuple[float, float]:
         """The loss of a view and the mean squared error, over `background`."""
         rendering, photo = self.render(gaussians, view), self._photo(view)
-        value, error = self._compared(rendering, photo, view)
-        return value + float(self._distance(self._picture(rendering, self.background, view), photo)), error
+        return self._compared(rendering, photo, view)
 
     def _distance(self, picture: Tensor, photo: tuple[Tensor, Tensor]) -> Tensor:
         """LPIPS by its weight; 0 where it is left out."""
@@ -164,8 +163,10 @@ class RenderingLoss:
 
     @torch.no_grad()
     def _compared(self, rendering: Rendering, photo: tuple[Tensor, Tensor], view: int) -> tuple[float, float]:
-        """L1 + 0.2·D-SSIM and the mean squared error, over `background`."""
-        return photometric_value(self._picture(rendering, self.background, view), *photo)
+        """The loss and the mean squared error, over `background`."""
+        picture = self._picture(rendering, self.background, view)
+        value, error = photometric_value(picture, *photo)
+        return value + float(self._distance(picture, photo)), error
 
     def _picture(self, rendering: Rendering, background: Tensor | None, view: int) -> Tensor:
         """The render over `background`, black where the photo is masked: SSIM's windows reach beyond masks."""

@@ -120,8 +120,8 @@ class UndoableAdam(Generic[V]):
         origin = denser.origin
         split = origin.bincount()[origin] > 1
         for tensor, state in zip(tensors(self._leaves), moments, strict=True):
-            self._adam.state[tensor] = {name: part[origin] if part.dim() else part for name, part in state.items()}
             if state:
+                self._adam.state[tensor] = {name: part[origin] if part.dim() else part for name, part in state.items()}
                 self._adam.state[tensor]["exp_avg"][split] = 0
                 self._adam.state[tensor]["exp_avg_sq"][split] = 0
 

@@ -208,7 +208,7 @@ def _similarity(descriptors: Sequence[np.ndarray]) -> np.ndarray:
         everything[photo, : len(rows)] = rows
     similarity = np.zeros((count, count), np.int64)
     for photo, rows in enumerate(descriptors):
-        cosines = (rows @ everything.reshape(count * sampled, -1).T).reshape(len(rows), count, -1)
+        cosines = (rows @ everything.reshape(count * sampled, -1).T).reshape(len(rows), count, sampled)
         nearest = cosines.argmax(-1)[..., None]
         first = np.take_along_axis(cosines, nearest, -1)[..., 0]
         np.put_along_axis(cosines, nearest, -1, -1)

@@ -98,7 +98,7 @@ def _write_views(matches: Matches, weak: Sequence[int], folder: Path) -> list[Ti
 
 @dataclass(frozen=True)
 class _Found:
-    """Features of a photo's view [n, 4], as COLMAP's keypoints of the photo, matched with those of another photo."""
+    """Features of a photo's view [n, 6], as COLMAP's keypoints of the photo, matched with those of another photo."""
 
     photo: int
     other: int
@@ -135,7 +135,7 @@ def _matched_views(matches: Matches, views: Sequence[TiltedView], folder: Path) 
 
 
 def _in_photo(keypoints: np.ndarray, view: TiltedView) -> np.ndarray:
-    """COLMAP's keypoints [n, 4] of a view, at their places in the photo."""
+    """COLMAP's keypoints [n, 6] of a view, at their places in the photo."""
     moved = keypoints.copy()
     moved[:, :2] = keypoints[:, :2] @ view.to_photo[:, :2].T + view.to_photo[:, 2]
     moved[:, 2] *= np.sqrt(abs(np.linalg.det(view.to_photo[:, :2])))

@@ -47,7 +47,7 @@ class FeedForwardEncoder:
         Points come from the depth maps; there are none without depth. Raises QuerySplatError for known cameras or a
         size below a patch, and ImpossibleScene when a camera is not finite.
         """
-        if request.known:
+        if request.known is not None:
             raise QuerySplatError(
                 f"--poses: {self.name} finds cameras itself and can take none",
                 "Leave --poses out, or use another preset.",

@@ -13,7 +13,7 @@ from querysplat_cli.runtime.json_files import shown
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.formats.colmap_files import check_binary
 from querysplat_cli.scene.formats.point_cloud import PointCloud
-from querysplat_cli.scene.photos import names_a_photo, short_names
+from querysplat_cli.scene.photo_names import names_a_photo, short_names
 
 MODEL_FOLDERS = ("", "0", "sparse", "sparse/0", "colmap/sparse/0")
 """Where a model may be in a folder that the user gives."""
@@ -93,6 +93,8 @@ def _cameras(folder: Path, lenses: Mapping[str, tuple[int, ...]]) -> dict[str, P
             height=int(camera.height),
             width=int(camera.width),
             fisheye=camera.model_name in FISHEYE_PARAMETERS,
+            file=image.name,
+            as_stored=True,  # COLMAP does not turn photos
         )
         if found.fault() or not np.isfinite(w2c).all():
             why = found.fault() or "its pose is not a number"

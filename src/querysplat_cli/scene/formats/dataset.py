@@ -145,7 +145,8 @@ def _read(home: Traversable, name: str, folder: str | None, wanted: str) -> Capt
         frames = []
         for index, (short, path) in enumerate(zip(cameras, paths, strict=True)):
             # The folder in the file is that of the full-size pictures, which often are not there.
-            file = next((file for file in (_inside(place, short), _inside(home, path)) if file.is_file()), None)
+            candidates = _inside(place, path), _inside(place, short), _inside(home, path)
+            file = next((file for file in candidates if file.is_file()), None)
             if file is not None:
                 frames.append(_frame(index, short, folder, file))
         if len(frames) < len(cameras):
@@ -186,7 +187,7 @@ def _copied_cameras(home: Traversable, scratch: Path) -> tuple[dict[str, PhotoCa
             for file in files:
                 _copied(file, scratch)
             cameras = read_colmap(scratch)
-            return cameras, list(cameras)
+            return cameras, [camera.file for camera in cameras.values()]
     # Our scene folder's. The original 3DGS writes another kind of cameras.json next to a COLMAP model.
     if (home / "cameras.json").is_file():
         return _listed(_copied(home / "cameras.json", scratch))

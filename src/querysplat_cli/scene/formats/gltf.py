@@ -14,8 +14,10 @@ import numpy as np
 import torch
 
 from querysplat_cli.scene.files import atomic_path
+from querysplat_cli.scene.formats.gltf_nodes import placement
 from querysplat_cli.scene.formats.ply import HIGHEST_OPACITY, LOWEST_OPACITY, damage_named, finite_gaussians
 from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.sim3 import Sim3
 
 EXTENSION = "KHR_gaussian_splatting"
 MAGIC, JSON_CHUNK, BINARY_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
@@ -42,11 +44,18 @@ def write_glb(path: Path, gaussians: Gaussians) -> int:
     return len(finite)
 
 
-def read_glb(path: Path) -> Gaussians:
-    """The Gaussians of the first primitive of a .glb that has any. Raises QuerySplatError when it is damaged."""
+def read_glb(path: Path) -> tuple[Gaussians, Sim3 | None]:
+    """The Gaussians of the first primitive of a .glb that has any, and from their frame to that of the file.
+
+    The latter is None where the two are one. Raises QuerySplatError when the file is damaged, or a node of it
+    stretches, mirrors or flattens the Gaussians.
+    """
     with damage_named(path, ".glb of Gaussians"):
-        gaussians = _gaussians(*_chunks(path.read_bytes()))
-    return finite_gaussians(path, gaussians)
+        document, binary = _chunks(path.read_bytes())
+        mesh, attributes = _first_primitive(document)
+        gaussians = _gaussians(document, attributes, binary)
+        place = placement(document, mesh)
+    return finite_gaussians(path, gaussians), place
 
 
 def _attributes(gaussians: Gaussians) -> dict[str, np.ndarray]:
@@ -113,22 +122,26 @@ def _chunks(content: bytes) -> tuple[dict[str, Any], bytes]:
     return document, content[begin : begin + size]
 
 
-def _gaussians(document: dict[str, Any], binary: bytes) -> Gaussians:
-    primitives = [each for mesh in document["meshes"] for each in mesh["primitives"]]
-    found = [each["attributes"] for each in primitives if EXTENSION in each.get("extensions", {})]
-    if not found:
-        raise ValueError(f"nothing in it has {EXTENSION}; a mesh is no scene of Gaussians")
-    attributes = found[0]
+def _first_primitive(document: dict[str, Any]) -> tuple[int, dict[str, int]]:
+    """The number of the first mesh with Gaussians, and their attributes."""
+    for number, mesh in enumerate(document["meshes"]):
+        for primitive in mesh["primitives"]:
+            if EXTENSION in primitive.get("extensions", {}):
+                return number, primitive["attributes"]
+    raise ValueError(f"nothing in it has {EXTENSION}; a mesh is no scene of Gaussians")
 
+
+def _gaussians(document: dict[str, Any], attributes: dict[str, int], binary: bytes) -> Gaussians:
     def column(name: str) -> torch.Tensor:
         accessor = document["accessors"][attributes[name]]
         view = document["bufferViews"][accessor["bufferView"]]
-        if accessor["componentType"] != FLOAT or view.get("byteStride"):
-            raise ValueError(f"{name} is not stored as plain float32")
+        if accessor["componentType"] != FLOAT:
+            raise ValueError(f"{name} is not stored as float32")
         width = next(count for count, kind in KINDS.items() if kind == accessor["type"])
         start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
-        values = np.frombuffer(binary, "<f4", accessor["count"] * width, start)
-        return torch.from_numpy(values.reshape(-1, width).astype(np.float32))
+        row = view.get("byteStride", 4 * width)
+        values = np.ndarray((accessor["count"], width), "<f4", binary, start, (row, 4))
+        return torch.from_numpy(values.astype(np.float32))
 
     degree = 0
     while _coefficient(degree + 1, 0) in attributes:

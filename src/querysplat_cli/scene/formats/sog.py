@@ -61,7 +61,7 @@ def encoded(gaussians: Gaussians) -> tuple[dict[str, Any], dict[str, np.ndarray]
     means = gaussians.means.double().numpy()
     logs = np.sign(means) * np.log1p(np.abs(means))
     low, high = logs.min(0), logs.max(0)
-    fixed = ((logs - low) / np.maximum(high - low, 1e-30) * 65535).astype(np.int64)
+    fixed = np.rint((logs - low) / np.maximum(high - low, 1e-30) * 65535).astype(np.int64)
     scales, scale_book = _coded(gaussians.scales.clamp_min(1e-30).log().double().numpy())
     colours, colour_book = _coded(gaussians.sh[:, 0].double().numpy())
     alpha = np.rint(gaussians.opacities.double().numpy() * 255)[:, None]

@@ -18,7 +18,7 @@ from querysplat_cli.runtime.json_files import read_json, shown
 from querysplat_cli.scene.cameras import FARTHEST_CENTRE, LONGEST_SIDE, Cameras, PhotoCamera
 from querysplat_cli.scene.files import atomic_path
 from querysplat_cli.scene.formats.transforms_frame import frame_camera, is_rigid, opengl_from_opencv
-from querysplat_cli.scene.photos import names_a_photo, short_names
+from querysplat_cli.scene.photo_names import names_a_photo, short_names
 from querysplat_cli.scene.pictures import stored_name
 from querysplat_cli.scene.sim3 import Sim3
 from querysplat_cli.scene.views import Views
@@ -48,14 +48,14 @@ def read_transforms(path: Path, *, fisheye: bool = False) -> dict[str, PhotoCame
     """
     content = _load(path)
     return {
-        name: frame_camera(path, name, {**content, **frame}, fisheye=fisheye)
+        name: replace(frame_camera(path, name, {**content, **frame}, fisheye=fisheye), file=_photo(path, frame))
         for name, frame in _named_frames(path, content).items()
     }
 
 
 def listed_paths(path: Path) -> dict[str, str]:
     """What `path` has as `file_path` of each photo, by the names of `read_transforms`. Raises like it."""
-    return {name: str(frame["file_path"]) for name, frame in _named_frames(path, _load(path)).items()}
+    return {name: with_slashes(str(frame["file_path"])) for name, frame in _named_frames(path, _load(path)).items()}
 
 
 def write_cameras(
@@ -68,9 +68,10 @@ def write_cameras(
 ) -> None:
     """Write pinhole cameras of undistorted pictures; `read_cameras` gives the same back within 1e-6.
 
-    The pictures are the undistorted ones in `images/`. Where a picture's file has another name than its photo, `photo`
-    is the photo's name. Held-out frames are under `heldout_frames`. `canvas` is the (height, width) that all share.
-    `frame` maps the frame of the cameras to that of the file, which also keeps it, as `working_frame`.
+    The pictures are the undistorted ones in `images/`. Where a picture's file has another name than its photo, or
+    one with a backslash, `photo` is the photo's name. Held-out frames are under `heldout_frames`. `canvas` is the
+    (height, width) that all share. `frame` maps the frame of the cameras to that of the file, which also keeps it, as
+    `working_frame`.
     """
     content = {
         "camera_model": "PINHOLE",
@@ -203,7 +204,7 @@ def _canvas(path: Path, stated: Any, sizes: Sequence[tuple[int, int]]) -> tuple[
 
 
 def _picture(photo: str, file: str) -> dict[str, str]:
-    return {"file_path": f"images/{file}", **({} if file == photo else {"photo": photo})}
+    return {"file_path": f"images/{file}", **({} if file == photo and "\\" not in file else {"photo": photo})}
 
 
 def _named_frames(path: Path, content: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
@@ -219,7 +220,12 @@ def _photo(path: Path, frame: Any) -> str:
     name = frame.get("photo", frame["file_path"])
     if not isinstance(name, str) or not names_a_photo(name):
         raise QuerySplatError(f"{path}: {shown(name)} is no name of a photo", "Export the file again.")
-    return name
+    return name if "photo" in frame else with_slashes(name)
+
+
+def with_slashes(path: str) -> str:
+    """A `file_path` that was written on Windows as others write it."""
+    return path.replace("\\", "/")
 
 
 def _inside(name: str) -> str:

@@ -1,0 +1,133 @@
+"""One picture file of any kind, decoded: upright, 8-bit RGB, not too large."""
+
+import warnings
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+from PIL import ExifTags, Image, ImageOps, UnidentifiedImageError
+
+from querysplat_cli.runtime.optional_parts import install_command
+from querysplat_cli.scene.exif import Gps, focal_length, gps_place, says_panorama
+
+HEIF_SUFFIXES = {".heic", ".heif"}
+HALF_OPAQUE = 128
+"""Pixels of a smaller alpha, of 255, take no part."""
+ON_THEIR_SIDE = {5, 6, 7, 8}
+"""EXIF orientations of pictures that are stored with rows for columns."""
+MOST_PIXELS = 500_000_000
+"""Of a photo. Phones take 200 million."""
+
+# Pillow's own limit is smaller, and its warnings, of large pictures and of damaged EXIF, tell the user nothing to do.
+Image.MAX_IMAGE_PIXELS = MOST_PIXELS
+warnings.filterwarnings("ignore", module=r"PIL\.")
+
+
+@dataclass(frozen=True)
+class Decoded:
+    """A picture file: upright, reduced RGB, the focal length in its pixels, where it is opaque, and what EXIF says.
+
+    `full` is the (height, width) of the upright picture before it was reduced. `orientation` is EXIF's.
+    """
+
+    pixels: np.ndarray
+    full: tuple[int, int]
+    focal: float | None = None
+    opaque: np.ndarray | None = None
+    panorama: bool = False
+    gps: Gps | None = None
+    orientation: int = 1
+
+
+def decode(path: Path, max_side: int) -> Decoded:
+    """A picture file whose longer side is at most `max_side` afterwards.
+
+    Raises UnidentifiedImageError where it is no picture, DecompressionBombError where it has more than `MOST_PIXELS`,
+    and whatever Pillow's decoders raise where it is damaged.
+    """
+    try:
+        image = _opened(path)
+    except UnidentifiedImageError:
+        pixels = _decode_deep_tiff(path)
+        return Decoded(reduced(pixels, max_side), pixels.shape[:2])
+    with image:
+        width, height = image.size
+        if width * height > MOST_PIXELS:
+            raise Image.DecompressionBombError
+        focal, panorama, gps = focal_length(image), says_panorama(image), gps_place(image)
+        orientation = image.getexif().get(ExifTags.Base.Orientation, 1)
+        scale = min(1.0, max_side / max(width, height))
+        image.draft("RGB", (round(width * scale), round(height * scale)))
+        upright = ImageOps.exif_transpose(image)
+        pixels = reduced(_rgb(upright), max_side)
+        opaque = np.asarray(upright.convert("RGBA").getchannel("A")) >= HALF_OPAQUE if _has_alpha(upright) else None
+    full = (width, height) if orientation in ON_THEIR_SIDE else (height, width)
+    focal = focal and focal * max(pixels.shape) / max(width, height)
+    return Decoded(pixels, full, focal, opaque, panorama, gps, orientation)
+
+
+def _rgb(image: Image.Image) -> np.ndarray:
+    if image.mode.startswith("I"):
+        high = np.asarray(image, dtype=np.int64) >> 8
+        return np.repeat(high.clip(0, 255).astype(np.uint8)[..., None], 3, axis=2)
+    if image.mode == "F":
+        raise ValueError("floating-point pixels have no agreed white")
+    if _has_alpha(image):
+        colour = image.convert("RGBA")
+        image = Image.alpha_composite(Image.new("RGBA", colour.size, "white"), colour)
+    return np.array(image.convert("RGB"))
+
+
+def _has_alpha(image: Image.Image) -> bool:
+    return image.mode in ("RGBA", "LA", "La", "RGBa", "PA") or "transparency" in image.info
+
+
+def _decode_deep_tiff(path: Path) -> np.ndarray:
+    """TIFF kinds that Pillow cannot read, such as three channels of 16 bits."""
+    pixels = cv2.imread(str(path), cv2.IMREAD_COLOR) if path.suffix.lower() in (".tif", ".tiff") else None
+    if pixels is None:
+        raise UnidentifiedImageError(path)
+    return np.ascontiguousarray(pixels[..., ::-1])
+
+
+def reduced(pixels: np.ndarray, max_side: int) -> np.ndarray:
+    """Pixels [height, width, 3] whose longer side is at most `max_side` (area filter)."""
+    height, width = pixels.shape[:2]
+    scale = max_side / max(height, width)
+    if scale >= 1:
+        return pixels
+    return cv2.resize(pixels, (round(width * scale), round(height * scale)), interpolation=cv2.INTER_AREA)
+
+
+def why_not_a_picture(path: Path) -> str:
+    """Why a file is no picture that can be read, as a phrase for the user."""
+    if path.suffix.lower() in HEIF_SUFFIXES and not _reads_heif():
+        return f"HEIC needs one more package: {install_command('heic')}"
+    return "not a picture that can be read"
+
+
+def longer_side(path: Path, default: int) -> int:
+    """The longer side of the picture in a file, in pixels; `default` where only its pixels show that."""
+    try:
+        with _opened(path) as image:
+            return max(image.size)
+    except UnidentifiedImageError:
+        return default
+
+
+def _opened(path: Path) -> Image.Image:
+    _reads_heif()  # a HEIC photo may have any suffix
+    return Image.open(path)
+
+
+@cache
+def _reads_heif() -> bool:
+    """Whether Pillow reads HEIC from now on: whether the package for it is installed."""
+    try:
+        from pillow_heif import register_heif_opener
+    except ImportError:
+        return False
+    register_heif_opener()
+    return True

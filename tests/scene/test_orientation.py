@@ -1,0 +1,80 @@
+"""Cameras for photos that are stored on their side or upside down."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from PIL import ExifTags, Image
+from scipy.spatial.transform import Rotation
+
+from querysplat_cli.scene.cameras import PhotoCamera
+from querysplat_cli.scene.formats.colmap import read_colmap, write_colmap
+from querysplat_cli.scene.match_cameras import cameras_of_photos, match_cameras
+from querysplat_cli.scene.orientation import upright_camera
+from querysplat_cli.scene.photos import load_photos
+from querysplat_cli.scene.views import Photo
+
+HEIGHT, WIDTH = 120, 160
+POSE = np.eye(4)
+POSE[:3, :3], POSE[:3, 3] = Rotation.from_euler("xyz", [0.1, -0.2, 0.3]).as_matrix(), (0.1, 0.2, 0.3)
+STORED = PhotoCamera(POSE, (150.0, 140.0), (75.0, 64.0), (0.1, -0.02, 0.01, -0.02), HEIGHT, WIDTH, as_stored=True)
+
+
+def photo(folder: Path, orientation: int) -> Photo:
+    """A dark photo with one bright pixel at column 40, row 20 of the stored picture, and its EXIF orientation."""
+    pixels = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
+    pixels[20, 40] = 255
+    exif = Image.Exif()
+    exif[ExifTags.Base.Orientation] = orientation
+    Image.fromarray(pixels).save(folder / "a.png", exif=exif)
+    ((found,), _) = load_photos([folder / "a.png"])
+    return found
+
+
+def pixel(camera: PhotoCamera, point: np.ndarray) -> np.ndarray:
+    (fx, fy), (cx, cy) = camera.focal, camera.principal
+    K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
+    turn, shift = cv2.Rodrigues(camera.w2c[:3, :3])[0], camera.w2c[:3, 3]
+    return cv2.projectPoints(point[None], turn, shift, K, np.array(camera.distortion))[0].ravel()
+
+
+@pytest.mark.parametrize("orientation", [1, 3, 6, 8])
+def test_a_point_is_seen_at_the_same_place_of_the_upright_picture(tmp_path: Path, orientation: int) -> None:
+    seen = photo(tmp_path, orientation)
+    ray = np.array([(40.5 - 75) / 150, (20.5 - 64) / 140, 1.0]) * 3
+    point = (np.linalg.inv(POSE) @ [*ray, 1])[:3]
+    bent = pixel(STORED, point)  # where the lens moves it to
+    camera = upright_camera(STORED, seen)
+    row, column = np.unravel_index(seen.pixels[..., 0].argmax(), seen.pixels.shape[:2])
+    straight = PhotoCamera(camera.w2c, camera.focal, camera.principal, (0.0,) * 4, camera.height, camera.width)
+    assert (camera.height, camera.width) == (seen.height, seen.width)
+    assert pixel(straight, point) == pytest.approx([column + 0.5, row + 0.5], abs=1e-6)
+    moved = np.linalg.norm(bent - (40.5, 20.5))
+    assert np.linalg.norm(pixel(camera, point) - pixel(straight, point)) == pytest.approx(moved, abs=1e-6)
+    back = {1: bent, 3: (WIDTH, HEIGHT) - bent, 6: (HEIGHT - bent[1], bent[0]), 8: (bent[1], WIDTH - bent[0])}
+    assert pixel(camera, point) == pytest.approx(np.array(back[orientation]), abs=1e-6)
+
+
+@pytest.mark.parametrize("orientation", [3, 6, 8])
+def test_cameras_of_colmap_are_turned_with_their_photos(tmp_path: Path, orientation: int) -> None:
+    seen = photo(tmp_path, orientation)
+    (tmp_path / "model").mkdir()
+    write_colmap(tmp_path / "model", {"a.png": STORED})
+    (camera,) = cameras_of_photos([seen], read_colmap(tmp_path / "model")).values()
+    assert camera.w2c[:3, :3] != pytest.approx(POSE[:3, :3])
+    assert match_cameras([seen], {"a.png": camera})[1] == []
+
+
+def test_cameras_that_fit_the_upright_picture_stay(tmp_path: Path) -> None:
+    upright = PhotoCamera(POSE, (150.0, 140.0), (60.0, 80.0), (0.0,) * 4, WIDTH, HEIGHT)
+    for orientation in (6, 8):
+        assert upright_camera(upright, photo(tmp_path, orientation)) is upright
+    half_turn = photo(tmp_path, 3)
+    known = PhotoCamera(POSE, (150.0, 140.0), (75.0, 64.0), (0.0,) * 4, HEIGHT, WIDTH)
+    assert upright_camera(known, half_turn) is known
+
+
+def test_a_mirrored_photo_has_no_camera_of_colmap(tmp_path: Path) -> None:
+    (left_out,) = match_cameras([photo(tmp_path, 2)], {"a.png": STORED})[1]
+    assert "mirrored: save it as it is shown" in left_out.why
