@@ -233,6 +233,15 @@ def test_of_two_files_the_scenes_own_is_the_one_that_its_report_names(tmp_path: 
         assert file_of_scene(tmp_path / "s") == tmp_path / f"s.{kind}"
 
 
+def test_a_scene_is_found_by_its_folder_where_its_suffix_has_capital_letters(tmp_path: Path) -> None:
+    (tmp_path / "s").mkdir()
+    (tmp_path / "s.PLY").touch()
+    assert file_of_scene(tmp_path / "s") == tmp_path / "s.PLY"
+    (tmp_path / "s.Spz").touch()
+    (tmp_path / "s" / "report.json").write_text('{"ply": "s.Spz"}')
+    assert file_of_scene(tmp_path / "s") == tmp_path / "s.Spz"
+
+
 @pytest.mark.parametrize(("given", "said"), [("photo.jpg", "not a kind of file"), ("photos", "makes a scene of them")])
 def test_photos_are_no_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str], given: str, said: str) -> None:
     (tmp_path / "photo.jpg").touch()
@@ -256,6 +265,12 @@ def test_poses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "there already" in capsys.readouterr().err
     assert run(["poses", str(tmp_path / "a.json")]) == ExitCode.BAD_INPUT
     assert "--colmap" in capsys.readouterr().err
+
+
+def test_a_plot_of_another_kind_is_refused_ahead_of_colmap(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_transforms(tmp_path / "a.json", cameras(6))
+    assert run(["poses", str(tmp_path / "a.json"), "--colmap", "--plot", "a.gif"]) == ExitCode.BAD_INPUT
+    assert "not a kind of picture" in capsys.readouterr().err  # not that photos for COLMAP are missing
 
 
 def test_cameras_that_are_no_rigid_motions_are_left_out_by_name(

@@ -77,6 +77,16 @@ def test_cleaning_says_what_went_and_why(scene: Path, tmp_path: Path, capsys: py
     assert said["psnr"]["after"] == pytest.approx(step["psnr"], abs=0.01)
 
 
+def test_a_file_that_replaces_its_source_is_compared_with_the_size_before(
+    scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    alone = tmp_path / "alone.ply"
+    alone.write_bytes(scene.read_bytes())
+    before = alone.stat().st_size
+    said = converted(capsys, alone, alone, "--prune", "100", "--force")
+    assert said["bytes"] == {"source": before, "target": alone.stat().st_size}
+
+
 def test_a_loss_has_no_sign_and_can_be_a_gain() -> None:
     psnr = {"against": "photos", "views": 7, "before": 25.07, "after": 25.072, "lost": -0.002}
     result = {"gaussians": 1, "bytes": {"target": 1, "source": 1}, "target": "a.spz", "scene": None, "steps": []}

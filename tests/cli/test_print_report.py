@@ -33,6 +33,11 @@ def test_what_how_good_how_long_where_and_what_next() -> None:
     assert "querysplat tto s" in said[4]
 
 
+def test_the_next_command_can_be_copied_where_names_have_spaces() -> None:
+    *_, last = lines(replace(REPORT, ply="my room/s.ply", scene="my room/s"))
+    assert "querysplat view 'my room/s.ply', or querysplat tto 'my room/s' for" in last
+
+
 def test_the_file_has_a_size_and_a_cost() -> None:
     lost = {"what": "precision", "psnr_lost": 0.031}
     said = list(lines(replace(REPORT, ply="s.spz", bytes=3 * 2**19, left_out=[lost])))

@@ -78,6 +78,16 @@ def test_names_that_differ_in_their_suffix_alone(ball: Path) -> None:
     assert len(list((ball.parent / "frames").glob("*.png"))) == 2
 
 
+@pytest.mark.parametrize("part", ["depth", "alpha"])
+def test_two_pictures_of_one_name_are_refused(ball: Path, part: str, capsys: pytest.CaptureFixture[str]) -> None:
+    give_cameras(ball, ("a.jpg", f"a_{part}.jpg"))
+    command = ["render", str(ball), "-o", str(ball.parent / "frames"), "-q"]
+    assert run([*command, f"--{part}"]) == ExitCode.BAD_INPUT
+    assert f"a_{part}.png" in capsys.readouterr().err
+    assert not (ball.parent / "frames").exists()
+    assert run(command) == ExitCode.DONE
+
+
 def test_a_film_of_a_scene_without_cameras(ball: Path) -> None:
     film = ball.parent / "film.mp4"
     assert run(["render", str(ball), "-o", str(film), "--frames", "8", "--fps", "24", "--size", "81x61", "-q"]) == 0
@@ -142,6 +152,8 @@ def test_an_orbit_takes_the_lens_of_the_inputs(ball: Path) -> None:
         (["--cameras", "inputs"], "no cameras there"),
         (["--cameras", "nowhere.json"], "no cameras there"),
         (["-o", "film.mp4", "--depth"], "not films"),
+        (["-o", "film.mp4", "--size", "3x1"], "at least 2 pixels"),
+        (["-o", "film.mp4", "--frames", "5", "--seconds", "1"], "Leave one of them out"),
         (["-o", "film.mov"], "films into an .mp4"),
         (["-o", "frames", "--seconds", "2"], "is for films"),
         (["--size", "70000x2"], "not a size"),
@@ -156,6 +168,17 @@ def test_what_cannot_be_rendered(
     assert run(["render", str(ball), *options]) == ExitCode.BAD_INPUT
     assert said in capsys.readouterr().err
     assert [path.name for path in ball.parent.iterdir()] == ["ball.ply"]
+
+
+@pytest.mark.parametrize("output", ["film.mp4", "frames"])
+def test_frames_of_an_orbit_are_refused_where_the_input_cameras_are_rendered(
+    ball: Path, output: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    give_cameras(ball, ("left.jpg", "right.jpg"))
+    command = ["render", str(ball), "-o", str(ball.parent / output), "--size", "40x30", "-q"]
+    assert run([*command, "--frames", "5"]) == ExitCode.BAD_INPUT
+    assert "--frames is for orbits" in capsys.readouterr().err
+    assert run([*command, "--cameras", "orbit", "--frames", "5"]) == ExitCode.DONE
 
 
 @pytest.mark.parametrize("size", [None, "128x96"])

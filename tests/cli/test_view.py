@@ -6,6 +6,8 @@ import os
 import signal
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from hashlib import sha256
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -87,20 +89,44 @@ def test_a_port_that_is_taken_is_refused(ply: Path, capsys: pytest.CaptureFixtur
     assert f"port {port}" in capsys.readouterr().err
 
 
-def test_view_says_its_address_and_ends_with_ctrl_c(ply: Path) -> None:
-    """BROWSER is a command that leaves a file: the browser was asked for the same address."""
-    asked = ply.parent / "asked"
+@contextmanager
+def viewing(ply: Path, browser: str) -> Iterator["subprocess.Popen[str]"]:
+    """`view` of a scene, which has said its address, with BROWSER. It ends by Ctrl-C."""
     command = [sys.executable, "-m", "querysplat_cli", "view", str(ply), "--json"]
-    environment = {**os.environ, "BROWSER": f"sh -c 'echo %s >{asked}'"}
+    environment = {**os.environ, "BROWSER": browser, "PYTHONUNBUFFERED": ""}
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)
-    assert process.stdout
     assert process.stderr
     while "Ctrl-C ends it" not in process.stderr.readline():
         assert process.poll() is None
-    process.send_signal(signal.SIGINT)
-    assert process.wait(60) == 0
+    try:
+        yield process
+    finally:
+        process.send_signal(signal.SIGINT)
+        assert process.wait(60) == 0
+
+
+def test_view_says_its_address_and_ends_with_ctrl_c(ply: Path) -> None:
+    """BROWSER is a command that leaves a file: the browser was asked for the same address."""
+    asked = ply.parent / "asked"
+    with viewing(ply, f"sh -c 'echo %s >{asked}'") as process:
+        pass
+    assert process.stdout
     address = json.loads(process.stdout.read())["address"]
     assert asked.read_text().strip() == address
+
+
+def test_programs_get_the_address_while_view_runs(ply: Path) -> None:
+    with viewing(ply, "true") as process:
+        assert process.stdout
+        os.set_blocking(process.stdout.fileno(), False)
+        assert "address" in json.loads(os.read(process.stdout.fileno(), 1000))
+
+
+def test_what_the_browser_prints_is_not_part_of_the_json(ply: Path) -> None:
+    with viewing(ply, "echo Opening in existing browser session %s") as process:
+        pass
+    assert process.stdout
+    assert "address" in json.loads(process.stdout.read())
 
 
 def test_export_refuses_other_names_and_existing_files(ply: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -57,5 +57,37 @@ def test_a_scene_of_nothing_but_its_backdrop_is_not_optimised(
     scene = tmp_path / "s.ply"
     assert run(["reconstruct", *photos, "--max-size", "96", "--tto", "0", "-q", "-o", str(scene)]) == ExitCode.DONE
     assert run(["convert", str(scene), str(tmp_path / "far.ply"), "--prune", "9", "-q"]) == ExitCode.DONE
-    assert run(["tto", str(tmp_path / "far"), "-q"]) == ExitCode.BAD_INPUT
-    assert "nothing but its backdrop is left" in capsys.readouterr().err
+    for further in ([], ["--quality", "standard"]):
+        assert run(["tto", str(tmp_path / "far"), "-q", *further]) == ExitCode.BAD_INPUT
+        assert "nothing but its backdrop is left" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("space", ["features", "gaussians"])
+def test_a_cut_copy_in_place_of_the_scenes_own_file_is_not_optimised(
+    space: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    photos = [str(path) for path in take_photos(tmp_path / "photos", 3, 2)]
+    scene, cut = tmp_path / "s.ply", tmp_path / "cut.ply"
+    made = ["reconstruct", *photos, "--max-size", "96", "--tto", "1", "--tto-space", space, "-q", "-o", str(scene)]
+    assert run(made) == ExitCode.DONE
+    assert run(["convert", str(scene), str(cut), "--no-backdrop", "-q"]) == ExitCode.DONE
+    whole, part = scene.read_bytes(), cut.read_bytes()
+    scene.write_bytes(part)
+    assert run(["tto", str(tmp_path / "s"), "--steps", "0", "-q"]) == ExitCode.BAD_INPUT
+    assert "Put the scene's own file back" in capsys.readouterr().err
+    assert scene.read_bytes() == part
+    scene.write_bytes(whole)
+    assert run(["tto", str(tmp_path / "s"), "--steps", "0", "-q"]) == ExitCode.DONE
+    assert run(["tto", str(cut), "--steps", "0", "-q"]) == ExitCode.DONE
+
+
+@pytest.mark.parametrize(("option", "metres"), [("--scale=2", False), ("--no-backdrop", True)])
+def test_a_scene_in_metres_that_is_scaled_is_in_metres_no_more(option: str, metres: bool, tmp_path: Path) -> None:
+    photos = [str(path) for path in take_photos(tmp_path / "photos", 3, 2)]
+    apart = f"{Path(photos[0]).name},{Path(photos[1]).name}=0.5"
+    scene = tmp_path / "s.ply"
+    made = ["reconstruct", *photos, "--scale", apart, "--max-size", "96", "--tto", "0", "-q", "-o", str(scene)]
+    assert run(made) == ExitCode.DONE
+    assert report_in(tmp_path / "s")["scale"]
+    assert run(["convert", str(scene), str(tmp_path / "c.ply"), option, "-q"]) == ExitCode.DONE
+    assert bool(report_in(tmp_path / "c")["scale"]) == metres

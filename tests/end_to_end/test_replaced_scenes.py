@@ -1,5 +1,6 @@
 """What --force replaces, and what of the user's it never touches."""
 
+import json
 import os
 import shutil
 from collections.abc import Iterator
@@ -193,3 +194,14 @@ def test_a_link_to_a_scene_stays_one(place: Path) -> None:
     assert (place / "s" / "report.json").read_text() != before
     assert not (place / "link.ply").exists()
     link.unlink()
+
+
+def test_a_scene_whose_folder_is_a_link_keeps_its_file(place: Path) -> None:
+    for part in ("s", "s.ply"):
+        (place / part).rename(place / f"away-{part}")
+    (place / "away-s.ply").rename(place / "s.ply")
+    (place / "s").symlink_to("away-s")
+    before = json.loads((place / "s" / "report.json").read_text())["tto"]
+    assert run(["tto", str(place / "s.ply"), "--steps", "1", "-q"]) == ExitCode.DONE
+    assert len(json.loads((place / "s" / "report.json").read_text())["tto"]) == len(before) + 1
+    assert not (place / "away-s.ply").exists()

@@ -41,6 +41,12 @@ def test_a_time_limit_leaves_the_number_of_steps() -> None:
     assert features.settings.seconds == gaussians.settings.seconds == 1.5
 
 
+def test_both_goes_on_slowly_only_in_the_space_that_was_optimised() -> None:
+    features, gaussians = plan_tto(8, views=5, gaussians=1000, space="both", resumed=["features"])
+    assert (features.settings.lr, gaussians.settings.lr) == (TTO_POLICY.resumed_learning_rate, TTO_POLICY.learning_rate)
+    assert (features.settings.warm_up, gaussians.settings.warm_up) == (TTO_POLICY.resumed_warm_up, 0)
+
+
 def test_each_of_many_photos_is_seen_as_often_in_a_draft() -> None:
     """Where the photos themselves follow, more steps before them help nothing."""
     many = TTO_POLICY.many_views

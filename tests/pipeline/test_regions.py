@@ -15,6 +15,7 @@ from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.model.memories import Memories
 from querysplat_cli.pipeline.full_size import LargePhotos
 from querysplat_cli.pipeline.kept_parts import read_part, write_part
+from querysplat_cli.pipeline.parts import with_absolute_parts
 from querysplat_cli.pipeline.policy import PIPELINE_POLICY
 from querysplat_cli.pipeline.regions.build import region_count
 from querysplat_cli.pipeline.regions.colours import common_exposures, recoloured
@@ -195,15 +196,15 @@ def test_a_task_has_no_path_of_the_current_folder(
 ) -> None:
     """A worker of Dask has another current folder, and so may the run that goes on."""
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "my.safetensors").touch()
     given = ReconstructSettings((), Path(), preset="my.safetensors", weights=Path("weights"), lpips=Path("lpips"))
     sources = {name: PhotoSource(Path(f"{name}.jpg")) for name in street.views.names}
-    task = region_task(street, divide(street, 2)[0], given, sources)
+    task = region_task(street, divide(street, 2)[0], with_absolute_parts(given), sources)
     assert task.sources == {name: PhotoSource(tmp_path / f"{name}.jpg") for name in task.posed.views.names}
     found = task.settings
     assert found.preset == str(tmp_path / "my.safetensors")
     assert (found.weights, found.lpips) == (tmp_path / "weights", tmp_path / "lpips")
-    bundled = region_task(street, divide(street, 2)[0], replace(given, preset="compact"), sources)
-    assert bundled.settings.preset == "compact"
+    assert with_absolute_parts(replace(given, preset="compact")).preset == "compact"
 
 
 def test_ctrl_c_in_the_last_optimisation_ends_the_run(street: PosedViews, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from querysplat_cli.cli.terminal import say
@@ -100,8 +101,9 @@ def _next(report: Report) -> str:
     """What to do now. A scene in whose folder the shell stands has a new folder under the same name."""
     quality = report.quality
     before, after = (quality.get("before") or {}).get("input"), (quality.get("input") or {}).get("psnr")
-    further = "" if before and after and after <= before else f", or querysplat tto {report.scene} for a better scene"
-    return f"next: {'' if current_folder.is_there() else 'cd . && '}querysplat view {report.ply}{further}"
+    ply, scene = quote(report.ply), quote(report.scene)
+    further = "" if before and after and after <= before else f", or querysplat tto {scene} for a better scene"
+    return f"next: {'' if current_folder.is_there() else 'cd . && '}querysplat view {ply}{further}"
 
 
 def _time(report: Report) -> str:

@@ -28,7 +28,7 @@ def say(text: RenderableType, printing: Printing) -> None:
 def print_json(result: Any, printing: Printing) -> None:
     """Print for programs, if --json."""
     if printing.json:
-        print(json.dumps(result, indent=2))
+        print(json.dumps(result, indent=2), flush=True)  # `view` runs on, and its address is awaited
 
 
 def rows_table(title: str, rows: Iterable[tuple[str, str]], *, indent: int = 0) -> Table:

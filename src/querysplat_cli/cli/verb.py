@@ -18,7 +18,7 @@ class Printing:
     """What a verb prints."""
 
     quiet: Annotated[bool, Option("Print nothing but errors.", ("--quiet", "-q"))] = False
-    json: Annotated[bool, Option("Print the result as one JSON object on standard output.")] = False
+    json: Annotated[bool, Option("Print the result as JSON on standard output.")] = False
 
 
 def verb(function: Callable[..., None]) -> Callable[..., None]:

@@ -82,6 +82,7 @@ def convert_gaussians(request: Conversion, stages: Stages) -> dict[str, Any]:
     folder = _folder(request)
     with stages("read"):
         gaussians = read_gaussians(request.source)
+        source_size = bytes_of(request.source)  # the target may replace it
         views = compared_views(request.source, gaussians)
     with stages("edit"):
         found = _edited(request, gaussians, views)
@@ -98,7 +99,7 @@ def convert_gaussians(request: Conversion, stages: Stages) -> dict[str, Any]:
         "scene": str(folder) if folder else None,
         **written,
         "left_out": len(gaussians) - written["gaussians"],
-        "bytes": {"source": bytes_of(request.source), "target": size},
+        "bytes": {"source": source_size, "target": size},
         "steps": [{**step, "against": views.kind} for step in found.entries],
         "psnr": None if request.geometry else _psnr_entry(views, found.levels[0], after),
     }

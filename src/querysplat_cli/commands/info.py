@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from querysplat_cli.commands.info_plot import draw_info
+from querysplat_cli.commands.samples import quantiles
 from querysplat_cli.commands.view_requests import InfoRequest
 from querysplat_cli.pipeline.gaussian_files import bytes_of, file_of_scene, folder_of_scene, read_gaussians
 from querysplat_cli.reporting.stored_report import backdrop_of
@@ -19,7 +20,6 @@ from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.paths import opaque_centres
 from querysplat_cli.scene.upright import up_direction
 
-QUANTILES = (0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0)
 BINS = 20
 
 
@@ -85,8 +85,8 @@ def describe(
             "high": high.tolist(),
             "all": [side.tolist() for side in _box(gaussians.means, 0.0)],
         },
-        "opacity": {"quantiles": _quantiles(gaussians.opacities), **_histogram(gaussians.opacities, (0.0, 1.0))},
-        "size": {"quantiles": _quantiles(longest), **_log_histogram(longest)},
+        "opacity": {"quantiles": quantiles(gaussians.opacities), **_histogram(gaussians.opacities, (0.0, 1.0))},
+        "size": {"quantiles": quantiles(longest), **_log_histogram(longest)},
         "orientation": _orientation(inputs),
         "cameras": len(inputs.names) if inputs else None,
         "odd": {
@@ -129,11 +129,6 @@ def _orientation(inputs: NamedCameras | None) -> dict[str, Any]:
         return {"up": None, "tilt": None}
     up = up_direction(inputs.cameras)
     return {"up": up.tolist(), "tilt": float(np.degrees(np.arccos(np.clip(-up[1], -1, 1))))}
-
-
-def _quantiles(values: Tensor) -> dict[str, float]:
-    ordered = values.sort().values
-    return {f"{level:g}": float(ordered[round(level * (len(ordered) - 1))]) for level in QUANTILES}
 
 
 def _histogram(values: Tensor, limits: tuple[float, float]) -> dict[str, Any]:

@@ -3,14 +3,11 @@
 from pathlib import Path
 from typing import Any
 
-import torch
-
+from querysplat_cli.commands.samples import drawn_points
 from querysplat_cli.runtime.figures import new_figure, save_figure
 from querysplat_cli.scene.files import atomic_path
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
 
-DRAWN_POINTS = 20_000
-"""The most points of a drawing."""
 MARGIN = 0.25
 """How far the drawings reach beyond the extent, in extents."""
 
@@ -25,7 +22,7 @@ def draw_info(path: Path, gaussians: Gaussians, found: dict[str, Any]) -> None:
         axes.set(ylabel="Gaussians", yscale="log")
     opacity.set(xlabel="opacity")
     size.set(xlabel="longest axis, scene units", xscale="log")
-    some = torch.randperm(len(gaussians), generator=torch.Generator().manual_seed(0))[:DRAWN_POINTS]
+    some = drawn_points(len(gaussians))
     x, y, z = gaussians.means[some].T.numpy()
     colours = (gaussians.sh[some, 0] * SH_0 + 0.5).clamp(0, 1).numpy()
     low, high = found["extent"]["low"], found["extent"]["high"]

@@ -11,6 +11,7 @@ from torch.nn import functional as F
 
 from querysplat_cli.commands.query_figure import draw_query
 from querysplat_cli.commands.requests import InspectRequest
+from querysplat_cli.commands.samples import drawn_points, quantiles
 from querysplat_cli.model.attention_maps import attention_of, valueless
 from querysplat_cli.pipeline.gaussian_files import refuse_replacing_scene
 from querysplat_cli.pipeline.read_scene import read_scene
@@ -31,9 +32,6 @@ TILE_COLUMNS = 4
 RING_RADIUS = 12
 """In pixels, of the ring around a query's Gaussians."""
 DRAWINGS = FolderKind(("attention_*.png",), ("query.png", "histograms.png", "points.png"))
-QUANTILES = (0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0)
-DRAWN_POINTS = 20_000
-"""The most points of a drawing."""
 DRAWN_OPACITY = 0.05
 """Gaussians of less opacity are not drawn as points."""
 
@@ -104,8 +102,8 @@ def inspect_scene(request: InspectRequest, stages: Stages) -> Inspected:
             "geometry": _shares(maps["geometry"], scene.views.names, float(found.geometry.sum())),
             "appearance": _shares(maps["appearance"], scene.views.names, float(found.appearance.sum())),
         },
-        opacity=_quantiles(gaussians.opacities),
-        scale=_quantiles(gaussians.scales.flatten()),
+        opacity=quantiles(gaussians.opacities),
+        scale=quantiles(gaussians.scales.flatten()),
         depth=scene.map.depth.numel() > 0,
         warnings=tuple(
             f"the values of the {name} memory are all zero: what the query attends to there changes nothing"
@@ -129,11 +127,6 @@ def _shares(weight: Tensor, names: tuple[str, ...], whole: float) -> dict[str, f
     """By view, and the rest of the `whole` attention to this memory, which goes to special tokens."""
     shares = {name: round(float(each), 5) for name, each in zip(names, weight.sum((1, 2)), strict=True)}
     return {**shares, "special": round(max(0.0, whole - float(weight.sum())), 5)}
-
-
-def _quantiles(values: Tensor) -> dict[str, float]:
-    ordered = values.sort().values
-    return {f"{level:g}": float(ordered[round(level * (len(ordered) - 1))]) for level in QUANTILES}
 
 
 def _overlays(views: Views, cameras: Cameras, weight: Tensor, own: Gaussians) -> np.ndarray:
@@ -191,7 +184,7 @@ def _points(path: Path, scene: StoredScene, found: MemoryMap, gaussians: Gaussia
     # Outliers would make everything else small.
     low, high = (np.quantile(panels[0][1].numpy(), level, 0).tolist() for level in (0.02, 0.98))
     for i, (name, points, colour) in enumerate(panels):
-        some = torch.randperm(len(points), generator=torch.Generator().manual_seed(0))[:DRAWN_POINTS]
+        some = drawn_points(len(points))
         axes = figure.add_subplot(1, len(panels), i + 1, projection="3d")
         x, y, z = points[some].T.numpy()
         axes.scatter(x, z, -y, c=colour[some].numpy(), s=1)

@@ -16,6 +16,7 @@ from querysplat_cli.pipeline.read_scene import read_scene
 from querysplat_cli.pipeline.scene_folder import StoredScene, scores_of
 from querysplat_cli.reporting.omissions import PRECISION, Omission
 from querysplat_cli.reporting.preview import write_preview
+from querysplat_cli.reporting.report import rescored
 from querysplat_cli.reporting.unseen import unseen
 from querysplat_cli.runtime.checkpoint_files import read_tensors
 from querysplat_cli.runtime.errors import QuerySplatError
@@ -99,8 +100,9 @@ def _brought_up_to_date(report: dict[str, Any], scene: StoredScene, moved: Moved
         "scene": str(folder_of_scene(moved.target)),
         "gaussians": int(moved.kept.sum()),
         "backdrop": int(moved.kept[len(moved.kept) - backdrop :].sum()),
-        "quality": scores_of(scene, moved.gaussians),
+        "quality": rescored(scores_of(scene, moved.gaussians), report["quality"]),
         "unseen": hidden.entry() if hidden else None,
+        "scale": report.get("scale") if moved.place.scale == 1 else None,
         "bytes": moved.size,
         "left_out": [*before, *map(asdict, moved.left_out)],
     }

@@ -7,6 +7,7 @@ from querysplat_cli.commands.requests import PosesRequest
 from querysplat_cli.evaluation.colmap_reference import estimate_with_colmap
 from querysplat_cli.evaluation.poses import compare_cameras, draw_trajectories
 from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.figures import check_drawing
 from querysplat_cli.runtime.progress import Progress, Stages
 from querysplat_cli.scene.files import refuse_existing
 from querysplat_cli.scene.formats.known import find_known_cameras, read_known_cameras
@@ -28,6 +29,7 @@ def compare(request: PosesRequest, stages: Stages) -> tuple[dict[str, Any], str]
     if (request.second is None) != request.colmap:
         raise QuerySplatError("give two sets of cameras, or one and --colmap", "See `querysplat poses --help`.")
     if request.plot:
+        check_drawing(request.plot)
         refuse_existing([request.plot], force=request.force)
     first = read_known_cameras(request.first)
     if request.second:

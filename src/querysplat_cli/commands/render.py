@@ -40,12 +40,16 @@ FOREIGN_SIZE = (720, 960)
 DEPTH_UNITS = 1000
 """Steps of a 16-bit depth PNG in one scene unit. 0 is a pixel without Gaussians, 65,535 the greatest depth."""
 
+ORBIT_FRAMES = 90
+"""Pictures of an orbit, unless the user asks for another number."""
 STEP_SECONDS, FILM_SECONDS = 1.5, (3.0, 12.0)
 """How long a film takes from one input camera to the next, and altogether at least and at most."""
 OTHER_KINDS = {".avi", ".mov", ".mkv", ".webm", ".gif", ".png", ".jpg", ".jpeg", ".ply", ".spz"}
 """Endings of files, in a target, that are no films and no names of folders."""
 BESIDE = ("_depth.png", "_alpha.png", "_depth.npy", "_confidence.npy")
 """Endings of the files beside a picture, in place of its .png."""
+LEAST_SIDE = 2
+"""Pixels of a film's side: H.264 needs even ones."""
 PIXEL_BYTES = 100
 """About the memory of one pixel while a picture is rendered and written."""
 
@@ -82,6 +86,7 @@ def render_file(request: RenderRequest, stages: Stages) -> Rendered:
         gaussians = read_gaussians(scene)
         beside = folder_of_scene(scene) / "cameras.json"
         names, cameras, sizes = _cameras(request, beside, gaussians)
+        _check_names(names, request)
         listed = _listed(names, cameras, sizes, request.size)
         frame = working_frame(beside) if beside.is_file() else None
         if frame:  # the splatter's limits are in the units in which the scene was made
@@ -109,10 +114,24 @@ def _check_target(request: RenderRequest) -> None:
         raise QuerySplatError("depth and --alpha are pictures, not films", "Write to a folder instead of an .mp4.")
     if request.seconds and not request.is_film:
         raise QuerySplatError("--seconds is for films", "Write to an .mp4, or leave it out.")
+    if request.is_film and request.size and min(request.size) < LEAST_SIDE:
+        raise QuerySplatError("--size: films have sides of at least 2 pixels", "Ask for a larger size.")
+    if request.seconds and request.frames:
+        raise QuerySplatError("--frames and --seconds both set the length of an orbit", "Leave one of them out.")
     if request.target.suffix.lower() in OTHER_KINDS:
         raise QuerySplatError(
             f"{request.target}: frames go into a folder, and films into an .mp4", "Choose another output."
         )
+
+
+def _check_names(names: list[str], request: RenderRequest) -> None:
+    """Raise QuerySplatError where two pictures would have one name, as the depth of `a` and a camera `a_depth`."""
+    given = set(names)
+    for part, wanted in (("depth", request.depth), ("alpha", request.alpha)):
+        both = [name for name in names if wanted and f"{name}_{part}" in given]
+        if both:
+            why = f"--{part}: that of the camera {both[0]} would have the name of the picture {both[0]}_{part}.png"
+            raise QuerySplatError(why, f"Leave --{part} out, or rename a camera.")
 
 
 Path3D = tuple[list[str], Cameras, list[tuple[int, int]]]
@@ -125,6 +144,8 @@ def _cameras(request: RenderRequest, beside: Path, gaussians: Gaussians) -> Path
     still = request.is_film and known is not None and len(known.names) == 1
     if request.cameras == "orbit" or (request.cameras == "auto" and (known is None or still)):
         return _orbit(request, known, gaussians)
+    if request.frames is not None:
+        raise QuerySplatError("--frames is for orbits", "Add --cameras orbit, or leave it out; films have --seconds.")
     file = beside if request.cameras in ("auto", "inputs") else Path(request.cameras)
     if not file.is_file():
         raise QuerySplatError(
@@ -140,7 +161,8 @@ def _cameras(request: RenderRequest, beside: Path, gaussians: Gaussians) -> Path
 
 def _orbit(request: RenderRequest, known: NamedCameras | None, gaussians: Gaussians) -> Path3D:
     """A path around the scene, at the height and distance of the `known` cameras if there are any."""
-    frames = request.frames if request.seconds is None else max(1, round(request.seconds * request.fps))
+    asked = request.frames or ORBIT_FRAMES
+    frames = asked if request.seconds is None else max(1, round(request.seconds * request.fps))
     if known:
         size = known.sizes[0]
         path = orbit(replace(known.cameras, height=size[0], width=size[1]), scene_middle(gaussians), frames)

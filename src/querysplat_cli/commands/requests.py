@@ -71,7 +71,9 @@ class RenderRequest:
             metavar="auto|inputs|orbit|FILE",
         ),
     ] = "auto"
-    frames: Annotated[int, Ge(1), Le(1_000_000), Option("The number of frames of an orbit.", metavar="N")] = 90
+    frames: Annotated[
+        int | None, Ge(1), Le(1_000_000), Option("The number of frames of an orbit.", metavar="N", default="90")
+    ] = None
     seconds: Annotated[
         float | None,
         Ge(0.1),

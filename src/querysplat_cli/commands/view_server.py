@@ -1,5 +1,6 @@
 """A local server for the viewer's page. It answers on 127.0.0.1 only, and has no files but those of one scene."""
 
+import os
 import sys
 import threading
 import webbrowser
@@ -36,11 +37,24 @@ def serving(files: Files, port: int = 0, *, browser: bool) -> Iterator[str]:
     address = f"http://{HOST}:{server.server_port}/"
     try:
         if browser:
-            webbrowser.open(address)
+            with _output_as_messages():
+                webbrowser.open(address)
         yield address
     finally:
         server.shutdown()
         server.server_close()
+
+
+@contextmanager
+def _output_as_messages() -> Iterator[None]:
+    """Inside, what programs print goes to standard error. Standard output belongs to --json."""
+    output = os.dup(1)
+    os.dup2(2, 1)
+    try:
+        yield
+    finally:
+        os.dup2(output, 1)
+        os.close(output)
 
 
 class _Server(ThreadingHTTPServer):

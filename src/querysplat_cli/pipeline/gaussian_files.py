@@ -131,12 +131,22 @@ def file_of_scene(path: Path) -> Path:
     """
     if is_streamed(path) or (path.suffix.lower() in READERS and not path.is_dir()):
         return path
-    named = [path.with_name(f"{path.name}{kind}") for kind in READERS]
-    files = [file for file in named if file.is_file()]
+    files = _files_beside(path)
     if len(files) > 1:
         kind = _reported_kind(path)
-        return next((file for file in files if file.suffix == kind), files[0])
-    return (files or named)[0]
+        return min(files, key=lambda file: (file.suffix != kind, file.suffix.lower() != kind.lower()))
+    return files[0] if files else path.with_name(f"{path.name}.ply")
+
+
+def _files_beside(folder: Path) -> list[Path]:
+    """The files of Gaussians beside a scene folder, in the order of `READERS`. Suffixes may have capital letters."""
+    kinds = list(READERS)
+    try:
+        beside = sorted(folder.parent.iterdir())
+    except OSError:
+        return []
+    files = [file for file in beside if file.stem == folder.name and file.suffix.lower() in kinds and file.is_file()]
+    return sorted(files, key=lambda file: kinds.index(file.suffix.lower()))
 
 
 def _reported_kind(folder: Path) -> str:
@@ -145,7 +155,7 @@ def _reported_kind(folder: Path) -> str:
         report = read_json(folder / "report.json")
     except QuerySplatError:
         return ""
-    return PurePath(str(report.get("ply"))).suffix.lower() if isinstance(report, dict) else ""
+    return PurePath(str(report.get("ply"))).suffix if isinstance(report, dict) else ""
 
 
 def folder_of_scene(path: Path) -> Path:

@@ -1,10 +1,14 @@
 """The model and the encoder of a reconstruction."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import torch
 
 from querysplat_cli.encoders.base import Encoder, EncoderOptions
 from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.model.checkpoints import load
+from querysplat_cli.model.config import preset_names
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.runtime.precision import check_precision
@@ -29,3 +33,15 @@ def load_parts(settings: ReconstructSettings, device: torch.device) -> tuple[Que
         frame=frame,
     )
     return model, find_encoder(settings.encoder or ("vggt_omega" if learned else "classical"), options)
+
+
+def with_absolute_parts(settings: ReconstructSettings) -> ReconstructSettings:
+    """The settings with absolute paths of a checkpoint and of weights.
+
+    The scene may be taken further elsewhere, and workers make its regions in other folders.
+    """
+    preset = settings.preset
+    if preset not in preset_names() and Path(preset).is_file():
+        preset = str(Path(preset).absolute())
+    weights, lpips = (path and path.absolute() for path in (settings.weights, settings.lpips))
+    return replace(settings, preset=preset, weights=weights, lpips=lpips)

@@ -19,7 +19,7 @@ from querysplat_cli.pipeline.given_frame import given_frame
 from querysplat_cli.pipeline.memory import MemoryNeeds, within_memory
 from querysplat_cli.pipeline.metric import in_metres, metres_of
 from querysplat_cli.pipeline.omitted import omissions_of
-from querysplat_cli.pipeline.parts import load_parts
+from querysplat_cli.pipeline.parts import load_parts, with_absolute_parts
 from querysplat_cli.pipeline.perceptual import optimisation_lpips
 from querysplat_cli.pipeline.policy import PIPELINE_POLICY
 from querysplat_cli.pipeline.regions.build import build_regions, region_count
@@ -110,7 +110,7 @@ def reconstruct(settings: ReconstructSettings, stages: Stages | None = None) -> 
     device = find_device(settings.device)
     place, products = without_steps(outputs[1]), matrix_products(check_precision(settings.precision))
     with writable(settings.ply.parent), claimed(place), products:
-        return _reconstruct(settings, device, stages or Stages())
+        return _reconstruct(with_absolute_parts(settings), device, stages or Stages())
 
 
 def _reconstruct(settings: ReconstructSettings, device: torch.device, stages: Stages) -> Report:
@@ -134,6 +134,8 @@ def _made(inputs: _Inputs, settings: ReconstructSettings, stages: Stages, work: 
     metres = metres_of(settings.metres_by, passes.split.inputs, inputs.photos, poses_known=inputs.known is not None)
     forget_pixels(inputs.photos)
     count = region_count(settings, len(passes.split.inputs.views), inputs.encoder)
+    if settings.cluster and count == 1:
+        stages.say("--cluster is not used: there is one region")
     built = None
     if work and count > 1:
         passes = replace(passes, split=work.put_away(passes.split))
@@ -241,7 +243,7 @@ def _report(
         scene=str(folder_of_scene(settings.ply)),
         views=views_entry(scene.posed.views.names, (*inputs.left_out, *passes.left_out, *scene.duplicates)),
         gaussians=len(scene.gaussians),
-        seconds=seconds_entry(stages.seconds),
+        seconds=seconds_entry(stages.seconds, stages.elapsed()),
         quality={
             "input": quality_entry(scores.inputs),
             "heldout": heldout_entry(passes.split.protocol, scores.heldout, passes.difference),

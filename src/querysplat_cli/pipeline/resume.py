@@ -1,5 +1,6 @@
 """A stored scene is read, optimised further, and written back."""
 
+from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from querysplat_cli.pipeline.resume_settings import ResumeSettings
 from querysplat_cli.pipeline.scene_folder import StoredScene, scores_of, write_scene
 from querysplat_cli.prune.gaussians import target_count
 from querysplat_cli.reporting import omissions
-from querysplat_cli.reporting.report import Report, machine, seconds_entry, tto_entries
+from querysplat_cli.reporting.report import Report, machine, rescored, seconds_entry, tto_entries
 from querysplat_cli.reporting.unseen import unseen
 from querysplat_cli.runtime.choices import FullSizeLevel, Space
 from querysplat_cli.runtime.device import find_device, peak_gib
@@ -44,7 +45,10 @@ def optimise_scene(settings: ResumeSettings, stages: Stages | None = None) -> Re
     when `quality` comes with options that it decides, or needs photos that are gone.
     """
     folder = require_scene(with_name(settings.scene)).parent
-    path = folder.resolve() if folder.is_symlink() else with_name(settings.scene)
+    path = with_name(settings.scene)
+    beside = file_of_scene(path)
+    if folder.is_symlink() and (beside.is_symlink() or not beside.is_file()):
+        path = folder.resolve()  # the scene is elsewhere, and not the folder alone
     settings = replace(settings, scene=path)
     if settings.quality:
         _check_plain(settings)
@@ -67,7 +71,8 @@ def _optimised(settings: ResumeSettings, stages: Stages) -> Report:
         if scene.joined and space != "gaussians":
             raise joined_of_regions(path, "Use --space gaussians, or make the scene again with --regions 1.")
         _check(path, options, space, count, apart=apart)
-        gaussians = _without_backdrop(path, scene) if apart else None
+        beside = _own_gaussians(path, scene, before) if apart or file_of_scene(path).is_file() else None
+        gaussians = beside if apart else None
     with stages("tto") as progress:
         perceptual = optimisation_lpips(settings.lpips, official=scene.anchors is None)
         options = replace(
@@ -76,7 +81,7 @@ def _optimised(settings: ResumeSettings, stages: Stages) -> Report:
             finest_size=_finest_size(scene, before),
             smooth=bool(spaces) and "backdrop" in before,  # scenes of earlier versions were not smoothed
         )
-        plan = _plan(scene, count, options, space, resumed=space in spaces)
+        plan = _plan(scene, count, options, space, resumed=spaces)
         start = Start(scene.memories, scene.anchors, gaussians, None if apart else scene.kept)
         photos = scene.views, scene.cameras
         adapted = optimise_start(model, start, photos, plan, options, progress, scene.exposures)
@@ -96,7 +101,7 @@ def _at_full_size(settings: ResumeSettings, level: FullSizeLevel, stages: Stages
     path, device = settings.scene, find_device(settings.device)
     with stages("read"):
         scene, before = _read(settings)
-        gaussians = _without_backdrop(path, scene)
+        gaussians = _own_gaussians(path, scene, before)
     inputs, heldout = stored_photos(scene)
     with stages("full size") as progress:
         plan = plan_full_size(level, inputs.summary(), len(gaussians))
@@ -148,13 +153,14 @@ def _write_back(
             ply=str(file_of_scene(path)),
             scene=str(folder_of_scene(path)),
             gaussians=len(gaussians),
-            seconds=seconds_entry(stages.seconds),
-            quality=scores | {"before": _psnr(before["quality"])} | (quality or {}),
+            seconds=seconds_entry(stages.seconds, stages.elapsed()),
+            quality=rescored(scores, before["quality"]) | {"before": _psnr(before["quality"])} | (quality or {}),
             tto=[*before["tto"], *tto],
             peak_memory_gib=round(peak_gib(), 2),
             machine=machine(),
             unseen=film.entry() if film else None,
             backdrop=scene.backdrop,
+            resumed=[],
             **changes,
         )
         entries = report.as_dict()
@@ -165,6 +171,8 @@ def _write_back(
 def _read(settings: ResumeSettings) -> tuple[StoredScene, dict[str, Any]]:
     """The stored scene, without colour transforms where --exposure is off, and its report."""
     scene, before = read_scene(settings.scene)
+    if before["gaussians"] <= scene.backdrop:
+        raise QuerySplatError(f"nothing but its backdrop is left of {settings.scene}", "Cut less of the scene.")
     if settings.exposure == "off" and scene.exposures:
         measured = before.get("exposure")
         corrected = {**measured, "corrected": False} if measured else None
@@ -172,12 +180,16 @@ def _read(settings: ResumeSettings) -> tuple[StoredScene, dict[str, Any]]:
     return scene, before
 
 
-def _without_backdrop(path: Path, scene: StoredScene) -> Gaussians:
-    whole = read_scene_gaussians(path, scene)
-    if len(whole) <= scene.backdrop:
+def _own_gaussians(path: Path, scene: StoredScene, report: dict[str, Any]) -> Gaussians:
+    """The Gaussians beside the scene folder without their backdrop. Raises QuerySplatError where they are other ones.
+
+    Without this check, a file that was copied over the scene's own would lose Gaussians as a backdrop, or be replaced.
+    """
+    whole, reported = read_scene_gaussians(path, scene), report["gaussians"]
+    if len(whole) != reported:
         raise QuerySplatError(
-            f"{file_of_scene(path)} has {len(whole):,} Gaussians, and {scene.backdrop:,} of the scene are its backdrop",
-            "Put the scene's own file back, or run `querysplat reconstruct` again.",
+            f"{file_of_scene(path)} has {len(whole):,} Gaussians, and {folder_of_scene(path)} is of {reported:,}",
+            "Put the scene's own file back, or take a copy that `convert` cut, with the folder beside it.",
         )
     return whole[: len(whole) - scene.backdrop]
 
@@ -236,8 +248,6 @@ def load_again(scene: StoredScene, settings: dict[str, Any], weights: Path | Non
 
 def _check(path: Path, options: OptimiseOptions, space: Space, count: int, *, apart: bool) -> None:
     """Refuse what a scene of `count` Gaussians cannot do; `apart` where memories no longer decode to them."""
-    if not count:
-        raise QuerySplatError(f"nothing but its backdrop is left of {path}", "Cut less of the scene.")
     if apart and space != "gaussians":
         raise QuerySplatError(
             f"the Gaussians of {path} were optimised themselves, and its memories would undo that",
@@ -255,7 +265,7 @@ def _check(path: Path, options: OptimiseOptions, space: Space, count: int, *, ap
 
 
 def _plan(
-    scene: StoredScene, count: int, options: OptimiseOptions, space: Space, *, resumed: bool
+    scene: StoredScene, count: int, options: OptimiseOptions, space: Space, *, resumed: Collection[str]
 ) -> tuple[TtoRun, ...]:
     if scene.anchors is None:
         steps = TTO_POLICY.release_steps if options.steps is None else options.steps

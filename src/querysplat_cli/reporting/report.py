@@ -85,9 +85,10 @@ def views_entry(used: Sequence[str], left_out: Sequence[LeftOut]) -> dict[str, A
     return {"used": list(used), "left_out": [{"name": photo.name, "why": photo.why} for photo in left_out]}
 
 
-def seconds_entry(seconds: dict[str, float]) -> dict[str, float]:
+def seconds_entry(seconds: dict[str, float], total: float | None = None) -> dict[str, float]:
+    """Seconds of each stage, and the `total` of the command; their sum where it is None."""
     rounded = {stage: round(spent, 3) for stage, spent in seconds.items()}
-    return {**rounded, "total": round(sum(seconds.values()), 3)}
+    return {**rounded, "total": round(sum(seconds.values()) if total is None else total, 3)}
 
 
 def settings_entry(settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -117,6 +118,15 @@ def heldout_entry(
         "pixels": None if difference.pixels is None else round(difference.pixels, 3),
     }
     return {**quality_entry(quality), "cameras": protocol, "pose_difference": apart}
+
+
+def rescored(scores: dict[str, Any], before: dict[str, Any]) -> dict[str, Any]:
+    """New scores of a stored scene. Its report's `quality`, `before`, says where the held-out cameras come from."""
+    heldout, old = scores["heldout"], before.get("heldout")
+    if not heldout or not isinstance(old, dict):
+        return scores
+    kept = {name: old[name] for name in ("cameras", "pose_difference") if name in old}
+    return {**scores, "heldout": {**heldout, **kept}}
 
 
 def exposure_entry(colours: PhotoColours | None) -> dict[str, Any] | None:

@@ -97,7 +97,7 @@ class FullSizePolicy:
     What `standard` spends on each photo of many was chosen on fox, and the pixels for each Gaussian on fox and kermit
     (docs/quality.md).
 
-    The seconds of `high` are about 430 for 20 photos of 1,600 × 1,200, so that the whole command takes about ten
+    The seconds of `high` are 444 for 20 photos of 1,600 × 1,200, so that the whole command takes about ten
     minutes on two quiet cores."""
     learning_rate: float = 0.025
     """In Gaussian space, at the start of a stage. Held out, `standard` has 0.03 dB more with 0.03, and `high` 0.05 dB

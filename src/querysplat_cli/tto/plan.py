@@ -1,6 +1,6 @@
 """The plan of an optimisation: in which spaces, for how many steps, and with how many views a step."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -24,25 +24,25 @@ def plan_tto(
     gaussians: int,
     target_count: int | None = None,
     space: Space = "features",
-    resumed: bool = False,
+    resumed: Collection[str] = (),
     seconds: float | None = None,
 ) -> tuple[TtoRun, ...]:
     """Runs for a scene of so many views and Gaussians, of which pruning leaves `target_count`.
 
-    They take `steps` steps together, or an automatic number (None), and with `seconds` no longer than that.
+    They take `steps` steps together, or an automatic number (None), and with `seconds` no longer than that. Runs in the
+    spaces of `resumed`, which an earlier run optimised, have a lower rate that rises first.
     """
     if steps is None:
         steps = automatic_steps(views, gaussians, target_count, space)
     settings = TtoSettings(
         steps=steps,
-        lr=TTO_POLICY.resumed_learning_rate if resumed else TTO_POLICY.learning_rate,
+        lr=TTO_POLICY.learning_rate,
         views_per_step=TTO_POLICY.views_per_step if views > TTO_POLICY.views_per_step else None,
-        warm_up=TTO_POLICY.resumed_warm_up if resumed else 0,
         seconds=seconds,
         keep_cover=1 < views <= TTO_POLICY.few_views,
         dropout=TTO_POLICY.dropout if 1 < views <= TTO_POLICY.few_views else 0.0,
     )
-    return _runs(space, settings)
+    return tuple(_resumed(run) if run.space in resumed else run for run in _runs(space, settings))
 
 
 def plan_release(steps: int, *, space: Space = "features", seconds: float | None = None) -> tuple[TtoRun, ...]:
@@ -69,6 +69,11 @@ def automatic_steps(views: int, gaussians: int, target_count: int | None, space:
     if views <= policy.few_views:
         steps = min(steps, policy.passes * views // min(views, policy.views_per_step))
     return steps
+
+
+def _resumed(run: TtoRun) -> TtoRun:
+    slower = replace(run.settings, lr=TTO_POLICY.resumed_learning_rate, warm_up=TTO_POLICY.resumed_warm_up)
+    return replace(run, settings=slower)
 
 
 def _runs(space: Space, settings: TtoSettings) -> tuple[TtoRun, ...]:

@@ -10,7 +10,6 @@ import torch
 
 from querysplat_cli.encoders.base import CameraRequest, Encoder, Geometry, PosedViews
 from querysplat_cli.encoders.holdout import select_views
-from querysplat_cli.model.config import preset_names
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.pipeline.build import Allowance, BuiltScene, encode_and_build_all
 from querysplat_cli.pipeline.kept_parts import read_part, write_part
@@ -41,25 +40,19 @@ def region_task(
 ) -> RegionTask:
     """The task of one group of `posed`, with the sparse points that its photos see.
 
-    A number of Gaussians to keep is shared out by the photos of the cores. All paths are absolute.
+    A number of Gaussians to keep is shared out by the photos of the cores. The paths of photos are absolute, as those
+    of the settings are: a worker has another current folder.
     """
     chosen = select_views(posed, list(group.rows))
     if chosen.visibility:
         seen, rows = torch.cat(chosen.visibility).unique(return_inverse=True)
         visibility = rows.split([len(each) for each in chosen.visibility])
         chosen = replace(chosen, points=chosen.points[seen], visibility=visibility, left_out=(), warnings=())
-    alone = replace(_with_whole_paths(settings), backdrop=False, refine_cameras=False)
+    alone = replace(settings, backdrop=False, refine_cameras=False)
     if isinstance(settings.prune, int):
         alone = replace(alone, prune=max(1, settings.prune * len(group.core) // len(posed.views)))
-    files = {name: replace(sources[name], path=sources[name].path.resolve()) for name in chosen.views.names}
+    files = {name: replace(sources[name], path=sources[name].path.absolute()) for name in chosen.views.names}
     return RegionTask(chosen, len(group.core), files, alone)
-
-
-def _with_whole_paths(settings: ReconstructSettings) -> ReconstructSettings:
-    """The same settings for a process whose current folder is another one, as that of a Dask worker."""
-    weights, lpips = (path and path.resolve() for path in (settings.weights, settings.lpips))
-    preset = settings.preset if settings.preset in preset_names() else str(Path(settings.preset).resolve())
-    return replace(settings, weights=weights, lpips=lpips, preset=preset)
 
 
 def region_maker(setup: Any) -> Callable[[Path], None]:
