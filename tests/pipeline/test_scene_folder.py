@@ -45,7 +45,7 @@ def test_round_trip(stored: tuple[StoredScene, Gaussians], tmp_path: Path) -> No
     assert write_scene(tmp_path / "s.ply", scene, gaussians, a_report(machine="é")) == 7
     for path in (tmp_path / "s.ply", tmp_path / "s"):
         found, report = read_scene(path)
-        assert report == a_report(machine="é", bytes=(tmp_path / "s.ply").stat().st_size)
+        assert report == a_report(machine="é", gaussians=7, bytes=(tmp_path / "s.ply").stat().st_size)
         assert scene.heldout is not None
         assert found.heldout is not None
         equal(scene.views, found.views)

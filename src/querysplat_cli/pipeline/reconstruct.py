@@ -181,7 +181,8 @@ def _read_inputs(settings: ReconstructSettings, device: torch.device, stages: St
             largest = max(photos, key=lambda photo: photo.height * photo.width)
             twice = settings.holdout_every and settings.holdout_cameras == "isolated" and not known
             size = working_size(budget, len(photos), 2 if twice else 1, (largest.height, largest.width), size)
-        needs = MemoryNeeds(encoder, model, size, optimising=bool(settings.tto))
+        steps_are_planned = settings.tto is None and model.config.queries == "anchored"
+        needs = MemoryNeeds(encoder, model, size, optimising=steps_are_planned or bool(settings.tto))
         photos, too_many, expected = within_memory(photos, needs, free, settings.max_views)
         if expected:
             progress(f"{len(photos)} views will take about {expected / 2**30:.1f} GiB", 1.0)

@@ -131,14 +131,15 @@ def keep_others(folder: Path, draft: Path) -> None:
 def write_scene(target: Path, scene: StoredScene, gaussians: Gaussians, report: dict[str, Any]) -> int:
     """Write, or replace, `target` (a kind of `WRITERS`) and the folder beside it; returns how many Gaussians it has.
 
-    `report` gets the size of the file, under `bytes`, and under `left_out` what its kind loses, where that is not .ply.
-    Everything is written to temporary names first, so an interruption leaves what was there before.
+    `report` gets the size of the file, under `bytes`, the number of `gaussians` in it, and under `left_out` what its
+    kind loses, where that is not .ply. Everything is written to temporary names first, so an interruption leaves what
+    was there before.
     """
     with atomic_together(target, folder_of_scene(target)) as (target_draft, draft):
         draft.mkdir()
         placed = transform_gaussians(gaussians, scene.frame) if scene.frame else gaussians
         written = write_gaussians(target_draft, placed)
-        report["bytes"] = target_draft.stat().st_size
+        report["bytes"], report["gaussians"] = target_draft.stat().st_size, written
         report["left_out"] = [
             *(entry for entry in report["left_out"] if entry["what"] != PRECISION),
             *(asdict(each) for each in _lost_by_kind(target_draft, scene, gaussians, report)),
