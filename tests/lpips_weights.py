@@ -55,6 +55,6 @@ def reference(features: nn.Sequential, linear: list[Tensor], after: tuple[int, .
         x, y = layer(x), layer(y)
         if number in after:
             one, other = (z / (z.norm(dim=1, keepdim=True) + 1e-10) for z in (x, y))
-            total += float(((one - other) ** 2 * linear[taken].double()).sum(1).mean())
+            total += float(((one - other) ** 2 * linear[taken].detach().double()).sum(1).mean().detach())
             taken += 1
     return total

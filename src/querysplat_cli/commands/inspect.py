@@ -183,6 +183,7 @@ def _points(path: Path, scene: StoredScene, found: MemoryMap, gaussians: Gaussia
     figure = new_figure(6.0 * len(panels), 6.0)
     # Outliers would make everything else small.
     low, high = (np.quantile(panels[0][1].numpy(), level, 0).tolist() for level in (0.02, 0.98))
+    high = [max(top, bottom + 1e-3) for bottom, top in zip(low, high, strict=True)]  # one photo's scene is flat
     for i, (name, points, colour) in enumerate(panels):
         some = drawn_points(len(points))
         axes = figure.add_subplot(1, len(panels), i + 1, projection="3d")

@@ -64,7 +64,7 @@ def adapt(
     callbacks = Callbacks(progress, pruning_to(options.prune, len(target.views)), look)
     pruned: Pruned | None = None
     if callbacks.prune and (options.prune != "auto" or options.densify_to):
-        pruned = callbacks.prune(gaussians_of(model, start), target, sum(run.settings.steps for run in plan))
+        pruned = callbacks.prune(gaussians_of(model, start), target, float(sum(run.settings.steps for run in plan)))
         start, callbacks = start.narrowed(pruned.kept), replace(callbacks, prune=None)
     runs: list[tuple[TtoRun, TtoResult]] = []
     for run in plan:
