@@ -38,4 +38,6 @@ class PhotoParser(argparse.ArgumentParser):
 def folder_or_scratch(given: Path | None) -> Iterator[Path]:
     """The folder that was given, or one that is deleted at the end."""
     with TemporaryDirectory() as scratch:
-        yield given or Path(scratch)
+        folder = given or Path(scratch)
+        folder.mkdir(parents=True, exist_ok=True)
+        yield folder

@@ -161,6 +161,14 @@ def test_cases_on_a_cluster_score_the_same(evaluated: tuple[Path, dict[str, Any]
     assert after == pytest.approx({key: before[key] for key in after}, abs=1e-3)
 
 
+def test_the_cameras_of_a_set_are_compared_with_colmaps(room: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """COLMAP sees the photos under other names, in a folder of its own."""
+    assert run(["poses", str(room / "room1"), "--colmap", "--json", "-q"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["photos"] > FRAMES // 2
+    assert found["ate_of_extent"] < 0.02
+
+
 @pytest.mark.slow
 def test_shards_make_the_whole(room: Path) -> None:
     options = [*OPTIONS, "--cameras", "posed", "--cases", "2", "--workers", "2"]

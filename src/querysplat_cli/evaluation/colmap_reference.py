@@ -5,6 +5,7 @@ try that asks for less.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import cv2
@@ -56,7 +57,11 @@ def estimate_with_colmap(photos: Sequence[Photo], *, seed: int, stages: Stages) 
             raise ImpossibleScene("COLMAP places no two of the photos", "Add photos that overlap more.")
         largest = max(found.values(), key=lambda model: model.num_reg_images())
         largest.write_binary(models)
-        return {names[name]: camera for name, camera in read_colmap(models).items()}
+        # The pictures are upright, and have names of ours.
+        return {
+            names[name]: replace(camera, file=names[name], as_stored=False)
+            for name, camera in read_colmap(models).items()
+        }
 
 
 def _defaults() -> Any:
