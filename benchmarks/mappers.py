@@ -21,15 +21,13 @@ import pycolmap
 from common.arguments import PhotoParser
 from common.output import Table, silent, write_json
 from common.photo_sets import PHOTO_SETS
+from common.pose_errors import pose_errors
 from common.samples import SEED
 from querysplat_cli.encoders.classical.epipolar import median_epipolar_error
 from querysplat_cli.encoders.classical.mapping import Mapped, from_colmap, map_photos
 from querysplat_cli.encoders.classical.matches import Matches, matched
-from querysplat_cli.evaluation.poses import compare_cameras
-from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.formats.known import read_known_cameras
 from querysplat_cli.scene.photos import find_photos, load_photos
-from querysplat_cli.scene.sim3 import DegenerateAlignment
 from querysplat_cli.scene.views import Photo
 
 
@@ -69,11 +67,9 @@ def rows_of(name: str, use: str, photos: list[Photo], truth: Path) -> Iterator[R
             placed = {photos[number].name: camera for number, camera in model.cameras.items()}
             turned = shifted = None
             if truth.is_file():
-                try:
-                    errors = compare_cameras(placed, read_known_cameras(truth))
-                    turned, shifted = float(np.median(errors.rotation)), errors.ate / errors.extent
-                except (QuerySplatError, DegenerateAlignment):
-                    turned, shifted = 180.0, 1.0
+                errors = pose_errors(placed, read_known_cameras(truth))
+                turned = float(np.median(errors.rotation)) if errors else 180.0
+                shifted = errors.ate / errors.extent if errors else 1.0
             error = median_epipolar_error(model, matches)
             yield Row(name, use, mapper, len(photos), len(placed), error and 1000 * error, turned, shifted, seconds)
 

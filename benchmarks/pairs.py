@@ -29,17 +29,17 @@ import numpy as np
 from common.arguments import PhotoParser
 from common.output import Table, silent, write_json
 from common.photo_sets import PHOTO_SETS, Use
+from common.pose_errors import pose_errors
 from common.samples import SEED, SIZE
 from querysplat_cli.encoders.base import CameraRequest, Encoder, EncoderOptions
 from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.evaluation.cameras import cameras_by_name
-from querysplat_cli.evaluation.poses import PoseErrors, area_under_recall, compare_cameras
+from querysplat_cli.evaluation.poses import area_under_recall
 from querysplat_cli.runtime.choices import MATCHERS
-from querysplat_cli.runtime.errors import ImpossibleScene, QuerySplatError
+from querysplat_cli.runtime.errors import ImpossibleScene
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.formats.known import read_known_cameras
 from querysplat_cli.scene.photos import find_photos, load_photos
-from querysplat_cli.scene.sim3 import DegenerateAlignment
 from querysplat_cli.scene.views import Photo
 
 DISTANCES = {"fox": (6, 12, 24), "kermit": (1, 2), "sceaux": (1, 2), "fortress": (1, 2), "dtu106": (1, 3)}
@@ -121,20 +121,13 @@ def whole_of(
 ) -> Iterator[Whole]:
     for matcher, encoder in encoders.items():
         found, seconds = cameras_of(encoder, photos)
-        error = float(np.median(compared.centre) / compared.extent) if (compared := _compared(found, true)) else None
+        error = float(np.median(compared.centre) / compared.extent) if (compared := pose_errors(found, true)) else None
         yield Whole(name, PHOTO_SETS[name].use, matcher, len(photos), len(found), error, seconds)
-
-
-def _compared(found: dict[str, PhotoCamera], true: dict[str, PhotoCamera]) -> PoseErrors | None:
-    try:
-        return compare_cameras(found, true)
-    except (QuerySplatError, DegenerateAlignment):
-        return None
 
 
 def _pair_errors(found: dict[str, PhotoCamera], true: dict[str, PhotoCamera]) -> tuple[float | None, ...]:
     """Degrees of rotation and shift, and the focal error; a pair that no similarity aligns counts as turned around."""
-    compared = _compared(found, true)
+    compared = pose_errors(found, true)
     if compared is None:
         return 180.0, 180.0, None
     return tuple(abs(float(some[0])) for some in (compared.pair_rotation, compared.pair_translation, compared.focal))

@@ -88,6 +88,14 @@ def test_the_score_is_that_of_the_files(scene: tuple[Path, dict[str, Any]], tmp_
         assert psnr == pytest.approx(quality["psnr"], abs=0.1)
 
 
+def copied(scene: tuple[Path, dict[str, Any]], folder: Path) -> tuple[Path, dict[str, Any]]:
+    """A copy of the scene in `folder`, which a test may change, and its report."""
+    source, report = scene
+    ply = Path(shutil.copy(source, folder / "scene.ply"))
+    shutil.copytree(source.with_suffix(""), ply.with_suffix(""))
+    return ply, report
+
+
 def test_tto_optimises_a_stored_scene(scene: tuple[Path, dict[str, Any]], capsys: pytest.CaptureFixture[str]) -> None:
     ply, before = scene
     assert run(["tto", str(ply.with_suffix("")), "--steps", "12", "--json", "-q"]) == 0
@@ -104,9 +112,7 @@ def test_tto_optimises_a_stored_scene(scene: tuple[Path, dict[str, Any]], capsys
 def test_tto_keeps_where_held_out_cameras_come_from_and_forgets_what_an_earlier_run_went_on_with(
     scene: tuple[Path, dict[str, Any]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    source, before = scene
-    ply = Path(shutil.copy(source, tmp_path / "scene.ply"))
-    shutil.copytree(source.with_suffix(""), ply.with_suffix(""))
+    ply, before = copied(scene, tmp_path)
     file = ply.with_suffix("") / "report.json"
     file.write_text(json.dumps({**json.loads(file.read_text()), "resumed": ["cameras are those of an earlier run"]}))
     assert run(["tto", str(ply), "--steps", "0", "--json", "-q"]) == 0
@@ -118,9 +124,7 @@ def test_tto_keeps_where_held_out_cameras_come_from_and_forgets_what_an_earlier_
 
 def test_the_whole_time_is_that_of_the_clock(scene: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
     """Regions that several processes make at the same time are not added."""
-    source, _ = scene
-    ply = Path(shutil.copy(source, tmp_path / "scene.ply"))
-    shutil.copytree(source.with_suffix(""), ply.with_suffix(""))
+    ply, _ = copied(scene, tmp_path)
     report = optimise_scene(ResumeSettings(ply, steps=0), Stages(started=time.perf_counter() - 1000))
     assert 1000 < report.seconds["total"] < 1100
 
@@ -151,9 +155,7 @@ def test_a_scene_is_pruned_to_a_number(
     scene: tuple[Path, dict[str, Any]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Optimising the scene again does not bring pruned Gaussians back."""
-    source, before = scene
-    ply = Path(shutil.copy(source, tmp_path / "scene.ply"))
-    shutil.copytree(source.with_suffix(""), ply.with_suffix(""))
+    ply, before = copied(scene, tmp_path)
     target = (before["gaussians"] - before["backdrop"]) // 2
     assert run(["tto", str(ply), "--steps", "0", "--prune", str(target), "--json", "-q"]) == 0
     after = json.loads(capsys.readouterr().out)
@@ -169,9 +171,7 @@ def test_a_scene_is_pruned_to_a_number(
 def test_gaussians_are_split_up_to_a_number(
     scene: tuple[Path, dict[str, Any]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    source, before = scene
-    ply = Path(shutil.copy(source, tmp_path / "scene.ply"))
-    shutil.copytree(source.with_suffix(""), ply.with_suffix(""))
+    ply, before = copied(scene, tmp_path)
     count = before["gaussians"] - before["backdrop"]
     target = count + 100
     command = ["tto", str(ply), "--steps", "12", "--densify"]
@@ -225,9 +225,7 @@ def test_scenes_to_be_optimised_have_no_more_queries_than_there_is_time_for(
 def test_gaussians_that_were_optimised_themselves_are_not_decoded_again(
     scene: tuple[Path, dict[str, Any]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    source, before = scene
-    ply = Path(shutil.copy(source, tmp_path / "scene.ply"))
-    shutil.copytree(source.with_suffix(""), ply.with_suffix(""))
+    ply, before = copied(scene, tmp_path)
     assert run(["tto", str(ply), "--steps", "8", "--space", "both", "--json", "-q"]) == 0
     both = json.loads(capsys.readouterr().out)
     assert [(part["space"], part["steps"]) for part in both["tto"][-2:]] == [("features", 4), ("gaussians", 4)]
@@ -248,9 +246,7 @@ def _wait_for_work(process: int, seconds: float) -> None:
 
 
 def test_ctrl_c_keeps_what_optimisation_reached(scene: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
-    source, before = scene
-    ply = Path(shutil.copy(source, tmp_path / "scene.ply"))
-    shutil.copytree(source.with_suffix(""), ply.with_suffix(""))
+    ply, before = copied(scene, tmp_path)
     command = [sys.executable, "-m", "querysplat_cli", "tto", str(ply), "--steps", "100000"]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
         assert process.stderr is not None

@@ -16,7 +16,7 @@ from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.files import atomic_path
 from querysplat_cli.scene.match_cameras import matched_names
 from querysplat_cli.scene.rotations import rotation_angles
-from querysplat_cli.scene.sim3 import Sim3, align_cameras
+from querysplat_cli.scene.sim3 import Sim3, align_cameras, least_squares_fit
 
 
 @dataclass(frozen=True)
@@ -87,6 +87,7 @@ def compare_cameras(a: Mapping[str, PhotoCamera], b: Mapping[str, PhotoCamera]) 
     centres_a, centres_b = _transformed(_centres(w2c_a), similarity), _centres(w2c_b)
     turned = w2c_a[:, :3, :3] @ similarity.rotation.numpy().T
     distance = np.linalg.norm(centres_a - centres_b, axis=1)
+    _, left = least_squares_fit(_centres(w2c_a), centres_b, np.ones(len(shared)))
     apart = np.linalg.norm(centres_b[:, None] - centres_b[None], axis=2)
     pairs = np.array(list(combinations(range(len(shared)), 2)))
     return PoseErrors(
@@ -96,7 +97,7 @@ def compare_cameras(a: Mapping[str, PhotoCamera], b: Mapping[str, PhotoCamera]) 
         scale=similarity.scale,
         rotation=_angles(turned @ w2c_b[:, :3, :3].swapaxes(1, 2)),
         centre=distance,
-        ate=_trajectory_error(_centres(w2c_a), centres_b),
+        ate=float(np.sqrt(np.mean(left**2))),
         extent=float(apart.max()),
         pair_rotation=_pair_rotation(w2c_a, w2c_b, pairs),
         pair_translation=_between(_pair_direction(w2c_a, pairs), _pair_direction(w2c_b, pairs)),
@@ -143,16 +144,6 @@ def _recall(errors: np.ndarray, threshold: float) -> float:
 
 def _centres(w2c: np.ndarray) -> np.ndarray:
     return -np.einsum("nji,nj->ni", w2c[:, :3, :3], w2c[:, :3, 3])
-
-
-def _trajectory_error(a: np.ndarray, b: np.ndarray) -> float:
-    """Root mean square distance of the places [n, 3] after the least-squares similarity (Umeyama 1991)."""
-    around_a, around_b = a - a.mean(0), b - b.mean(0)
-    u, spreads, vt = np.linalg.svd(around_b.T @ around_a)
-    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])  # a rotation, no reflection
-    scale = (signs * spreads).sum() / np.square(around_a).sum()
-    left = around_b - scale * around_a @ (u * signs @ vt).T
-    return float(np.sqrt(np.square(left).sum() / len(a)))
 
 
 def _transformed(points: np.ndarray, similarity: Sim3) -> np.ndarray:

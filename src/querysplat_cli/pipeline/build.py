@@ -109,7 +109,7 @@ def encode_and_build(
     allowance: Allowance = Allowance(),
 ) -> BuiltScene:
     """`encode_and_build_all` without near-duplicate views."""
-    posed, duplicates = (posed, ()) if settings.keep_everything else distinct_views(posed)
+    posed, duplicates = distinct_views(posed, keep_all=settings.keep_everything)
     scene = encode_and_build_all(posed, encoder, model, settings, stages, allowance)
     return replace(scene, duplicates=duplicates)
 

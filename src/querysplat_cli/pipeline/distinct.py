@@ -6,10 +6,10 @@ from querysplat_cli.prune.views import near_duplicates
 from querysplat_cli.scene.views import LeftOut
 
 
-def distinct_views(posed: PosedViews) -> tuple[PosedViews, tuple[LeftOut, ...]]:
-    """The views without near-duplicates, and the near-duplicates."""
+def distinct_views(posed: PosedViews, *, keep_all: bool) -> tuple[PosedViews, tuple[LeftOut, ...]]:
+    """The views without near-duplicates, and the near-duplicates, of which `keep_all` leaves none out."""
     names = posed.views.names
-    same = near_duplicates(posed.cameras, posed.points, posed.visibility)
+    same = {} if keep_all else near_duplicates(posed.cameras, posed.points, posed.visibility)
     if not same:
         return posed, ()  # the same object: encoders and memos recognise the views of their own pass by it
     left_out = tuple(LeftOut(names[view], f"shows what {names[other]} shows") for view, other in same.items())

@@ -66,6 +66,5 @@ def _beside(cameras: Cameras) -> Cameras:
     if not some:
         return cameras[[]]
     placed = [on_the_line(cameras[list(pair)].to("cpu"), share) for pair, share in some]
-    w2c, K = (torch.cat([getattr(camera, name) for camera in placed]) for name in ("w2c", "K"))
-    joined = Cameras(w2c, K, cameras.height, cameras.width).resized(cameras.height // 2, cameras.width // 2)
+    joined = Cameras.joined(placed).resized(cameras.height // 2, cameras.width // 2)
     return joined.to(cameras.w2c.device)

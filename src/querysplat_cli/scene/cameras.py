@@ -92,6 +92,11 @@ class Cameras:
     def __getitem__(self, index: slice | Sequence[int] | Tensor) -> "Cameras":
         return replace(self, w2c=self.w2c[index], K=self.K[index])
 
+    @staticmethod
+    def joined(parts: Sequence["Cameras"]) -> "Cameras":
+        """The cameras of all `parts`, at least one, in their order. They share one canvas."""
+        return replace(parts[0], w2c=torch.cat([part.w2c for part in parts]), K=torch.cat([part.K for part in parts]))
+
     @property
     def c2w(self) -> Float[Tensor, "views 4 4"]:
         """Camera-to-world matrices, by transposing the rotation. A general inverse would be less exact."""

@@ -4,14 +4,14 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import takewhile
-from pathlib import PurePath, PurePosixPath
+from pathlib import PurePath
 
 import numpy as np
 
 from querysplat_cli.scene.cameras import PhotoCamera, same_shape
 from querysplat_cli.scene.formats.transforms_frame import is_rigid
 from querysplat_cli.scene.orientation import MIRRORED, upright_camera
-from querysplat_cli.scene.photo_names import path_parts
+from querysplat_cli.scene.photo_names import path_parts, stated_parts
 from querysplat_cli.scene.photos import SUFFIXES
 from querysplat_cli.scene.views import LeftOut, Photo
 
@@ -32,7 +32,7 @@ def matched_names(paths: Mapping[str, PurePath], given: Mapping[str, PhotoCamera
     cameras of its own.
     """
     photos = {name: _parts(path_parts(path)) for name, path in paths.items()}
-    places = {key: _parts(_stated_parts(camera.file or key)) for key, camera in given.items()}
+    places = {key: _parts(stated_parts(camera.file or key)) for key, camera in given.items()}
     by_file = defaultdict(list)
     for key, place in places.items():
         by_file[place[-1]].append(key)
@@ -93,10 +93,6 @@ def _fault(photo: Photo, camera: PhotoCamera) -> str:
 def _parts(parts: Sequence[str]) -> Parts:
     file = PurePath(parts[-1])
     return *parts[:-1], file.stem if file.suffix.lower() in SUFFIXES else file.name
-
-
-def _stated_parts(path: str) -> Sequence[str]:
-    return [part for part in PurePosixPath(path).parts if part not in ("/", "..")]
 
 
 def _common(one: Parts, other: Parts) -> int:

@@ -7,6 +7,7 @@ import numpy as np
 
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.exif import Gps
+from querysplat_cli.scene.sim3 import least_squares_fit
 
 EARTH = 6_378_137.0, 6.69437999014e-3
 """WGS 84: half of the larger axis in metres, and the squared eccentricity."""
@@ -54,7 +55,7 @@ def metres_by_gps(centres: Mapping[str, np.ndarray], places: Mapping[str, Gps]) 
     theirs = local_metres([places[name] for name in names])
     weights = np.ones(len(names))
     for _ in range(ROUNDS):
-        scale, residuals = _fitted(ours, theirs, weights)
+        scale, residuals = least_squares_fit(ours, theirs, weights)
         sigma = max(1.4826 * float(np.median(residuals)), 1e-9)
         weights = 1 / (1 + (residuals / (2 * sigma)) ** 2)
     error = float(np.median(residuals))
@@ -102,16 +103,3 @@ def local_metres(places: Sequence[Gps]) -> np.ndarray:
     # Differences of longitude are taken around the first place, so that the date line is no border.
     turned = (longitude - longitude[0] + np.pi) % (2 * np.pi) - np.pi
     return np.stack([turned * across, (latitude - middle) * along, up], 1)
-
-
-def _fitted(source: np.ndarray, target: np.ndarray, weights: np.ndarray) -> tuple[float, np.ndarray]:
-    """The scale of the weighted least-squares similarity (Umeyama 1991), and the residuals [n]."""
-    share = (weights / weights.sum())[:, None]
-    a, b = source - (share * source).sum(0), target - (share * target).sum(0)
-    spread = float((share * a**2).sum())
-    if spread <= 0:
-        return 0.0, np.linalg.norm(b, axis=1)
-    u, values, vt = np.linalg.svd((share * b).T @ a)
-    sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
-    scale = float((values * sign).sum()) / spread
-    return scale, np.linalg.norm(b - scale * a @ (u * sign @ vt).T, axis=1)

@@ -112,9 +112,7 @@ def halfway(cameras: Cameras) -> Cameras:
         return cameras
     apart = torch.cdist(cameras.centres, cameras.centres).fill_diagonal_(math.inf)
     pairs = sorted({(min(pair), max(pair)) for pair in enumerate(apart.argmin(1).tolist())})
-    middles = [on_the_line(cameras[list(pair)], 0.5) for pair in pairs]
-    w2c, K = torch.cat([each.w2c for each in middles]), torch.cat([each.K for each in middles])
-    return Cameras(w2c, K, cameras.height, cameras.width)
+    return Cameras.joined([on_the_line(cameras[list(pair)], 0.5) for pair in pairs])
 
 
 def on_the_line(pair: Cameras, share: float) -> Cameras:

@@ -3,7 +3,7 @@
 import os
 from collections import Counter
 from collections.abc import Sequence
-from pathlib import PurePath
+from pathlib import PurePath, PurePosixPath
 
 
 def short_names(paths: Sequence[PurePath]) -> list[str]:
@@ -21,6 +21,11 @@ def path_parts(path: PurePath) -> tuple[str, ...]:
     """The folders and the file of a path, from the root of the file system on, which is not among them."""
     absolute = PurePath(os.path.abspath(path))
     return absolute.parts[1:]
+
+
+def stated_parts(path: str) -> tuple[str, ...]:
+    """The folders and the file of a path that a file of cameras states, without a root or a `..`."""
+    return tuple(part for part in PurePosixPath(path).parts if part not in ("/", ".."))
 
 
 def names_a_photo(name: str) -> bool:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -123,3 +124,19 @@ def _align_all(a: Float[Tensor, "n 4 4"], b: Float[Tensor, "n 4 4"]) -> Sim3:
             "At least one of the two reconstructions is wrong; add photos that overlap more.",
         )
     return Sim3(scale, rotation, centres_b.mean(0) - scale * rotation @ centres_a.mean(0))
+
+
+def least_squares_fit(source: np.ndarray, target: np.ndarray, weights: np.ndarray) -> tuple[float, np.ndarray]:
+    """The scale of the similarity that maps the places `source` [n, 3] onto `target`, and the distances [n] left.
+
+    It is the one of the least weighted squares (Umeyama 1991). The scale is 0 where all of `source` is one place.
+    """
+    share = (weights / weights.sum())[:, None]
+    a, b = source - (share * source).sum(0), target - (share * target).sum(0)
+    spread = float((share * a**2).sum())
+    if spread <= 0:
+        return 0.0, np.linalg.norm(b, axis=1)
+    u, values, vt = np.linalg.svd((share * b).T @ a)
+    sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
+    scale = float((values * sign).sum()) / spread
+    return scale, np.linalg.norm(b - scale * a @ (u * sign @ vt).T, axis=1)

@@ -75,11 +75,10 @@ class Captured:
         ]
         if settings.cameras == "posed" and not place.cameras:
             raise QuerySplatError(f"{place.name} has no cameras", 'Use cameras = "free" for it.')
-        pairs = [
-            (frame.name, photo) for frame, photo in zip(frames, loaded, strict=True) if frame.name in place.cameras
-        ]
-        turned = {name: upright_camera(place.cameras[name], photo) for name, photo in pairs}
-        known = turned if settings.cameras == "posed" else None
+        known = None
+        if settings.cameras == "posed":
+            pairs = ((frame.name, photo) for frame, photo in zip(frames, loaded, strict=True))
+            known = {name: upright_camera(place.cameras[name], photo) for name, photo in pairs if name in place.cameras}
         return Capture(place.name, tuple(named), tuple(place.frames[i].name for i in inputs), known)
 
 

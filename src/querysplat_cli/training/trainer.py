@@ -169,7 +169,6 @@ class Trainer:
         return range(self.processes.rank, self.config.optimiser.batch, self.processes.world)
 
     def _add(self, sample: Sample, anchors: Anchors | None, index: int) -> SampleLoss:
-        seeds = np.random.SeedSequence([self.config.seed, self.step, index])
         step = StepSettings(
             self.config,
             weights(self.step, self.config.losses),
@@ -177,8 +176,7 @@ class Trainer:
             counts=lambda loss: self._filter.keeps(loss, self.step / self.config.steps),
             perceptual=self._perceptual,
         )
-        generator = torch.Generator().manual_seed(int(seeds.generate_state(1)[0]))
-        return add_gradient(self.model, sample, anchors, step, generator)
+        return add_gradient(self.model, sample, anchors, step, _generator(self.config.seed, self.step, index))
 
     def _advance(self, own: list[SampleLoss], lr: float) -> list[SampleLoss]:
         """Sum the processes' gradients and take a step, unless all samples were skipped or the sum is not finite.
@@ -253,8 +251,12 @@ class Trainer:
     def _grow(self, queries: int) -> None:
         if queries and queries != self.model.config.query_count:
             # Other noise each time: with the same, a copy would lie on the earlier copy of its query.
-            seed = int(np.random.SeedSequence([self.config.seed, queries]).generate_state(1)[0])
-            grow_queries(self.model, queries, torch.Generator().manual_seed(seed))
+            grow_queries(self.model, queries, _generator(self.config.seed, queries))
+
+
+def _generator(*numbers: int) -> torch.Generator:
+    """Of random numbers that differ wherever one of these does."""
+    return torch.Generator().manual_seed(int(np.random.SeedSequence(numbers).generate_state(1)[0]))
 
 
 def samples_in_turn(batch: int, processes: int) -> int:

@@ -123,7 +123,8 @@ class RenderingLoss:
             distance = self._distance(picture, photo)
             smaller = TTO_POLICY.half * self._half_loss(leaves, cameras, behind, view, photo) if halve else 0.0
             ((photometric_loss(picture, *photo) + distance + smaller) / len(chosen)).backward()
-            value, error = self._compared(rendering, photo, view)
+            # Over changing backgrounds the distance is another one than that of the value.
+            value, error = self._compared(rendering, photo, view, None if self.backgrounds else distance.detach())
             losses.append(value)
             errors.append(error)
         camera_gradient = (gradient_of(w2c), gradient_of(K)) if asked else None
@@ -162,11 +163,13 @@ class RenderingLoss:
         return TTO_POLICY.lpips * perceptual_loss(self.perceptual, picture, *photo)
 
     @torch.no_grad()
-    def _compared(self, rendering: Rendering, photo: tuple[Tensor, Tensor], view: int) -> tuple[float, float]:
-        """The loss and the mean squared error, over `background`."""
+    def _compared(
+        self, rendering: Rendering, photo: tuple[Tensor, Tensor], view: int, distance: Tensor | None = None
+    ) -> tuple[float, float]:
+        """The loss and the mean squared error, over `background`; `distance` is that of LPIPS there, if it is known."""
         picture = self._picture(rendering, self.background, view)
         value, error = photometric_value(picture, *photo)
-        return value + float(self._distance(picture, photo)), error
+        return value + float(self._distance(picture, photo) if distance is None else distance), error
 
     def _picture(self, rendering: Rendering, background: Tensor | None, view: int) -> Tensor:
         """The render over `background`, black where the photo is masked: SSIM's windows reach beyond masks."""

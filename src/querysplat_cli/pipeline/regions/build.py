@@ -63,7 +63,7 @@ def build_regions(
     Raises QuerySplatError where Ctrl-C stopped it; the regions that are done stay in the folders.
     """
     with stages("regions"):
-        posed, duplicates = (posed, ()) if settings.keep_everything else distinct_views(posed)
+        posed, duplicates = distinct_views(posed, keep_all=settings.keep_everything)
         if duplicates:
             posed = replace(posed, views=work.filed("distinct", posed.views))
         groups = divide(posed, count)

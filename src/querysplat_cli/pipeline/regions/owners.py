@@ -32,11 +32,9 @@ class CoreViews:
     @classmethod
     def of(cls, parts: Sequence[tuple[Cameras, Tensor]]) -> "CoreViews":
         """The core cameras and depth maps of every region, in their order."""
-        w2c, K = (torch.cat([getattr(cameras, name) for cameras, _ in parts]) for name in ("w2c", "K"))
         depth = torch.cat([maps for _, maps in parts])
         region = torch.cat([torch.full((len(cameras),), number) for number, (cameras, _) in enumerate(parts)])
-        small = parts[0][0]
-        return cls(Cameras(w2c, K, small.height, small.width), depth, region)
+        return cls(Cameras.joined([cameras for cameras, _ in parts]), depth, region)
 
 
 def small_cameras(cameras: Cameras) -> Cameras:

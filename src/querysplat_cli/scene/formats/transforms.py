@@ -18,7 +18,7 @@ from querysplat_cli.runtime.json_files import read_json, shown
 from querysplat_cli.scene.cameras import FARTHEST_CENTRE, LONGEST_SIDE, Cameras, PhotoCamera
 from querysplat_cli.scene.files import atomic_path
 from querysplat_cli.scene.formats.transforms_frame import frame_camera, is_rigid, opengl_from_opencv
-from querysplat_cli.scene.photo_names import names_a_photo, short_names
+from querysplat_cli.scene.photo_names import names_a_photo, short_names, stated_parts
 from querysplat_cli.scene.pictures import stored_name
 from querysplat_cli.scene.sim3 import Sim3
 from querysplat_cli.scene.views import Views
@@ -242,7 +242,7 @@ def with_slashes(path: str) -> str:
 
 def _inside(name: str) -> str:
     """The path of a picture below the folder of the pictures, whatever folders the file names."""
-    parts = [part for part in PurePosixPath(name).parts if part not in ("/", "..")]
+    parts = stated_parts(name)
     return "/".join(parts[1:] if parts[0] == "images" and parts[1:] else parts)
 
 
