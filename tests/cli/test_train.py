@@ -113,3 +113,4 @@ def test_errors_are_two_lines(
     said = capsys.readouterr().err.strip().splitlines()
     assert len(said) == 2
     assert said[0].startswith("error: ")
+    assert not Path("nowhere").exists()

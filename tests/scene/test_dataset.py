@@ -70,6 +70,18 @@ def test_a_zip_is_read_like_its_folder(tmp_path: Path) -> None:
         assert copy.read_bytes() == original.read_bytes()
 
 
+def test_pictures_that_are_listed_without_suffixes(tmp_path: Path) -> None:
+    """As in NeRF's synthetic scenes; also in a zip, whose copies have the suffix of the file."""
+    frames = [{**frame, "file_path": frame["file_path"].removesuffix(".png")} for frame in listing([1, 2])["frames"]]
+    write_scene(tmp_path / "abc" / "scene1", "images", frames=frames)
+    packed = Path(shutil.make_archive(str(tmp_path / "archive"), "zip", tmp_path / "abc"))
+    for place in (tmp_path / "abc", packed):
+        (scene,) = find_scenes([place], "images")
+        assert [frame.name for frame in scene.frames] == list(scene.cameras) == ["frame_00001", "frame_00002"]
+        assert scene.notes == ()
+        assert [file.name for file in fetch(scene.frames, tmp_path)] == ["frame_00001.png", "frame_00002.png"]
+
+
 @pytest.mark.parametrize("home", [".", "gaussian_splat"])
 @pytest.mark.parametrize("text", [False, True])
 def test_a_colmap_project(tmp_path: Path, home: str, text: bool) -> None:

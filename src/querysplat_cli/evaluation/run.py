@@ -30,7 +30,7 @@ from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.runtime.words import counted
 from querysplat_cli.runtime.workers import Workers
-from querysplat_cli.scene.files import check_writable
+from querysplat_cli.scene.files import writable
 from querysplat_cli.scene.formats.dataset import find_scenes
 from querysplat_cli.splat.lpips import LpipsFiles, find_lpips, load_lpips
 
@@ -55,7 +55,11 @@ def evaluate(request: EvalRequest, stages: Stages, say: Callable[[str], None]) -
 
     Raises QuerySplatError on bad input. A case that fails is listed in the summary.
     """
-    check_writable(request.out)
+    with writable(request.out):
+        return _evaluated(request, stages, say)
+
+
+def _evaluated(request: EvalRequest, stages: Stages, say: Callable[[str], None]) -> dict[str, Any]:
     with stages("splits"):
         scenes = {scene.name: scene for scene in find_scenes(request.scenes, request.pictures)}
         for scene in scenes.values():

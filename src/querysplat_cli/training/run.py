@@ -13,7 +13,7 @@ from querysplat_cli.runtime.cluster import find_engine
 from querysplat_cli.runtime.device import find_device
 from querysplat_cli.runtime.progress import Progress, Stages
 from querysplat_cli.runtime.workers import Workers, cores
-from querysplat_cli.scene.files import check_writable, refuse_existing, sole_writer
+from querysplat_cli.scene.files import refuse_existing, sole_writer, writable
 from querysplat_cli.splat.lpips import Perceptual
 from querysplat_cli.training.config import DataSettings, TrainConfig
 from querysplat_cli.training.data import CachedSamples, Samples, no_samples, prepare_samples, sources_of_stages
@@ -59,7 +59,7 @@ def train(request: TrainRequest, stages: Stages) -> TrainReport | None:
             refuse_existing([folder / STATE, folder / MODEL], force=request.force)
         if request.tensorboard:
             check_tensorboard()
-        check_writable(folder)
+        stack.enter_context(writable(folder))
         if processes.first:
             stack.enter_context(sole_writer(folder))
         processes.wait()

@@ -86,7 +86,7 @@ def fetch(frames: Sequence[Frame], scratch: Path) -> list[Path]:
         if isinstance(frame.file, Path):
             files.append(frame.file)
             continue
-        copy = scratch / f"{frame.index:06d}" / Path(frame.name).name
+        copy = scratch / f"{frame.index:06d}" / Path(frame.file.member).name
         copy.parent.mkdir(parents=True, exist_ok=True)
         with (
             zipfile.ZipFile(frame.file.archive) as archive,
@@ -145,8 +145,8 @@ def _read(home: Traversable, name: str, folder: str | None, wanted: str) -> Capt
         frames = []
         for index, (short, path) in enumerate(zip(cameras, paths, strict=True)):
             # The folder in the file is that of the full-size pictures, which often are not there.
-            candidates = _inside(place, path), _inside(place, short), _inside(home, path)
-            file = next((file for file in candidates if file.is_file()), None)
+            candidates = (place, path), (place, short), (home, path)
+            file = next(filter(None, (_picture(*candidate) for candidate in candidates)), None)
             if file is not None:
                 frames.append(_frame(index, short, folder, file))
         if len(frames) < len(cameras):
@@ -159,6 +159,12 @@ def _read(home: Traversable, name: str, folder: str | None, wanted: str) -> Capt
         notes.append(f"{len(cameras) - len(rigid)} cameras are no rigid motions, and not used")
     ordered = sorted(frames, key=lambda frame: natural_key(Path(frame.name)))
     return CapturedScene(name, tuple(ordered), rigid, tuple(notes))
+
+
+def _picture(place: Traversable, path: str) -> Traversable | None:
+    """The file of a listed frame, if it is there. NeRF's synthetic scenes list files without their suffixes."""
+    suffixes = ("", *sorted(SUFFIXES)) if Path(path).suffix.lower() not in SUFFIXES else ("",)
+    return next((file for suffix in suffixes if (file := _inside(place, path + suffix)).is_file()), None)
 
 
 def _frame(index: int, name: str, folder: str | None, file: Traversable) -> Frame:
