@@ -4,11 +4,13 @@ from pathlib import Path
 
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 from safetensors.torch import save
 
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.photo_files import PhotoFile
-from querysplat_cli.scene.sparse_points import SparsePoints, read_sparse_points, write_sparse_points
+from querysplat_cli.scene.sparse_points import SparsePoints, read_sparse_points, shared_points, write_sparse_points
 
 POINTS = SparsePoints(
     torch.tensor([[0.0, 1.0, 2.0], [3.0, 4.0, 5.0]]),
@@ -58,3 +60,10 @@ def test_a_cut_file_is_refused(tmp_path: Path) -> None:
     file.write_bytes(file.read_bytes()[:-4])
     with pytest.raises(QuerySplatError, match=r"points\.safetensors"):
         read_sparse_points(tmp_path, NAMES, PHOTOS)
+
+
+@given(st.lists(st.sets(st.integers(0, 11)), max_size=6))
+def test_shared_points_are_those_of_both_views(seen: list[set[int]]) -> None:
+    visibility = [torch.tensor(sorted(rows), dtype=torch.int64) for rows in seen]
+    common = shared_points(visibility, 12)
+    assert common.toarray().tolist() == [[len(one & other) for other in seen] for one in seen]

@@ -8,9 +8,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int, UInt8
 from safetensors.torch import save
+from scipy.sparse import csr_array
 from torch import Tensor
 
 from querysplat_cli.runtime.checkpoint_files import read_tensors
@@ -36,6 +38,17 @@ class SparsePoints:
 
     def __len__(self) -> int:
         return len(self.places)
+
+
+def shared_points(visibility: Sequence[Tensor], count: int) -> csr_array:
+    """How many points each two views both see [views, views], and each view on the diagonal.
+
+    `visibility` is for each view the row numbers of the points that it sees, of `count` points.
+    """
+    points = np.concatenate([np.zeros(0, np.int64), *map(np.asarray, visibility)])
+    views = np.repeat(np.arange(len(visibility)), [len(rows) for rows in visibility])
+    seen = csr_array((np.ones(len(points), np.int64), (views, points)), shape=(len(visibility), max(1, count)))
+    return csr_array(seen @ seen.T)
 
 
 def write_sparse_points(folder: Path, points: SparsePoints) -> None:

@@ -30,7 +30,7 @@ def estimate_geometry(posed: PosedViews, *, seed: int, progress: Progress) -> Ge
     del seed
     views = posed.views
     masks = views.masks.numpy()
-    sources = [choose_sources(posed, v) for v in range(len(views))]
+    sources = choose_sources(posed)
     ranges = [inverse_range(posed, v) for v in range(len(views))]
     if not any(sources):
         depth = np.stack([np.full(masks.shape[1:], 1 / limits.middle, np.float32) for limits in ranges])

@@ -4,9 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from querysplat_cli.encoders.base import PosedViews
 from querysplat_cli.encoders.classical.depth_policy import DEPTH_POLICY
+from querysplat_cli.scene.sparse_points import shared_points
 
 
 @dataclass(frozen=True)
@@ -46,24 +48,32 @@ def _nearest_together(inverse: np.ndarray) -> float:
     return float(together[0]) if len(together) else 0.0
 
 
-def choose_sources(posed: PosedViews, view: int) -> list[int]:
-    """The views that share most points with this one at an angle that measures depth well, best first."""
-    good, wide = DEPTH_POLICY.good_angles
+def choose_sources(posed: PosedViews) -> list[list[int]]:
+    """For each view, those that share most points with it at an angle that measures depth well, best first."""
+    common = shared_points(posed.visibility, len(posed.points))
     centres = posed.cameras.centres.double()
-    own = posed.visibility[view]
-    scored = []
-    for other, rows in enumerate(posed.visibility):
-        shared = own[torch.isin(own, rows)]
-        if other == view or len(shared) < DEPTH_POLICY.fewest_shared_points:
-            continue
-        points = posed.points[shared].double()
-        one, two = points - centres[view], points - centres[other]
-        # The arc cosine would lose small angles, because their cosine rounds to 1.
-        angles = torch.atan2(torch.linalg.cross(one, two).norm(dim=1), (one * two).sum(1))
-        angle = float(torch.rad2deg(angles).median())
-        if angle > DEPTH_POLICY.least_angle:
-            scored.append((len(shared) * min(angle / good, 1.0) * min(wide / angle, 1.0) ** 2, other))
-    return [other for _, other in sorted(scored, key=lambda pair: (-pair[0], pair[1]))[: DEPTH_POLICY.sources]]
+    found = []
+    for view in range(len(posed.visibility)):
+        row = common[[view]]
+        others = row.indices[row.data >= DEPTH_POLICY.fewest_shared_points].tolist()
+        scored = [(_worth(posed, centres, view, other), other) for other in others if other != view]
+        best = sorted((pair for pair in scored if pair[0]), key=lambda pair: (-pair[0], pair[1]))
+        found.append([other for _, other in best[: DEPTH_POLICY.sources]])
+    return found
+
+
+def _worth(posed: PosedViews, centres: Tensor, view: int, other: int) -> float:
+    """The number of points that both views see; less where the angle between them is bad, 0 where it is too small."""
+    good, wide = DEPTH_POLICY.good_angles
+    shared = posed.visibility[view][torch.isin(posed.visibility[view], posed.visibility[other])]
+    points = posed.points[shared].double()
+    one, two = points - centres[view], points - centres[other]
+    # The arc cosine would lose small angles, because their cosine rounds to 1.
+    angles = torch.atan2(torch.linalg.cross(one, two).norm(dim=1), (one * two).sum(1))
+    angle = float(torch.rad2deg(angles).median())
+    if angle <= DEPTH_POLICY.least_angle:
+        return 0.0
+    return len(shared) * min(angle / good, 1.0) * min(wide / angle, 1.0) ** 2
 
 
 def nearest_views(posed: PosedViews) -> list[list[int]]:

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from scipy.sparse import csr_array
 
 from querysplat_cli.encoders.base import PosedViews
 from querysplat_cli.pipeline.policy import PIPELINE_POLICY
+from querysplat_cli.scene.sparse_points import shared_points
 
 
 @dataclass(frozen=True)
@@ -40,13 +40,10 @@ def divide(posed: PosedViews, count: int) -> tuple[Group, ...]:
 
 def _closeness(posed: PosedViews) -> np.ndarray:
     """Symmetric, from 0 to 1: the share of sparse points that two photos have in common, and a little for nearness."""
-    count, most = len(posed.views), len(posed.points)
-    rows = [np.asarray(points) for points in posed.visibility] or [np.zeros(0, np.int64)] * count
-    each = np.array([len(points) for points in rows])
-    points, views = np.concatenate(rows), np.repeat(np.arange(count), each)
-    seen = csr_array((np.ones(len(points)), (views, points)), shape=(count, max(1, most)))
-    size = np.sqrt(np.maximum(1, each))
-    shared = (seen @ seen.T).toarray() / size[:, None] / size
+    count = len(posed.views)
+    common = shared_points(posed.visibility or [torch.zeros(0, dtype=torch.int64)] * count, len(posed.points)).toarray()
+    size = np.sqrt(np.maximum(1, common.diagonal()))
+    shared = common / size[:, None] / size
     centres = posed.cameras.centres.double()
     apart = torch.cdist(centres, centres).numpy()
     step = np.median(np.sort(apart, axis=1)[:, min(1, count - 1)])
