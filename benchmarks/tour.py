@@ -2,8 +2,8 @@
 
     python benchmarks/tour.py [--write docs/tour.md] [--pictures docs/images] [--keep DIR] [--only VERB ...]
 
-Everything happens in DIR, by default a temporary folder. A verb whose folder is kept from an earlier run is not run
-again, and --only runs some of the verbs alone: the page then keeps the other sections as they are.
+Everything happens in DIR, by default a temporary folder. --only runs some of the verbs alone: the page then keeps the
+other sections as they are.
 """
 
 import argparse

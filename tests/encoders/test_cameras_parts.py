@@ -4,17 +4,21 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pycolmap
 import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from synthetic import arc, camera
 
+from querysplat_cli.encoders.classical import mapping
 from querysplat_cli.encoders.classical.camera_warnings import camera_warnings, is_flat, median_angle
 from querysplat_cli.encoders.classical.encoder import ClassicalEncoder
 from querysplat_cli.encoders.classical.epipolar import epipolar_error, epipolar_support, median_epipolar_error, rays
 from querysplat_cli.encoders.classical.lens_prior import usual_focal
+from querysplat_cli.encoders.classical.mapping import Mapped
 from querysplat_cli.encoders.classical.matches import Matches, Pair
+from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
 from querysplat_cli.encoders.classical.sparse_model import SparseModel, in_first_camera_frame
 from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.runtime.errors import QuerySplatError
@@ -198,3 +202,29 @@ def test_points_behind_cameras_are_warned_of(cloud: np.ndarray) -> None:
 
 def test_visibility_is_integer(cloud: np.ndarray) -> None:
     assert torch.from_numpy(scene(arc(2), cloud)[0].seen[0]).dtype == torch.int64
+
+
+@given(st.lists(st.tuples(st.integers(0, 8), st.integers(0, 8)).filter(lambda ends: ends[0] < ends[1]), max_size=8))
+def test_the_largest_group_is_connected_and_no_other_is_larger(ends: list[tuple[int, int]]) -> None:
+    nothing = np.zeros((0, 2))
+    pairs = tuple(Pair(*each, nothing, nothing) for each in ends)
+    found = Matches(Path(), ((48, 64),) * 9, (None,) * 9, (), (0,) * 9, pairs).largest_group()
+    groups = [{photo} for photo in range(9)]
+    for each in ends:
+        one, two = (next(group for group in groups if photo in group) for photo in each)
+        groups = [one | two, *(group for group in groups if group not in (one, two))]
+    largest = max(len(group) for group in groups)
+    assert found == min(sorted(group) for group in groups if len(group) == largest)
+
+
+@pytest.mark.parametrize("photos", [CAMERA_POLICY.adjusted_photos, CAMERA_POLICY.adjusted_photos + 1])
+def test_many_photos_outvote_the_focal_lengths_of_exif(photos: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    nothing = (0.0, 0.0, 0.0, 0.0)
+    camera = PhotoCamera(np.eye(4), (500.0, 500.0), (32.0, 24.0), nothing, 48, 64)
+    found, pulled = (SparseModel(dict.fromkeys(range(photos), camera), np.zeros((0, 3)), {}) for _ in range(2))
+    monkeypatch.setattr(mapping, "self_calibrated", lambda reconstruction, fit_lens: reconstruction)
+    monkeypatch.setattr(mapping, "from_colmap", lambda reconstruction: found)
+    monkeypatch.setattr(mapping, "bundle_adjusted", lambda *given: pulled)
+    matches = Matches(Path(), ((48, 64),) * photos, (1000.0,) * photos, (), (0,) * photos, ())
+    refined = Mapped(found, (), pycolmap.Reconstruction()).refined(matches)
+    assert refined is (found if photos > CAMERA_POLICY.adjusted_photos else pulled)

@@ -10,8 +10,10 @@ import pycolmap
 import pytest
 from PIL import Image
 
+from querysplat_cli.pipeline.kept_parts import read_part, write_part
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import PhotoCamera
+from querysplat_cli.scene.filed_pixels import FiledPixels
 from querysplat_cli.scene.formats.known import read_known_cameras
 from querysplat_cli.scene.lenses import pinhole_photos, same_panorama
 from querysplat_cli.scene.photo_files import photo_files, read_photo_files, write_photo_files
@@ -172,6 +174,23 @@ def test_a_part_of_a_panorama_is_an_ordinary_photo(tmp_path: Path, entry: bytes)
     Image.fromarray(np.zeros((128, 512, 3), np.uint8)).save(tmp_path / "part.jpg", xmp=packet)
     photos, _ = load_photos([tmp_path / "part.jpg"])
     assert [photo.name for photo in pinhole_photos(photos, None, "auto")[0]] == ["part.jpg"]
+
+
+def test_a_view_of_a_panorama_with_the_name_of_a_photo_is_refused(tmp_path: Path) -> None:
+    panorama = Photo("a.png", tmp_path / "a.png", np.zeros((64, 128, 3), np.uint8), panorama=True)
+    photo = Photo("a_0.png", tmp_path / "a_0.png", np.zeros((48, 64, 3), np.uint8))
+    with pytest.raises(QuerySplatError, match=r"a_0\.png is the name of a photo"):
+        pinhole_photos([panorama, photo], None, "auto")
+
+
+def test_views_of_panoramas_are_kept_like_photos(tmp_path: Path) -> None:
+    """In the file where memory ends, and in tasks of regions."""
+    panorama = Photo("a.png", tmp_path / "a.png", np.zeros((64, 128, 3), np.uint8), panorama=True)
+    views, _ = pinhole_photos([panorama], None, "auto", FiledPixels(tmp_path, 0))
+    assert all(isinstance(view.pixels, np.memmap) for view in views)
+    view = views[3].view
+    write_part(tmp_path / "view.pt", view)
+    assert read_part(tmp_path / "view.pt") == view
 
 
 def test_what_is_no_panorama_is_refused(tmp_path: Path) -> None:

@@ -162,3 +162,23 @@ def test_one_camera_cannot_be_refined() -> None:
     assert not refinable(true[[0]])
     with pytest.raises(QuerySplatError, match="cannot be refined"):
         RefinedCameras(true[[0]], gaussians)
+
+
+def test_gradients_of_a_step_that_split_move_no_camera(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A split takes the place of a step, and the next step is of other views."""
+    moved = []
+    step = RefinedCameras.step
+
+    def noted(refined: RefinedCameras, share: float) -> None:
+        moved.append(sum(pose.grad is not None and bool(pose.grad.any()) for pose in refined._poses))
+        step(refined, share)
+
+    monkeypatch.setattr(RefinedCameras, "step", noted)
+    gaussians, views, true = scene()
+    settings = TtoSettings(3, 1e-3, views_per_step=1, densify_after=(0.0,))
+    target = RenderingLoss(views, turned(true, 1.0))
+    generator = torch.Generator().manual_seed(0)
+    optimise_gaussians(
+        gaussians, target, settings, generator=generator, refine_cameras=True, densify_to=len(gaussians) + 5
+    )
+    assert moved == [1, 1]

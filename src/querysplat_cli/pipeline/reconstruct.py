@@ -28,6 +28,7 @@ from querysplat_cli.pipeline.scene_points import scene_points
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.pipeline.unfinished import Unfinished, is_long, unfinished
 from querysplat_cli.prune.resolution import Blurred, blurred
+from querysplat_cli.prune.views import near_duplicates
 from querysplat_cli.reporting.report import (
     Report,
     exposure_entry,
@@ -133,7 +134,9 @@ def _made(inputs: _Inputs, settings: ReconstructSettings, stages: Stages, work: 
         )
     metres = metres_of(settings.metres_by, passes.split.inputs, inputs.photos, poses_known=inputs.known is not None)
     forget_pixels(inputs.photos)
-    count = region_count(settings, len(passes.split.inputs.views), inputs.encoder)
+    posed = passes.split.inputs
+    alike = {} if settings.keep_everything else near_duplicates(posed.cameras, posed.points, posed.visibility)
+    count = region_count(settings, len(posed.views) - len(alike), inputs.encoder)
     if settings.cluster and count == 1:
         stages.say("--cluster is not used: there is one region")
     built = None
@@ -171,7 +174,7 @@ def _read_inputs(settings: ReconstructSettings, device: torch.device, stages: St
         optimisation_lpips(settings.lpips, official=model.config.queries == "learned")  # a damaged file ends it here
         known = read_known_cameras(settings.poses, fisheye=True) if settings.poses else None
         known = cameras_of_photos(photos, known) if known else None
-        photos, known = pinhole_photos(photos, known, settings.lens)
+        photos, known = pinhole_photos(photos, known, settings.lens, keep)
         budget = Budget(settings.budget, stages.elapsed) if settings.budget else None
         size = settings.max_size or encoder.size
         adjustable = encoder.name == "classical" and not settings.max_size

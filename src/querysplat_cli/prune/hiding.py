@@ -31,8 +31,11 @@ def hiding(gaussians: Gaussians, cameras: Cameras) -> Bool[Tensor, "n"]:
     shown = torch.zeros_like(gaussians.opacities, dtype=torch.bool)
     for view in range(len(cameras)):
         shown |= cameras.sees(gaussians.means, view)
-    by_photo = torch.stack([blending_weights(gaussians, cameras[[view]]) for view in range(len(cameras))])
-    shown &= by_photo.amax(0) <= PRUNE_POLICY.one_photo * by_photo.sum(0)
+    largest, total = torch.zeros(2, len(shown)).to(gaussians.opacities)
+    for view in range(len(cameras)):
+        weight = blending_weights(gaussians, cameras[[view]])
+        largest, total = torch.maximum(largest, weight), total + weight
+    shown &= largest <= PRUNE_POLICY.one_photo * total
     guessed, beside = gaussians[~shown], _beside(cameras)
     weight, alone, excess = torch.zeros(3, len(guessed)).to(gaussians.opacities)
     for view in range(len(beside)):

@@ -13,6 +13,9 @@ from querysplat_cli.scene.photo_names import short_names
 from querysplat_cli.scene.photos import Keep, decoded_photos, load_photos, none_usable
 from querysplat_cli.scene.views import LeftOut, Photo
 
+AHEAD = 32
+"""Frames that are decoded in one pass over their film: so many large ones are kept until they are read."""
+
 
 def load_inputs(
     paths: Sequence[Path],
@@ -66,9 +69,10 @@ def _surveyed(
 def _frames(choice: FilmChoice, name: str, max_side: int, keep: Keep) -> list[Photo]:
     path, survey = choice.survey.path, choice.survey
     stamps = [int(survey.pts[row]) for row in choice.rows]
-    read_ahead(path, stamps)
     found = []
-    for row, pts in zip(choice.rows, stamps, strict=True):
+    for number, (row, pts) in enumerate(zip(choice.rows, stamps, strict=True)):
+        if number % AHEAD == 0:
+            read_ahead(path, stamps[number : number + AHEAD])
         pixels = reduced(frame_pixels(path, pts), max_side)
         found.append(keep(Photo(f"{name}_{survey.seconds[row]:08.3f}.jpg", path, pixels, pts=pts)))
     return found

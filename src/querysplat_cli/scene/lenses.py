@@ -1,6 +1,7 @@
 """Photos of wide lenses become pinhole views before anything else looks at them."""
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import PurePath
 
@@ -10,6 +11,7 @@ from querysplat_cli.runtime.choices import Lens
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import PhotoCamera, rescaled, same_shape
 from querysplat_cli.scene.masks import WHOLLY
+from querysplat_cli.scene.photos import Keep
 from querysplat_cli.scene.resample import PinholeView, fisheye_view, panorama_views
 from querysplat_cli.scene.views import Photo
 
@@ -17,13 +19,17 @@ PANORAMA_SHAPE = 1, 2
 
 
 def pinhole_photos(
-    photos: Sequence[Photo], known: Mapping[str, PhotoCamera] | None, lens: Lens
+    photos: Sequence[Photo],
+    known: Mapping[str, PhotoCamera] | None,
+    lens: Lens,
+    keep: Keep = lambda photo: photo,
 ) -> tuple[list[Photo], dict[str, PhotoCamera] | None]:
     """The photos and their known cameras, with pinhole views in place of fisheye photos and panoramas.
 
     A photo with a fisheye camera becomes one view of the same name and pose. A panorama becomes several, which are
-    named after it. It is one where its file says so, and with `lens` "equirectangular". Raises QuerySplatError when
-    such a photo is not twice as wide as high, and when a panorama has a known camera.
+    named after it. It is one where its file says so, and with `lens` "equirectangular". `keep` stores the views as it
+    stores photos. Raises QuerySplatError when such a photo is not twice as wide as high, when a panorama has a known
+    camera, and when one of its views has the name of another photo.
     """
     found: list[Photo] = []
     cameras = dict(known) if known is not None else None
@@ -31,14 +37,18 @@ def pinhole_photos(
         camera = cameras.get(photo.name) if cameras is not None else None
         if photo.panorama or lens == "equirectangular":
             _check_panorama(photo, known)
-            found += _faces(photo)
+            found += map(keep, _faces(photo))
         elif cameras is not None and camera and camera.fisheye and same_shape(_size(photo), _size(camera)):
             view = _view_of(rescaled(camera, photo.height, photo.width))
-            straight = shown_part(photo, view)
+            straight = keep(shown_part(photo, view))
             cameras[photo.name] = _pinhole(camera.w2c, straight)
             found.append(straight)
         else:
             found.append(photo)
+    names = Counter(photo.name for photo in found)
+    if twice := [name for name, count in names.items() if count > 1]:
+        why = f"{twice[0]} is the name of a photo, and of a view of a panorama"
+        raise QuerySplatError(why, "Rename the photo.")
     return found, cameras
 
 
@@ -70,12 +80,10 @@ def _pinhole(w2c: np.ndarray, photo: Photo) -> PhotoCamera:
     return PhotoCamera(w2c, focal, principal, nothing, photo.height, photo.width)
 
 
-def _faces(photo: Photo) -> list[Photo]:
+def _faces(photo: Photo) -> Iterator[Photo]:
     name = PurePath(photo.name)
-    return [
-        replace(shown_part(photo, view), name=str(name.with_name(f"{name.stem}_{number}{name.suffix}")))
-        for number, view in enumerate(panorama_views())
-    ]
+    for number, view in enumerate(panorama_views()):
+        yield replace(shown_part(photo, view), name=str(name.with_name(f"{name.stem}_{number}{name.suffix}")))
 
 
 def _check_panorama(photo: Photo, known: Mapping[str, PhotoCamera] | None) -> None:

@@ -1,5 +1,6 @@
 """Photos of wide lenses, resampled to pinhole views: fisheye photos (Kannala-Brandt), and panoramas of 360°."""
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -103,10 +104,11 @@ def bend(angle: np.ndarray, coefficients: list[float]) -> np.ndarray:
 
 def panorama_views() -> list[PinholeView]:
     """The views that a panorama of 2 : 1 becomes."""
-    side = np.tan(np.radians(FACE_FIELD / 2)) / np.pi  # as many pixels a degree, in the middle, as the panorama has
+    # As many pixels a degree, in the middle, as the panorama has.
+    side = math.tan(math.radians(FACE_FIELD / 2)) / math.pi
     focal = 1 / (2 * np.pi)
     return [
-        PinholeView((side, side), (focal, focal), (side / 2, side / 2), tuple(_turned(yaw, lift).flatten()))
+        PinholeView((side, side), (focal, focal), (side / 2, side / 2), tuple(_turned(yaw, lift).ravel().tolist()))
         for yaw, lift in FACES
     ]
 

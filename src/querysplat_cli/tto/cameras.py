@@ -65,6 +65,10 @@ class RefinedCameras:
         self._before = self._copied()
         self._adam.param_groups[0]["lr"] = self._rate * share
         self._adam.step()
+        self.forget_gradient()
+
+    def forget_gradient(self) -> None:
+        """The views that were rendered since the last step take no part in the next one."""
         self._adam.zero_grad(set_to_none=True)
 
     def mark(self) -> None:
@@ -90,7 +94,7 @@ class RefinedCameras:
                 change.copy_(before)
         for state in self._adam.state.values():
             state["exp_avg"].zero_()
-        self._adam.zero_grad(set_to_none=True)
+        self.forget_gradient()
 
 
 def refinable(cameras: Cameras) -> bool:

@@ -85,8 +85,10 @@ def optimise_full_size(
             ended = "Ctrl-C"
             break
     else:
-        if any(len(result.history) + result.undone < stage.settings.steps for stage, result in runs):
-            ended = "the time was over"
+        short = [stage for stage, result in runs if len(result.history) + result.undone < stage.settings.steps]
+        if short:
+            timed = short[0].settings.seconds is not None
+            ended = "the time was over" if timed else "steps were undone again and again"
         elif plan.round:
             ended = _rounds(run, plan.round, plan.most_rounds)
     assert target

@@ -229,6 +229,8 @@ class _Run(Generic[V]):
     def _split(self, gaussians: Gaussians) -> None:
         assert self._densify
         self._adam.go_on_with(self._densify(gaussians.detach(), self._target, len(self._splits_left)))
+        if self._refined:
+            self._refined.forget_gradient()
         self._splits_left = self._splits_left[1:]
         self._forget_losses()
 

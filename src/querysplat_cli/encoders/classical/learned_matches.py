@@ -52,6 +52,8 @@ def weak_pairs(matches: Matches, weak: Sequence[int]) -> list[tuple[int, int]]:
     Where these are too many, those are taken that SIFT finds most matches of, right or wrong, and then photos that are
     close in the order of the photos.
     """
+    if not weak:
+        return []
     policy, doubtful = LEARNED_POLICY, set(weak)
     inliers = {(pair.first, pair.second): len(pair) for pair in matches.pairs}
     wanted = [

@@ -55,7 +55,7 @@ class Mapped:
             return self.model
         if len(self.model.cameras) > CAMERA_POLICY.few_photos:
             found = from_colmap(self_calibrated(self.reconstruction, fit_lens=self.fit_lens))
-            if _keeps_stated_focals(found, matches):
+            if len(self.model.cameras) > CAMERA_POLICY.adjusted_photos or _keeps_stated_focals(found, matches):
                 return found
         return bundle_adjusted(self.reconstruction, matches.focals, matches.usual_focals)
 

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pycolmap
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from querysplat_cli.encoders.classical.features import (
     are_large,
@@ -58,12 +60,11 @@ class Matches:
 
     def largest_group(self) -> list[int]:
         """Numbers of the largest group of photos that pairs connect, directly or through others."""
-        group = list(range(len(self.sizes)))
-        for pair in self.pairs:
-            one, two = group[pair.first], group[pair.second]
-            group = [one if member == two else member for member in group]
-        largest = max(group, key=group.count)
-        return [photo for photo, member in enumerate(group) if member == largest]
+        count, ends = len(self.sizes), [(pair.first, pair.second) for pair in self.pairs]
+        first, second = np.array(ends, np.int64).reshape(-1, 2).T
+        _, group = connected_components(coo_array((np.ones(len(ends)), (first, second)), shape=(count, count)))
+        found: list[int] = np.flatnonzero(group == np.bincount(group).argmax()).tolist()
+        return found
 
 
 @contextmanager

@@ -175,9 +175,9 @@ def _wanting(trial: _Trial) -> list[int]:
 
 
 def _better(first: _Trial, second: _Trial) -> _Trial:
-    """The second trial where it places more photos, else the first one.
+    """The second trial where it is sound and places more photos, else the first one.
 
-    Of a few photos, as many are enough when the second model explains more matches of its own.
+    Of a few photos, it need not be sound, and as many are enough when it explains more matches of its own.
     """
     if second.mapped is None:
         return first

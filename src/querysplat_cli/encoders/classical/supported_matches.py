@@ -65,7 +65,7 @@ class Candidates:
 
 
 def with_supported_matches(matches: Matches, photos: Sequence[Photo], *, seed: int) -> Matches:
-    """The matches, and supported ones for every pair of photos in place of those that each pair has.
+    """The matches, with supported ones instead for every pair of photos that has enough of those.
 
     The features are appended to those of their photos in COLMAP's database.
     """

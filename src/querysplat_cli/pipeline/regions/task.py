@@ -79,7 +79,7 @@ def run_region(folder: Path) -> None:
     restarted = reset_peak_memory()
     stages = Stages(_summed(report_progress))
     with matrix_products(check_precision(task.settings.precision)):
-        model, encoder = _parts(task.settings)
+        model, encoder = _parts(replace(task.settings, prune="auto"))  # `prune` differs from region to region
         kept = KeptDepth(encoder, folder / DEPTH)
         # Near-duplicates were left out before the photos were divided; the scene has a row for each photo of the task.
         scene = encode_and_build_all(task.posed, kept, model, task.settings, stages, Allowance(None, task.sources))
