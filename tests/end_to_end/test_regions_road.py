@@ -111,3 +111,21 @@ def test_a_stopped_run_goes_on(street: Path, divided: Made, stopped: Path) -> No
     assert report["resumed"] == ["went on with the cameras and 1 region of an unfinished run"]
     assert ply.read_bytes() == divided[0].read_bytes()
     assert not stopped.exists()
+
+
+def test_near_duplicates_do_not_count_for_regions(
+    street: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Frames of a film that hardly moved would be divided into groups of one photo, or none."""
+    listing = json.loads((street.parent / "transforms.json").read_text())
+    photos = tmp_path / "photos"
+    photos.mkdir()
+    frames = []
+    for frame in listing["frames"][:4]:
+        for copy in ("a", "b"):
+            name = f"{copy}_{Path(frame['file_path']).name}"
+            shutil.copy(street / Path(frame["file_path"]).name, photos / name)
+            frames.append({**frame, "file_path": f"photos/{name}"})
+    (tmp_path / "transforms.json").write_text(json.dumps({**listing, "frames": frames}))
+    assert run(command(photos, tmp_path / "s.ply", "--regions", "2")) == ExitCode.BAD_INPUT
+    assert "photos with cameras are too few" in capsys.readouterr().err
