@@ -101,7 +101,7 @@ def photograph(gaussians: Gaussians, camera: PhotoCamera) -> Float[Tensor, "3 he
 
     For a distorting lens, a larger pinhole render is resampled (bicubic).
     """
-    K = np.array([[camera.focal[0], 0, camera.principal[0]], [0, camera.focal[1], camera.principal[1]], [0, 0, 1.0]])
+    K = camera.K
     if not any(camera.distortion):
         return _render(gaussians, camera.w2c, K, camera.height, camera.width)
     # OpenCV has pixel centres at whole numbers, so its principal point is smaller by half a pixel.

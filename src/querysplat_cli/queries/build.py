@@ -58,7 +58,7 @@ def build_anchors(
         border = border.map(lambda part: part[: queries - chosen.report.kept])
     features = torch.cat([photo_features(chosen.cells, chosen.comparison)[keep], border_features(border)])
     cells = replace(chosen.cells, colour=chosen.comparison.colour).map(lambda part: part[keep]).joined(border)
-    anchors = _anchors(cells, features, _patch_positions(cameras, depth, geometry.patch))
+    anchors = _anchors(cells, features, cameras.patch_places(depth, geometry.patch).reshape(-1, 3))
     return anchors, replace(chosen.report, beyond=len(border.point))
 
 
@@ -135,15 +135,6 @@ def _anchors(cells: Cells, features: Float[Tensor, "queries channels"], patches:
         appearance=memory,
         queries=_neighbours(centres, spacing, centres),
     )
-
-
-def _patch_positions(cameras: Cameras, depth: Tensor, patch: int) -> Float[Tensor, "rows 3"]:
-    """World position of the middle of every patch, view by view, row by row."""
-    middle = patch // 2
-    z = depth[:, middle::patch, middle::patch]
-    rows = torch.arange(z.shape[1]) * patch + middle + 0.5
-    columns = torch.arange(z.shape[2]) * patch + middle + 0.5
-    return cameras.unproject(z, columns, rows).reshape(-1, 3)
 
 
 def _neighbours(

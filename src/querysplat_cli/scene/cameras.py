@@ -56,6 +56,11 @@ class PhotoCamera:
         (fx, _, cx), (_, fy, cy), _ = K.tolist()
         return PhotoCamera(w2c, (fx, fy), (cx, cy), (0.0, 0.0, 0.0, 0.0), height, width)
 
+    @property
+    def K(self) -> np.ndarray:
+        """The intrinsic matrix [3, 3], without the distortion."""
+        return np.array([[self.focal[0], 0, self.principal[0]], [0, self.focal[1], self.principal[1]], [0, 0, 1.0]])
+
     def fault(self) -> str:
         """Why no camera is like this, or "". A pose that is no rigid motion is no fault here."""
         longer, (low, high) = max(self.height, self.width), FOCAL_RANGE
@@ -127,6 +132,15 @@ class Cameras:
         local = torch.stack([(x - cx) / fx * depth, (y[:, None] - cy) / fy * depth, depth], -1)
         c2w = self.c2w
         return torch.einsum("vij,vrcj->vrci", c2w[:, :3, :3], local) + c2w[:, None, None, :3, 3]
+
+    def patch_places(
+        self, depth: Float[Tensor, "views height width"], patch: int
+    ) -> Float[Tensor, "views rows columns 3"]:
+        """World points of the middle pixels of all patches of `patch` × `patch` pixels, from their camera z."""
+        middle = patch // 2
+        z = depth[:, middle::patch, middle::patch]
+        rows, columns = (torch.arange(count) * patch + middle + 0.5 for count in z.shape[1:])
+        return self.unproject(z, columns, rows)
 
     def local(self, points: Float[Tensor, "n 3"], view: int) -> Float[Tensor, "n 3"]:
         """World points in the coordinates of the camera of `view`: x right, y down, z forward."""

@@ -93,7 +93,7 @@ def _decode_deep_tiff(path: Path) -> np.ndarray:
 
 
 def reduced(pixels: np.ndarray, max_side: int) -> np.ndarray:
-    """Pixels [height, width, 3] whose longer side is at most `max_side` (area filter)."""
+    """Pixels [height, width] or [height, width, 3] whose longer side is at most `max_side` (area filter)."""
     height, width = pixels.shape[:2]
     scale = max_side / max(height, width)
     if scale >= 1:

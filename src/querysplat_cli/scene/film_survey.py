@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 
 from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.scene.decoding import reduced
 from querysplat_cli.scene.films import GIVE_A_FILM, film_frames, film_length
 from querysplat_cli.scene.policy import FILM_POLICY, FilmPolicy
 
@@ -79,11 +80,7 @@ class _Motion:
 
     def travel_to(self, picture: np.ndarray) -> float:
         """How far the picture has moved since the first frame, in longer sides."""
-        scale = TRACKING_SIDE / max(picture.shape)
-        size = round(picture.shape[1] * scale), round(picture.shape[0] * scale)
-        grey = picture
-        if scale < 1:
-            grey = np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), np.uint8)
+        grey = reduced(picture, TRACKING_SIDE)
         before, self._before = self._before, grey
         if before is None:
             self._new_key(grey)

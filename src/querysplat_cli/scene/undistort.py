@@ -78,7 +78,7 @@ def _straight_mask(photo: Photo, camera: PhotoCamera, height: int, width: int) -
 
 def _straightened(pixels: np.ndarray, camera: PhotoCamera) -> tuple[np.ndarray, np.ndarray]:
     """The photo without distortion at full size, and its K (pixel centres at +0.5)."""
-    K = np.array([[camera.focal[0], 0, camera.principal[0]], [0, camera.focal[1], camera.principal[1]], [0, 0, 1.0]])
+    K = camera.K
     if not any(camera.distortion):
         return pixels, K
     left, top, right, bottom = _inscribed(camera, K)

@@ -71,9 +71,8 @@ def median_epipolar_error(model: SparseModel, matches: Matches) -> float | None:
 
 def rays(pixels: np.ndarray, camera: PhotoCamera) -> np.ndarray:
     """Camera coordinates [n, 2] at z = 1 of a photo's pixels [n, 2], centres at +0.5, distortion removed."""
-    K = np.array([[camera.focal[0], 0, camera.principal[0]], [0, camera.focal[1], camera.principal[1]], [0, 0, 1]])
     # OpenCV needs no shift here: pixels and principal point use the same origin.
-    flat = cv2.undistortPoints(pixels.reshape(-1, 1, 2), K, np.array(camera.distortion))
+    flat = cv2.undistortPoints(pixels.reshape(-1, 1, 2), camera.K, np.array(camera.distortion))
     return np.asarray(flat.reshape(-1, 2), dtype=np.float64)
 
 

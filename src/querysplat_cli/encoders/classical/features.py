@@ -9,6 +9,7 @@ import numpy as np
 import pycolmap
 
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY, MatchEffort
+from querysplat_cli.scene.decoding import reduced
 from querysplat_cli.scene.filed_pixels import release
 from querysplat_cli.scene.masks import MASKS, resized_mask
 from querysplat_cli.scene.views import Photo
@@ -27,14 +28,11 @@ def write_grey(photos: Sequence[Photo], folder: Path, size: int) -> tuple[tuple[
     """Write the photos as grey pictures of a longer side of at most `size`, and return their sizes."""
     sizes = []
     for number, photo in enumerate(photos):
-        scale = min(1.0, size / max(photo.height, photo.width))
-        height, width = round(photo.height * scale), round(photo.width * scale)
-        grey = cv2.cvtColor(photo.pixels, cv2.COLOR_RGB2GRAY)
+        picture = reduced(cv2.cvtColor(photo.pixels, cv2.COLOR_RGB2GRAY), size)
         release(photo)
-        picture = cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA)
         if not cv2.imwrite(str(folder / image_name(number)), picture):
             raise OSError(f"cannot write to {folder}")
-        sizes.append((height, width))
+        sizes.append((picture.shape[0], picture.shape[1]))
     return tuple(sizes)
 
 

@@ -20,11 +20,8 @@ def patch_features(
     deviation of the brightness. Position and depth are those of the patch's middle pixel.
     """
     cameras = posed.cameras
-    middle = PATCH // 2
-    z = depth[:, middle::PATCH, middle::PATCH]
-    rows = torch.arange(z.shape[1]) * PATCH + middle + 0.5
-    columns = torch.arange(z.shape[2]) * PATCH + middle + 0.5
-    world = cameras.unproject(z, columns, rows)
+    z = depth[:, PATCH // 2 :: PATCH, PATCH // 2 :: PATCH]
+    world = cameras.patch_places(depth, PATCH)
     across, down = torch.gradient(world, dim=(2, 1))
     normal = torch.nn.functional.normalize(torch.linalg.cross(down, across), dim=-1)
     images = posed.views.images

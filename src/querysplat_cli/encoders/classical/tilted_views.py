@@ -19,6 +19,7 @@ from querysplat_cli.encoders.classical.features import extract_features, image_n
 from querysplat_cli.encoders.classical.matches import Matches, shared_cameras, write_images
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
 from querysplat_cli.encoders.classical.verified_pairs import Verification, match_pairs, read_pairs, verify_pairs
+from querysplat_cli.scene.decoding import reduced
 
 
 @dataclass(frozen=True)
@@ -84,8 +85,7 @@ def _write_views(matches: Matches, weak: Sequence[int], folder: Path) -> list[Ti
     for photo in weak:
         grey = np.asarray(cv2.imread(str(matches.folder / image_name(photo)), cv2.IMREAD_GRAYSCALE))
         height, width = grey.shape
-        scale = min(1.0, size / max(height, width))
-        small = cv2.resize(grey, (round(width * scale), round(height * scale)), interpolation=cv2.INTER_AREA)
+        small = reduced(grey, size)
         enlarge = np.array([[width / small.shape[1]], [height / small.shape[0]]])
         for tilt, degrees in CAMERA_POLICY.tilts:
             picture, back = tilted(small, tilt, degrees)
