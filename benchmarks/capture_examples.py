@@ -24,6 +24,7 @@ from querysplat_cli.pipeline.gaussian_files import read_gaussians
 from querysplat_cli.reporting.report import machine
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.formats.transforms import read_cameras
+from querysplat_cli.scene.paths import on_the_line
 from querysplat_cli.scene.pictures import eight_bit, write_picture
 from querysplat_cli.splat.render import render
 from querysplat_cli.training.photographer import cast, walk
@@ -135,20 +136,10 @@ def strip(room: object, path: Cameras, place: Path) -> np.ndarray:
     if not (place / "scene.ply").is_file():
         return joined([*photos, *[np.full_like(photos[0], 255)] * 2])
     cameras = read_cameras(place / "scene" / "cameras.json")[0].cameras
-    between = halfway(cameras, 0, len(cameras) // 2)
+    between = on_the_line(cameras[[0, len(cameras) // 2]], 0.5)
     shown = render(read_gaussians(place / "scene.ply"), between, background=torch.full((3,), 0.5)).colour[0]
-    true = eight_bit(cast(room, halfway(path, 0, len(path) // 2))[0][0])
+    true = eight_bit(cast(room, on_the_line(path[[0, len(path) // 2]], 0.5))[0][0])
     return joined([*photos, true, eight_bit(shown.clamp(0, 1))])
-
-
-def halfway(cameras: Cameras, first: int, second: int) -> Cameras:
-    """The first camera, moved half way to the second, turned half way too."""
-    w2c = cameras.w2c[[first]].clone()
-    turned = cameras.w2c[first, :3, :3] + cameras.w2c[second, :3, :3]
-    u, _, v = torch.linalg.svd(turned)
-    w2c[0, :3, :3] = u @ v
-    w2c[0, :3, 3] = -(w2c[0, :3, :3] @ cameras.centres[[first, second]].mean(0))
-    return replace(cameras, w2c=w2c, K=cameras.K[[first]])
 
 
 def joined(pictures: Pictures) -> np.ndarray:

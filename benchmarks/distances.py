@@ -18,7 +18,7 @@ from torch.nn import functional as F
 
 from common.arguments import PhotoParser
 from common.builds import settings
-from common.output import Table, silent, write_json
+from common.output import Table, write_json
 from common.photo_sets import PHOTO_SETS, PhotoSet, Use
 from common.samples import SEED, SIZE, joint_pass
 from querysplat_cli.encoders.registry import find_encoder
@@ -26,6 +26,7 @@ from querysplat_cli.model.checkpoints import load
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.pipeline.build import build_scene
 from querysplat_cli.reporting.view_scores import score
+from querysplat_cli.runtime.progress import silent
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.photo_files import large_views, photo_files

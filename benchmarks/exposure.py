@@ -17,13 +17,14 @@ import torch
 
 from common.arguments import PhotoParser
 from common.builds import settings
-from common.output import Table, silent, write_json
+from common.output import Table, write_json
 from common.photo_sets import PHOTO_SETS, PhotoSet, Use
 from common.samples import SEED, joint_pass
 from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.model.checkpoints import load
 from querysplat_cli.pipeline.build import build_scene
 from querysplat_cli.reporting.view_scores import score
+from querysplat_cli.runtime.progress import silent
 from querysplat_cli.scene.views import Views
 
 

@@ -18,13 +18,14 @@ from statistics import mean
 
 from common.arguments import PhotoParser, folder_or_scratch
 from common.builds import UNLIMITED, build, optimised_again
-from common.output import Table, silent, write_json
+from common.output import Table, write_json
 from common.photo_sets import PhotoSet, Use
 from common.samples import SIZE, real_samples
 from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.evaluation.baseline import back_project
 from querysplat_cli.model.checkpoints import load
 from querysplat_cli.reporting.view_scores import score
+from querysplat_cli.runtime.progress import silent
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.training.config import load_config
 from querysplat_cli.training.data import cache_folder, prepare_samples

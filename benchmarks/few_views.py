@@ -23,7 +23,7 @@ from pathlib import Path
 
 from common.arguments import PhotoParser, folder_or_scratch
 from common.builds import build, optimised_again, start_of
-from common.output import Table, silent, write_json
+from common.output import Table, write_json
 from common.photo_sets import PHOTO_SETS, Use
 from common.samples import SEED, kept_sample
 from fitted_cameras import fitted_cameras
@@ -33,6 +33,7 @@ from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.model.checkpoints import load
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.reporting.view_scores import score
+from querysplat_cli.runtime.progress import silent
 from querysplat_cli.scene.formats.known import read_known_cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.photos import find_photos, load_photos

@@ -9,10 +9,7 @@ the longer side. *cc*: each channel mapped to the photo's, as gsplat's trainer s
 a held-out photo and its renders over mid-grey beside each other, at full screen.
 """
 
-import json
-import subprocess
 import sys
-import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +18,7 @@ import numpy as np
 import torch
 
 from common.arguments import PhotoParser, folder_or_scratch
-from common.clock import children_cpu_seconds
+from common.command import reconstructed
 from common.output import Table, write_json
 from common.photo_sets import PHOTO_SETS, PhotoSet, Use
 from common.samples import HOLDOUT_EVERY
@@ -83,16 +80,12 @@ def measure(
     `asked` are the options of the scene, by default `--quality`; the row then has `quality` for a name.
     """
     ply = folder / f"{photo_set.name.replace('/', '-')}-{quality.replace(' ', '_')}.ply"
-    command = ["querysplat", "reconstruct", *map(str, photo_set.photos(data)), "-o", str(ply)]
-    command += ["--quality", quality] if asked is None else asked
-    command += ["--holdout-every", str(HOLDOUT_EVERY), "--holdout-cameras", "joint", "--json", "--quiet", "--force"]
-    before, start = children_cpu_seconds(), time.perf_counter()
-    done = subprocess.run(command, capture_output=True, text=True)
-    seconds, cpu_seconds = time.perf_counter() - start, children_cpu_seconds() - before
-    if done.returncode:
-        print(f"{photo_set.name}: {done.stderr.strip().splitlines()[0]}", file=sys.stderr)
+    options = ["--quality", quality] if asked is None else asked
+    held = ["--holdout-every", str(HOLDOUT_EVERY), "--holdout-cameras", "joint"]
+    report = reconstructed(photo_set.photos(data), ply, *options, *held)
+    if "error" in report:
+        print(f"{photo_set.name}: {report['error']}", file=sys.stderr)
         return None
-    report = json.loads(done.stdout)
     scene, _ = read_scene(ply)
     assert scene.heldout
     gaussians, files = read_scene_gaussians(ply, scene), files_of(scene, scene.heldout[0])
@@ -105,8 +98,8 @@ def measure(
         quality,
         scored(gaussians, scene.heldout),
         scored(gaussians, screen),
-        seconds,
-        cpu_seconds,
+        report["wall"],
+        report["cpu_seconds"],
         report["seconds"],
         report["peak_memory_gib"],
         report["gaussians"],

@@ -19,13 +19,14 @@ import numpy as np
 import pycolmap
 
 from common.arguments import PhotoParser
-from common.output import Table, silent, write_json
+from common.output import Table, write_json
 from common.photo_sets import PHOTO_SETS
 from common.pose_errors import pose_errors
 from common.samples import SEED
 from querysplat_cli.encoders.classical.epipolar import median_epipolar_error
 from querysplat_cli.encoders.classical.mapping import Mapped, from_colmap, map_photos
 from querysplat_cli.encoders.classical.matches import Matches, matched
+from querysplat_cli.runtime.progress import silent
 from querysplat_cli.scene.formats.known import read_known_cameras
 from querysplat_cli.scene.photos import find_photos, load_photos
 from querysplat_cli.scene.views import Photo

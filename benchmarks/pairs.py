@@ -27,7 +27,7 @@ from statistics import mean, median
 import numpy as np
 
 from common.arguments import PhotoParser
-from common.output import Table, silent, write_json
+from common.output import Table, write_json
 from common.photo_sets import PHOTO_SETS, Use
 from common.pose_errors import pose_errors
 from common.samples import SEED, SIZE
@@ -37,6 +37,7 @@ from querysplat_cli.evaluation.cameras import cameras_by_name
 from querysplat_cli.evaluation.poses import area_under_recall
 from querysplat_cli.runtime.choices import MATCHERS
 from querysplat_cli.runtime.errors import ImpossibleScene
+from querysplat_cli.runtime.progress import silent
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.formats.known import read_known_cameras
 from querysplat_cli.scene.photos import find_photos, load_photos

@@ -29,7 +29,7 @@ CASES = 8
 
 
 def querysplat(*arguments: str | Path) -> None:
-    done = subprocess.run(["querysplat", *map(str, arguments)])
+    done = subprocess.run([sys.executable, "-m", "querysplat_cli", *map(str, arguments)])
     if done.returncode:
         sys.exit(done.returncode)
 

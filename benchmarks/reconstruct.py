@@ -9,15 +9,12 @@ Scores are over black, but for "on grey" and "on white", which must agree with t
 through the scene.
 """
 
-import json
-import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any
 
 from common.arguments import PhotoParser, folder_or_scratch
-from common.clock import children_cpu_seconds
+from common.command import reconstructed
 from common.output import Table, write_json
 from common.photo_sets import PHOTO_SETS, PhotoSet
 from common.samples import HOLDOUT_EVERY, joint_sample
@@ -27,19 +24,6 @@ from querysplat_cli.reporting.view_scores import score
 from querysplat_cli.runtime.choices import HoldoutProtocol
 
 CAMERAS: tuple[HoldoutProtocol, HoldoutProtocol] = ("joint", "isolated")
-
-
-def reconstruct(photos: list[Path], cameras: HoldoutProtocol, folder: Path, options: list[str]) -> dict[str, Any]:
-    """The JSON object of the command with its seconds by the clock, `wall`; or `error` and the exit code."""
-    command = ["querysplat", "reconstruct", *map(str, photos), "-o", str(folder / f"{cameras}.ply")]
-    command += ["--holdout-every", str(HOLDOUT_EVERY), "--holdout-cameras", cameras]
-    command += ["--json", "--quiet", "--force", *options]
-    before, start = children_cpu_seconds(), time.perf_counter()
-    done = subprocess.run(command, capture_output=True, text=True)
-    if done.returncode:
-        return {"error": done.stderr.strip().splitlines()[0], "code": done.returncode}
-    took = {"wall": time.perf_counter() - start, "cpu_seconds": children_cpu_seconds() - before}
-    return {**json.loads(done.stdout), **took}
 
 
 def splatted_depth(photos: list[Path]) -> float:
@@ -62,7 +46,18 @@ def measure(photo_set: PhotoSet, data: Path, folder: Path, options: list[str]) -
     folder.mkdir(parents=True, exist_ok=True)
     photos = photo_set.photos(data)
     labels = {"set": photo_set.name, "use": photo_set.use}
-    run, alone = (reconstruct(photos, cameras, folder, options) for cameras in CAMERAS)
+    run, alone = (
+        reconstructed(
+            photos,
+            folder / f"{cameras}.ply",
+            "--holdout-every",
+            str(HOLDOUT_EVERY),
+            "--holdout-cameras",
+            cameras,
+            *options,
+        )
+        for cameras in CAMERAS
+    )
     failed = next((one for one in (run, alone) if "error" in one), None)
     if failed:
         return {**labels, **failed}

@@ -17,7 +17,7 @@ import torch
 
 from common.arguments import PhotoParser
 from common.builds import UNLIMITED, settings
-from common.output import Table, silent, write_json
+from common.output import Table, write_json
 from common.photo_sets import PHOTO_SETS, PhotoSet, Use
 from common.samples import SEED, joint_pass
 from querysplat_cli.encoders.base import Geometry, PosedViews
@@ -28,6 +28,7 @@ from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.pipeline.build import build_scene
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.reporting.view_scores import score
+from querysplat_cli.runtime.progress import silent
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.rotations import skew
 from querysplat_cli.scene.sim3 import align_cameras

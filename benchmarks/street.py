@@ -6,17 +6,13 @@ held-out photos.
 """
 
 import argparse
-import json
 import shutil
-import subprocess
-import sys
-import time
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 from common.arguments import folder_or_scratch
-from common.clock import children_cpu_seconds
+from common.command import reconstructed
 from common.output import Table, write_json
 from common.street_photos import take_street
 
@@ -28,19 +24,15 @@ PLACE = 30
 
 def measure(images: Path, ply: Path, more: list[str]) -> dict[str, Any]:
     """The row of one reconstruction; `heldout` and `inputs` are the PSNR of photos by name."""
-    command = [sys.executable, "-m", "querysplat_cli", "reconstruct", str(images), "-o", str(ply)]
-    command += ["--holdout-every", "10", "--json", "-q", "--force", *more]
-    before, start = children_cpu_seconds(), time.perf_counter()
-    done = subprocess.run(command, capture_output=True, text=True)
-    if done.returncode:
-        raise SystemExit(done.stderr)
-    report = json.loads(done.stdout)
+    report = reconstructed([images], ply, "--holdout-every", "10", *more)
+    if "error" in report:
+        raise SystemExit(report["error"])
     quality = report["quality"]
     return {
         "photos": len(list(images.iterdir())),
         "regions": max(1, len(report["regions"])),
-        "cpu_seconds": children_cpu_seconds() - before,
-        "wall_seconds": time.perf_counter() - start,
+        "cpu_seconds": report["cpu_seconds"],
+        "wall_seconds": report["wall"],
         "seconds": report["seconds"],
         "gib": report["peak_memory_gib"],
         "gaussians": report["gaussians"],

@@ -10,9 +10,6 @@ photos that the JSON file has are not measured again without --again.
 """
 
 import json
-import subprocess
-import sys
-import time
 from pathlib import Path
 from statistics import fmean
 from typing import Any
@@ -20,7 +17,7 @@ from typing import Any
 import torch
 
 from common.arguments import PhotoParser, folder_or_scratch
-from common.clock import children_cpu_seconds
+from common.command import reconstructed
 from common.output import Table, write_json
 from common.photo_sets import PHOTO_SETS
 from querysplat_cli.evaluation.cameras import to_frame_of
@@ -54,26 +51,11 @@ def chosen(count: int, of: int) -> list[int]:
 def measure(photos: list[Path], places: list[int], known: Path, folder: Path) -> dict[str, Any]:
     """The row of one scene."""
     ply = folder / f"fox-{len(places)}.ply"
-    inputs = [str(photos[place]) for place in places]
-    command = [
-        sys.executable,
-        "-m",
-        "querysplat_cli",
-        "reconstruct",
-        *inputs,
-        "-o",
-        str(ply),
-        "--json",
-        "-q",
-        "--force",
-    ]
-    start, before = time.perf_counter(), children_cpu_seconds()
-    done = subprocess.run(command, capture_output=True, text=True)
     row: dict[str, Any] = {"views": len(places), "photos": [photos[place].name for place in places]}
-    if done.returncode:
-        return row | {"error": done.stderr.strip().splitlines()[0]}
-    report = json.loads(done.stdout)
-    row |= {"seconds": time.perf_counter() - start, "cpu_seconds": children_cpu_seconds() - before}
+    report = reconstructed([photos[place] for place in places], ply)
+    if "error" in report:
+        return row | {"error": report["error"]}
+    row |= {"seconds": report["wall"], "cpu_seconds": report["cpu_seconds"]}
     row |= {"stages": report["seconds"], "gib": report["peak_memory_gib"], "gaussians": report["gaussians"]}
     row |= {"placed": len(report["views"]["used"]), "input_psnr": report["quality"]["input"]["psnr"]}
     return row | heldout(ply, [photos[place] for place in HELD], known)

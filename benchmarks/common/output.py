@@ -1,4 +1,4 @@
-"""How figures are shown and kept: Markdown tables, JSON files with the machine's name, progress that is silent."""
+"""How figures are shown and kept: Markdown tables, and JSON files with the machine's name."""
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
@@ -8,11 +8,7 @@ from typing import Any
 
 from querysplat_cli.reporting.report import machine
 
-__all__ = ["Table", "line", "machine", "markdown", "silent", "write_json"]
-
-
-def silent(text: str, fraction: float) -> None:
-    """A listener to progress that prints nothing."""
+__all__ = ["Table", "line", "machine", "markdown", "write_json"]
 
 
 def line(cells: Iterable[object]) -> str:
