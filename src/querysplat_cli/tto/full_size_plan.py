@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass, replace
 
 from querysplat_cli.runtime.choices import FullSizeLevel
-from querysplat_cli.tto.full_size_policy import FULL_SIZE_POLICY
+from querysplat_cli.tto.full_size_policy import FULL_SIZE_POLICY, LevelPolicy
 from querysplat_cli.tto.options import TtoSettings
 from querysplat_cli.tto.policy import TTO_POLICY
 
@@ -75,23 +75,16 @@ def plan_full_size(
     largest = min(max(photos.height, photos.width), limits.size)
     megapixels = photos.count * photos.pixels(largest) / 1e6
     allowed = limits.planned_seconds(photos.count, megapixels) if seconds is None else seconds
-    sure = limits.sure_gaussians(photos.count)
-    size = _size(photos, largest, max(gaussians, sure), allowed)
-    pixels = photos.pixels(size)
-    worth = min(limits.gaussians, photos.count * pixels / limits.pixels_each, _affordable(photos, pixels, allowed))
-    target = min(max(sure, int(worth)), limits.gaussians if most is None else most)
-    target = max(gaussians, min(target, int(photos.count * pixels / policy.least_pixels_per_gaussian)))
-    most_passes = min(policy.most_passes, limits.passes * max(1.0, size / photos.working) ** 2)
-    if photos.count <= TTO_POLICY.few_views:
-        most_passes = min(most_passes, TTO_POLICY.passes)
-    shares = _stages(photos, size)
+    size = _size(photos, largest, max(gaussians, limits.sure_gaussians(photos.count)), allowed)
+    target = _target(photos, photos.pixels(size), gaussians, limits, allowed, most)
     halved = limits.halved if photos.enlarged(size) else 0.0
+    shares = _stages(photos, size)
+    most_steps = max(1, int(_most_passes(photos, size, limits) * photos.count / len(shares)))
     stages, expected, lasting = [], 0.0, 0
     for number, (share, part) in enumerate(shares, start=1):
         more = round(gaussians * (target / gaussians) ** (number / len(shares)))
-        seen = pixels * share**2
+        seen = photos.pixels(size) * share**2
         cost = _step_seconds(seen, more) + halved * _step_seconds(seen / 4, more)
-        most_steps = max(1, int(most_passes * photos.count / len(shares)))
         in_time = max(1, min(int(allowed * part / cost), most_steps))
         steps = in_time if seconds is None else most_steps
         settings = TtoSettings(
@@ -112,6 +105,22 @@ def plan_full_size(
     last = stages[-1].settings
     again = replace(last, steps=policy.round_passes * photos.count, lr=policy.learning_rate / 2)
     return FullSizePlan(tuple(stages), expected, replace(stages[-1], settings=again), limits.most_rounds, level)
+
+
+def _target(
+    photos: Photos, pixels: float, gaussians: int, limits: LevelPolicy, seconds: float, most: int | None
+) -> int:
+    """How many Gaussians splitting reaches, on photos of so many pixels."""
+    sure = limits.sure_gaussians(photos.count)
+    worth = min(limits.gaussians, photos.count * pixels / limits.pixels_each, _affordable(photos, pixels, seconds))
+    target = min(max(sure, int(worth)), limits.gaussians if most is None else most)
+    return max(gaussians, min(target, int(photos.count * pixels / FULL_SIZE_POLICY.least_pixels_per_gaussian)))
+
+
+def _most_passes(photos: Photos, size: int, limits: LevelPolicy) -> float:
+    """How often each photo is shown at most, with pictures of a longer side of `size` pixels."""
+    most = min(FULL_SIZE_POLICY.most_passes, limits.passes * max(1.0, size / photos.working) ** 2)
+    return min(most, TTO_POLICY.passes) if photos.count <= TTO_POLICY.few_views else most
 
 
 def _size(photos: Photos, largest: int, gaussians: int, seconds: float) -> int:
