@@ -120,7 +120,7 @@ def _target(
 def _most_passes(photos: Photos, size: int, limits: LevelPolicy) -> float:
     """How often each photo is shown at most, with pictures of a longer side of `size` pixels."""
     most = min(FULL_SIZE_POLICY.most_passes, limits.passes * max(1.0, size / photos.working) ** 2)
-    return min(most, TTO_POLICY.passes) if photos.count <= TTO_POLICY.few_views else most
+    return float(min(most, TTO_POLICY.passes) if photos.count <= TTO_POLICY.few_views else most)
 
 
 def _size(photos: Photos, largest: int, gaussians: int, seconds: float) -> int:
