@@ -13,8 +13,9 @@ import numpy as np
 
 from querysplat_cli.encoders.base import Encoder
 from querysplat_cli.runtime.engine import Engine, InProcess
-from querysplat_cli.runtime.errors import ImpossibleScene, QuerySplatError
+from querysplat_cli.runtime.errors import MissingPart, QuerySplatError
 from querysplat_cli.runtime.progress import Progress
+from querysplat_cli.runtime.words import counted
 from querysplat_cli.scene.files import atomic_path
 from querysplat_cli.training.config import DataSettings, SourceSettings, StageSettings
 from querysplat_cli.training.passes import Sample, make_sample, read_sample, write_sample
@@ -55,7 +56,8 @@ def prepare_samples(
     """Make every sample that is not in the cache yet; process `rank` of `world` makes its share.
 
     `engine` does the work. A sample that cannot be made leaves a .failed file with the
-    reason, and is not tried again. `encoder` is called only when a sample has to be made, once in each worker; it can
+    reason, and is not tried again. Raises QuerySplatError, once all others are made, for samples whose process ended;
+    those are tried again. `encoder` is called only when a sample has to be made, once in each worker; it can
     be pickled where there are several.
     """
     every = [
@@ -67,16 +69,21 @@ def prepare_samples(
     share = [each for number, each in enumerate(every) if number % world == rank]
     missing = [each for each in share if not _path(data, each).is_file() and not _reason(data, each).is_file()]
     done = len(share) - len(missing)
+    lost: list[str] = []
 
     def made(job: Missing, why: str | None) -> None:
         nonlocal done
         done += 1
         if why:
-            _failed(data, job, why)
+            lost.append(f"{_path(data, job).stem}: {why}")
         progress(f"{done} of {len(share)} samples", done / len(share))
 
     if missing:
         engine.run(sample_maker, (data, encoder), missing, made)
+    if lost:
+        raise QuerySplatError(
+            f"{counted(len(lost), 'sample')} could not be made, as {lost[0]}", "The same command makes what is missing."
+        )
     failed = tuple(
         f"{_reason(data, each).stem}: {_reason(data, each).read_text()}"
         for each in every
@@ -97,9 +104,13 @@ def sample_maker(setup: tuple[DataSettings, Callable[[], Encoder]]) -> Callable[
             sample = make_sample(
                 shot.photos, shot.inputs, encoder, known=shot.known, max_size=data.max_size, seed=settings.seed
             )
+        except MissingPart:  # no fault of the sample
+            raise
+        except QuerySplatError as error:
+            with atomic_path(_reason(data, job)) as draft:
+                draft.write_text(error.message)
+        else:
             write_sample(_path(data, job), sample)
-        except (ImpossibleScene, QuerySplatError) as error:
-            _failed(data, job, error.message)
 
     return make
 
@@ -110,11 +121,6 @@ def _path(data: DataSettings, job: Missing) -> Path:
 
 def _reason(data: DataSettings, job: Missing) -> Path:
     return _path(data, job).with_suffix(".failed")
-
-
-def _failed(data: DataSettings, job: Missing, why: str) -> None:
-    with atomic_path(_reason(data, job)) as draft:
-        draft.write_text(why)
 
 
 def cache_folder(data: DataSettings, source: SourceSettings) -> Path:

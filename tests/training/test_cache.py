@@ -1,0 +1,51 @@
+"""The samples in the cache: which ones are impossible, and which ones are drawn from."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from querysplat_cli.runtime.errors import MissingPart, QuerySplatError
+from querysplat_cli.training.config import DataSettings, SourceSettings
+from querysplat_cli.training.data import cache_folder, prepare_samples
+from training_scenes import sample
+
+ROOM = SourceSettings("procedural", scenes=2, size=(60, 66), inputs=(2, 2), targets=1, cameras="posed")
+
+
+def silent(text: str, fraction: float) -> None:
+    pass
+
+
+class Losing:
+    """An engine all of whose workers are killed."""
+
+    def run(self, handler: Any, setup: Any, jobs: Any, done: Any, heard: Any = None) -> None:
+        for job in jobs:
+            done(job, "its process was ended by SIGKILL")
+
+
+def refuse(error: QuerySplatError) -> Any:
+    def refused(*_: Any, **__: Any) -> None:
+        raise error
+
+    return refused
+
+
+@pytest.mark.parametrize("fault", ["disk", "weights", "worker"])
+def test_a_sample_is_impossible_only_by_its_own_fault(
+    fault: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A full disk, missing weights and killed workers marked samples that are sound, for good."""
+    data = DataSettings((ROOM,), cache=str(tmp_path), max_size=66)
+    made = refuse(MissingPart("no weights")) if fault == "weights" else lambda *_, **__: sample(0)
+    monkeypatch.setattr("querysplat_cli.training.data.make_sample", made)
+    engine = {"engine": Losing()} if fault == "worker" else {}
+    with monkeypatch.context() as patch:
+        if fault == "disk":
+            full = QuerySplatError("the disk is full")
+            patch.setattr("querysplat_cli.training.data.write_sample", refuse(full))
+        said = {"disk": "the disk is full", "weights": "no weights", "worker": "2 samples could not be made, as 000000"}
+        with pytest.raises(QuerySplatError, match=said[fault]):
+            prepare_samples(data, lambda: None, progress=silent, **engine)  # type: ignore[arg-type, return-value]
+    assert not list(cache_folder(data, ROOM).glob("*.failed"))
