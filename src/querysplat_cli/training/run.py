@@ -47,7 +47,8 @@ class TrainRequest:
 def train(request: TrainRequest, stages: Stages) -> TrainReport | None:
     """Make the missing samples, and train. Only the first of several processes returns a report.
 
-    Raises QuerySplatError on bad input and MissingPart when weights are missing.
+    Raises QuerySplatError on bad input and MissingPart when weights are missing. The training itself is checked first,
+    as samples may take hours.
     """
     config, folder = request.config, request.output
     device = find_device(request.device)
@@ -55,7 +56,7 @@ def train(request: TrainRequest, stages: Stages) -> TrainReport | None:
         if device.type == "cuda":
             device = torch.device("cuda", processes.local)
             torch.cuda.set_device(device)
-        if not request.resume:
+        if not request.resume and not request.samples_only:
             refuse_existing([folder / STATE, folder / MODEL], force=request.force)
         if request.tensorboard:
             check_tensorboard()
@@ -63,12 +64,17 @@ def train(request: TrainRequest, stages: Stages) -> TrainReport | None:
         if processes.first:
             stack.enter_context(sole_writer(folder))
         processes.wait()
+        trainer = None
+        if not request.samples_only:
+            with stages("model"):
+                trainer = Trainer(
+                    config, folder, processes, device, resume=request.resume, perceptual=request.perceptual
+                )
         with stages("samples") as progress:
             samples = _samples(request, processes, device, stages, progress)
-        if request.samples_only:
+        if trainer is None:
             return None
         with stages("train") as progress:
-            trainer = Trainer(config, folder, processes, device, resume=request.resume, perceptual=request.perceptual)
             report = trainer.run(samples, progress=progress, tensorboard=request.tensorboard)
         processes.wait()
     return report if processes.first else None
