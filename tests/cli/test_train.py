@@ -57,6 +57,26 @@ def test_samples_only_leaves_a_training_in_the_folder_alone(config: Path) -> Non
     assert state.read_text() == "of another training"
 
 
+def test_a_replaced_training_cannot_be_resumed(
+    config: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Until the first save its state was there, and --resume went on with it."""
+
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    state = config.parent / "run" / STATE
+    state.parent.mkdir()
+    state.write_text("of another training")
+    monkeypatch.setattr("querysplat_cli.training.trainer.Trainer._step", stop)
+    command = ["train", "--config", str(config), "-o", str(state.parent), "--force"]
+    assert run([*command, "--set", "optimiser.batch=0"]) == ExitCode.BAD_INPUT
+    assert state.is_file()
+    assert run(command) == ExitCode.INTERRUPTED
+    assert "--resume" not in capsys.readouterr().err
+    assert not state.exists()
+
+
 def test_dry_run_measures_and_writes_nothing(config: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["train", "--config", str(config), "-o", str(config.parent / "run"), "--dry-run", "--json"]) == 0
     plan = json.loads(capsys.readouterr().out)

@@ -9,6 +9,7 @@ import torch
 
 from querysplat_cli.encoders.base import Encoder, EncoderOptions
 from querysplat_cli.encoders.registry import find_encoder
+from querysplat_cli.runtime import signals
 from querysplat_cli.runtime.cluster import find_engine
 from querysplat_cli.runtime.device import find_device
 from querysplat_cli.runtime.progress import Progress, Stages
@@ -75,9 +76,22 @@ def train(request: TrainRequest, stages: Stages) -> TrainReport | None:
         if trainer is None:
             return None
         with stages("train") as progress:
-            report = trainer.run(samples, progress=progress, tensorboard=request.tensorboard)
+            report = _trained(request, trainer, samples, progress)
         processes.wait()
     return report if processes.first else None
+
+
+def _trained(request: TrainRequest, trainer: Trainer, samples: Samples, progress: Progress) -> TrainReport:
+    """Take the steps. The state of a training that is replaced goes first: `--resume` would go on with that one."""
+    state = request.output / STATE
+    if request.force and not request.resume and trainer.processes.first:
+        state.unlink(missing_ok=True)
+    try:
+        return trainer.run(samples, progress=progress, tensorboard=request.tensorboard)
+    except KeyboardInterrupt:
+        if state.is_file():
+            signals.keep(f"The last saved state is in {request.output}; --resume goes on with it.")
+        raise
 
 
 def _samples(
