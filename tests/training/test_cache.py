@@ -7,8 +7,9 @@ import pytest
 
 from querysplat_cli.runtime.errors import MissingPart, QuerySplatError
 from querysplat_cli.training.config import DataSettings, SourceSettings
-from querysplat_cli.training.data import cache_folder, prepare_samples
-from training_scenes import sample
+from querysplat_cli.training.data import CachedSamples, cache_folder, prepare_samples
+from querysplat_cli.training.plan import _ready
+from training_scenes import sample, training
 
 ROOM = SourceSettings("procedural", scenes=2, size=(60, 66), inputs=(2, 2), targets=1, cameras="posed")
 
@@ -49,3 +50,14 @@ def test_a_sample_is_impossible_only_by_its_own_fault(
         with pytest.raises(QuerySplatError, match=said[fault]):
             prepare_samples(data, lambda: None, progress=silent, **engine)  # type: ignore[arg-type, return-value]
     assert not list(cache_folder(data, ROOM).glob("*.failed"))
+
+
+def test_samples_of_other_trainings_are_not_drawn(tmp_path: Path) -> None:
+    """More draws of a scene, made for another training, lie in the same folder."""
+    data = training(tmp_path, scenes=2).data
+    own = CachedSamples(data, 0).paths((2, 2))
+    assert [path.stem for path in own] == ["000000-000", "000001-000"]
+    for stem in ("000000-001", "000002-000"):
+        own[0].with_name(f"{stem}.safetensors").write_bytes(own[0].read_bytes())
+    assert CachedSamples(data, 0).paths((2, 2)) == own
+    assert _ready(data, data.sources[0]) == 2

@@ -36,12 +36,29 @@ class PreparedSamples:
 
 
 @dataclass(frozen=True)
-class Missing:
-    """A sample that is to be made: draw `draw` of scene `scene` of source `source` of the data."""
+class Wanted:
+    """A sample that belongs to the data, made or not: draw `draw` of scene `scene` of source `source`, and its file."""
 
     source: int
     scene: int
     draw: int
+    path: Path
+
+    @property
+    def reason(self) -> Path:
+        """The file that says why the sample cannot be made."""
+        return self.path.with_suffix(".failed")
+
+
+def wanted_samples(data: DataSettings, sources: Sequence[SourceSettings]) -> list[Wanted]:
+    """Every sample of these sources, in order. Raises QuerySplatError when a source is missing."""
+    return [
+        Wanted(number, scene, draw, folder / f"{scene:06d}-{draw:03d}.safetensors")
+        for number, settings in enumerate(sources)
+        for folder in [cache_folder(data, settings)]
+        for scene in range(len(open_source(settings)))
+        for draw in range(settings.samples)
+    ]
 
 
 def prepare_samples(
@@ -60,22 +77,17 @@ def prepare_samples(
     those are tried again. `encoder` is called only when a sample has to be made, once in each worker; it can
     be pickled where there are several.
     """
-    every = [
-        Missing(number, scene, draw)
-        for number, settings in enumerate(data.sources)
-        for scene in range(len(open_source(settings)))
-        for draw in range(settings.samples)
-    ]
+    every = wanted_samples(data, data.sources)
     share = [each for number, each in enumerate(every) if number % world == rank]
-    missing = [each for each in share if not _path(data, each).is_file() and not _reason(data, each).is_file()]
+    missing = [each for each in share if not each.path.is_file() and not each.reason.is_file()]
     done = len(share) - len(missing)
     lost: list[str] = []
 
-    def made(job: Missing, why: str | None) -> None:
+    def made(job: Wanted, why: str | None) -> None:
         nonlocal done
         done += 1
         if why:
-            lost.append(f"{_path(data, job).stem}: {why}")
+            lost.append(f"{job.path.stem}: {why}")
         progress(f"{done} of {len(share)} samples", done / len(share))
 
     if missing:
@@ -84,20 +96,16 @@ def prepare_samples(
         raise QuerySplatError(
             f"{counted(len(lost), 'sample')} could not be made, as {lost[0]}", "The same command makes what is missing."
         )
-    failed = tuple(
-        f"{_reason(data, each).stem}: {_reason(data, each).read_text()}"
-        for each in every
-        if _reason(data, each).is_file()
-    )
-    return PreparedSamples(sum(_path(data, each).is_file() for each in every), failed)
+    failed = tuple(f"{each.path.stem}: {each.reason.read_text()}" for each in every if each.reason.is_file())
+    return PreparedSamples(sum(each.path.is_file() for each in every), failed)
 
 
-def sample_maker(setup: tuple[DataSettings, Callable[[], Encoder]]) -> Callable[[Missing], None]:
+def sample_maker(setup: tuple[DataSettings, Callable[[], Encoder]]) -> Callable[[Wanted], None]:
     """A function that makes a sample of the data with the encoder, or writes the reason why it cannot be made."""
     data, encoder = setup[0], setup[1]()
     sources = [open_source(settings) for settings in data.sources]
 
-    def make(job: Missing) -> None:
+    def make(job: Wanted) -> None:
         settings = data.sources[job.source]
         try:
             shot = sources[job.source].capture(job.scene, job.draw)
@@ -107,20 +115,12 @@ def sample_maker(setup: tuple[DataSettings, Callable[[], Encoder]]) -> Callable[
         except MissingPart:  # no fault of the sample
             raise
         except QuerySplatError as error:
-            with atomic_path(_reason(data, job)) as draft:
+            with atomic_path(job.reason) as draft:
                 draft.write_text(error.message)
         else:
-            write_sample(_path(data, job), sample)
+            write_sample(job.path, sample)
 
     return make
-
-
-def _path(data: DataSettings, job: Missing) -> Path:
-    return cache_folder(data, data.sources[job.source]) / f"{job.scene:06d}-{job.draw:03d}.safetensors"
-
-
-def _reason(data: DataSettings, job: Missing) -> Path:
-    return _path(data, job).with_suffix(".failed")
 
 
 def cache_folder(data: DataSettings, source: SourceSettings) -> Path:
@@ -177,12 +177,8 @@ class CachedSamples:
     def paths(self, inputs: tuple[int, int]) -> list[Path]:
         """The files of a stage with so many inputs."""
         if inputs not in self._paths:
-            self._paths[inputs] = [
-                path
-                for source in narrowed(self._data.sources, inputs)
-                for path in sorted(cache_folder(self._data, source).glob("*.safetensors"))
-                if int(path.stem[:6]) < source.scenes or source.kind == "captured"
-            ]
+            every = wanted_samples(self._data, narrowed(self._data.sources, inputs))
+            self._paths[inputs] = [each.path for each in every if each.path.is_file()]
         return self._paths[inputs]
 
     def path(self, draw: Draw) -> Path:
