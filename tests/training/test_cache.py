@@ -3,12 +3,15 @@
 from pathlib import Path
 from typing import Any
 
+import cv2
+import numpy as np
 import pytest
 
 from querysplat_cli.runtime.errors import MissingPart, QuerySplatError
 from querysplat_cli.training.config import DataSettings, SourceSettings
-from querysplat_cli.training.data import CachedSamples, cache_folder, prepare_samples
+from querysplat_cli.training.data import CachedSamples, cache_folder, prepare_samples, wanted_samples
 from querysplat_cli.training.plan import _ready
+from querysplat_cli.training.sources import open_source
 from training_scenes import sample, training
 
 ROOM = SourceSettings("procedural", scenes=2, size=(60, 66), inputs=(2, 2), targets=1, cameras="posed")
@@ -61,3 +64,21 @@ def test_samples_of_other_trainings_are_not_drawn(tmp_path: Path) -> None:
         own[0].with_name(f"{stem}.safetensors").write_bytes(own[0].read_bytes())
     assert CachedSamples(data, 0).paths((2, 2)) == own
     assert _ready(data, data.sources[0]) == 2
+
+
+def test_a_scene_that_is_added_leaves_the_samples_of_the_others(tmp_path: Path) -> None:
+    """Samples had the number of their scene, which shifts, so those of one scene passed for another's."""
+    settings = SourceSettings("captured", (str(tmp_path),), inputs=(2, 2), targets=1)
+    data = DataSettings((settings,), cache=str(tmp_path / "cache"))
+    names = {}
+    for scene in ("b c", "a"):
+        (tmp_path / scene).mkdir()
+        for number in range(12):
+            cv2.imwrite(str(tmp_path / scene / f"{number}.png"), np.zeros((70, 90, 3), np.uint8))
+        source = open_source(settings)
+        captures = {source.capture(number, 0).name: source.capture(number, 0) for number in range(len(source))}
+        samples = zip(sorted(captures), wanted_samples(data, data.sources), strict=True)
+        names[scene] = {name: (each.path.name, captures[name].inputs) for name, each in samples}
+    assert names["a"]["b c"] == names["b c"]["b c"]
+    assert names["b c"]["b c"][0].startswith("b_c-")
+    assert set(names["a"]) == {"a", "b c"}

@@ -53,10 +53,10 @@ class Wanted:
 def wanted_samples(data: DataSettings, sources: Sequence[SourceSettings]) -> list[Wanted]:
     """Every sample of these sources, in order. Raises QuerySplatError when a source is missing."""
     return [
-        Wanted(number, scene, draw, folder / f"{scene:06d}-{draw:03d}.safetensors")
+        Wanted(number, scene, draw, folder / f"{source.name(scene)}-{draw:03d}.safetensors")
         for number, settings in enumerate(sources)
-        for folder in [cache_folder(data, settings)]
-        for scene in range(len(open_source(settings)))
+        for folder, source in [(cache_folder(data, settings), open_source(settings))]
+        for scene in range(len(source))
         for draw in range(settings.samples)
     ]
 
