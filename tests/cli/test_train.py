@@ -8,6 +8,7 @@ import pytest
 from querysplat_cli.cli import run
 from querysplat_cli.runtime.errors import ExitCode
 from querysplat_cli.training.config import StageSettings
+from querysplat_cli.training.trainer import STATE
 from training_scenes import toml, training
 
 
@@ -32,6 +33,48 @@ def test_train_resume_and_refuse(config: Path, capsys: pytest.CaptureFixture[str
     assert run(command) == ExitCode.BAD_INPUT
     assert "there already" in capsys.readouterr().err
     assert run([*command, "--resume"]) == ExitCode.DONE
+
+
+def test_bad_input_is_refused_before_samples_are_made(
+    config: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """They may take hours."""
+
+    def make(*_: object) -> None:
+        raise AssertionError("samples are made")
+
+    monkeypatch.setattr("querysplat_cli.training.run._samples", make)
+    assert run(["train", "--config", str(config), "-o", str(config.parent / "none"), "--resume"]) == ExitCode.BAD_INPUT
+    assert "no training to go on with" in capsys.readouterr().err
+
+
+def test_samples_only_leaves_a_training_in_the_folder_alone(config: Path) -> None:
+    """It was refused, although it replaces nothing."""
+    state = config.parent / "run" / STATE
+    state.parent.mkdir()
+    state.write_text("of another training")
+    assert run(["train", "--config", str(config), "-o", str(state.parent), "--samples-only"]) == ExitCode.DONE
+    assert state.read_text() == "of another training"
+
+
+def test_a_replaced_training_cannot_be_resumed(
+    config: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Until the first save its state was there, and --resume went on with it."""
+
+    def stop(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    state = config.parent / "run" / STATE
+    state.parent.mkdir()
+    state.write_text("of another training")
+    monkeypatch.setattr("querysplat_cli.training.trainer.Trainer._step", stop)
+    command = ["train", "--config", str(config), "-o", str(state.parent), "--force"]
+    assert run([*command, "--set", "optimiser.batch=0"]) == ExitCode.BAD_INPUT
+    assert state.is_file()
+    assert run(command) == ExitCode.INTERRUPTED
+    assert "--resume" not in capsys.readouterr().err
+    assert not state.exists()
 
 
 def test_dry_run_measures_and_writes_nothing(config: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -47,6 +47,14 @@ def test_processes_of_this_machine_are_heard(tmp_path: Path) -> None:
     assert work(Workers(2), tmp_path, JOBS) == (dict.fromkeys(JOBS), set(JOBS))
 
 
+@pytest.mark.parametrize("engine", [InProcess(), Workers(2)])
+def test_what_a_job_raises_is_raised(engine: object, tmp_path: Path) -> None:
+    """A worker's error was a traceback, and the job one whose process had ended."""
+    with pytest.raises(QuerySplatError, match="the job is wrong") as caught:
+        work(engine, tmp_path, ["wrong"])
+    assert caught.value.hint == "do another"
+
+
 def test_in_process(tmp_path: Path) -> None:
     assert work(InProcess(), tmp_path, JOBS) == (dict.fromkeys(JOBS), set(JOBS))
     assert {(tmp_path / job).read_text() for job in JOBS} == {str(os.getpid())}

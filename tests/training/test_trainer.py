@@ -76,6 +76,16 @@ def test_stopped_and_resumed_gives_the_same_bits(tmp_path: Path, after: int) -> 
     assert (tmp_path / "parts" / "curve.png").stat().st_size > 5000
 
 
+def test_resuming_a_finished_training_reports_its_last_line(tmp_path: Path) -> None:
+    """Its loss was NaN, which JSON does not have."""
+    config = training(tmp_path / "cache", stages=(StageSettings(steps=2, lr=1e-3),))
+    first = run(config, tmp_path / "run")
+    again = run(config, tmp_path / "run", resume=True)
+    assert (again.loss, again.psnr) == (first.loss, first.psnr)
+    (tmp_path / "run" / "log.jsonl").unlink()
+    assert run(config, tmp_path / "run", resume=True).loss is None
+
+
 def test_training_changes_what_is_not_frozen_and_nothing_else(tmp_path: Path) -> None:
     config = training(tmp_path / "cache")
     config = replace(config, optimiser=replace(config.optimiser, frozen=("geometry_head", "photo_embedding")))

@@ -53,10 +53,13 @@ def print_training(report: TrainReport, printing: Printing) -> None:
     """What a training did, and where its weights are."""
     print_json(asdict(report), printing)
     each = report.batch // report.processes
+    figures = ""
+    if report.loss is not None and report.psnr is not None:
+        figures = f"loss {report.loss:.4f}, {report.psnr:.2f} dB on targets; "
     say(
         f"{report.steps:,} steps of {report.batch} samples ({_counted(report.processes, 'process', 'es')} × {each} in "
-        f"turn), loss {report.loss:.4f}, {report.psnr:.2f} dB on targets; "
-        f"{report.steps_per_second:.2f} steps a second, {100 * report.waiting:.0f} % of the time waiting for data, "
+        f"turn), {figures}{report.steps_per_second:.2f} steps a second, "
+        f"{100 * report.waiting:.0f} % of the time waiting for data, "
         f"{report.peak_memory_gib:.2f} GiB",
         printing,
     )

@@ -8,7 +8,6 @@ from typing import Annotated
 from annotated_types import Ge
 
 from querysplat_cli.cli.verb import Printing
-from querysplat_cli.runtime import signals
 from querysplat_cli.runtime.errors import MissingPart
 from querysplat_cli.runtime.options import Cluster, Device, Force, LpipsWeights, Option
 
@@ -53,7 +52,6 @@ def train(options: TrainOptions, printing: Printing) -> None:
     from querysplat_cli.training.plan import plan
     from querysplat_cli.training.run import TrainRequest
     from querysplat_cli.training.run import train as run
-    from querysplat_cli.training.trainer import STATE
 
     config = load_config(options.config, options.changes)
     perceptual = None
@@ -80,11 +78,6 @@ def train(options: TrainOptions, printing: Printing) -> None:
         if options.dry_run:
             print_training_plan(plan(request, stages), printing)
             return
-        try:
-            report = run(request, stages)
-        except KeyboardInterrupt:
-            if (options.output / STATE).is_file():
-                signals.keep(f"The last saved state is in {options.output}; --resume goes on with it.")
-            raise
+        report = run(request, stages)
     if report:
         print_training(report, printing)

@@ -14,6 +14,7 @@ from typing import Any, Generic, TypeVar
 
 from querysplat_cli.runtime import signals
 from querysplat_cli.runtime.engine import Done, Handler, Heard, reporting_to, unheard
+from querysplat_cli.runtime.errors import QuerySplatError
 
 Job = TypeVar("Job")
 THREAD_LIMITS = ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "MKL_NUM_THREADS")
@@ -42,10 +43,14 @@ class Workers:
 
 @dataclass(frozen=True)
 class _Word(Generic[Job]):
-    """What a process says of a job: its progress, or else that it ended, and why if the process ended with it."""
+    """What a process says of a job: its progress, or else that it ended.
+
+    `wrong` is the error that the job raised; `why` is the reason where the process ended with it.
+    """
 
     job: Job
     progress: tuple[str, float] | None = None
+    wrong: QuerySplatError | None = None
     why: str | None = None
 
 
@@ -77,6 +82,8 @@ class _Pool(Generic[Job]):
                     word = words.get()
                     if word.progress:
                         heard(word.job, *word.progress)
+                    elif word.wrong:
+                        raise word.wrong
                     else:
                         ended += 1
                         done(word.job, word.why)
@@ -106,9 +113,9 @@ class _Pool(Generic[Job]):
             process, pipe = worker
             try:
                 pipe.send(job)
-                while (progress := pipe.recv()) is not None:
-                    words.put(_Word(job, progress))
-                words.put(_Word(job))
+                while isinstance(said := pipe.recv(), tuple):
+                    words.put(_Word(job, said))
+                words.put(_Word(job, wrong=said))
             except (EOFError, OSError):
                 process.join()
                 worker = None
@@ -147,15 +154,20 @@ def _serve(pipe: Connection, handler: Callable[[Any], Callable[[Any], None]], se
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    handle = handler(setup)
+    handle = None
     while True:
         try:
             job = pipe.recv()
         except EOFError:
             return
-        with reporting_to(lambda text, fraction: pipe.send((text, fraction))):
-            handle(job)
-        pipe.send(None)
+        wrong = None
+        try:
+            with reporting_to(lambda text, fraction: pipe.send((text, fraction))):
+                handle = handle or handler(setup)
+                handle(job)
+        except QuerySplatError as error:
+            wrong = error
+        pipe.send(wrong)
 
 
 def _end_with_parent() -> None:

@@ -13,8 +13,9 @@ import numpy as np
 
 from querysplat_cli.encoders.base import Encoder
 from querysplat_cli.runtime.engine import Engine, InProcess
-from querysplat_cli.runtime.errors import ImpossibleScene, QuerySplatError
+from querysplat_cli.runtime.errors import MissingPart, QuerySplatError
 from querysplat_cli.runtime.progress import Progress
+from querysplat_cli.runtime.words import counted
 from querysplat_cli.scene.files import atomic_path
 from querysplat_cli.training.config import DataSettings, SourceSettings, StageSettings
 from querysplat_cli.training.passes import Sample, make_sample, read_sample, write_sample
@@ -35,12 +36,29 @@ class PreparedSamples:
 
 
 @dataclass(frozen=True)
-class Missing:
-    """A sample that is to be made: draw `draw` of scene `scene` of source `source` of the data."""
+class Wanted:
+    """A sample that belongs to the data, made or not: draw `draw` of scene `scene` of source `source`, and its file."""
 
     source: int
     scene: int
     draw: int
+    path: Path
+
+    @property
+    def reason(self) -> Path:
+        """The file that says why the sample cannot be made."""
+        return self.path.with_suffix(".failed")
+
+
+def wanted_samples(data: DataSettings, sources: Sequence[SourceSettings]) -> list[Wanted]:
+    """Every sample of these sources, in order. Raises QuerySplatError when a source is missing."""
+    return [
+        Wanted(number, scene, draw, folder / f"{source.name(scene)}-{draw:03d}.safetensors")
+        for number, settings in enumerate(sources)
+        for folder, source in [(cache_folder(data, settings), open_source(settings))]
+        for scene in range(len(source))
+        for draw in range(settings.samples)
+    ]
 
 
 def prepare_samples(
@@ -55,66 +73,54 @@ def prepare_samples(
     """Make every sample that is not in the cache yet; process `rank` of `world` makes its share.
 
     `engine` does the work. A sample that cannot be made leaves a .failed file with the
-    reason, and is not tried again. `encoder` is called only when a sample has to be made, once in each worker; it can
+    reason, and is not tried again. Raises QuerySplatError, once all others are made, for samples whose process ended;
+    those are tried again. `encoder` is called only when a sample has to be made, once in each worker; it can
     be pickled where there are several.
     """
-    every = [
-        Missing(number, scene, draw)
-        for number, settings in enumerate(data.sources)
-        for scene in range(len(open_source(settings)))
-        for draw in range(settings.samples)
-    ]
+    every = wanted_samples(data, data.sources)
     share = [each for number, each in enumerate(every) if number % world == rank]
-    missing = [each for each in share if not _path(data, each).is_file() and not _reason(data, each).is_file()]
+    missing = [each for each in share if not each.path.is_file() and not each.reason.is_file()]
     done = len(share) - len(missing)
+    lost: list[str] = []
 
-    def made(job: Missing, why: str | None) -> None:
+    def made(job: Wanted, why: str | None) -> None:
         nonlocal done
         done += 1
         if why:
-            _failed(data, job, why)
+            lost.append(f"{job.path.stem}: {why}")
         progress(f"{done} of {len(share)} samples", done / len(share))
 
     if missing:
         engine.run(sample_maker, (data, encoder), missing, made)
-    failed = tuple(
-        f"{_reason(data, each).stem}: {_reason(data, each).read_text()}"
-        for each in every
-        if _reason(data, each).is_file()
-    )
-    return PreparedSamples(sum(_path(data, each).is_file() for each in every), failed)
+    if lost:
+        raise QuerySplatError(
+            f"{counted(len(lost), 'sample')} could not be made, as {lost[0]}", "The same command makes what is missing."
+        )
+    failed = tuple(f"{each.path.stem}: {each.reason.read_text()}" for each in every if each.reason.is_file())
+    return PreparedSamples(sum(each.path.is_file() for each in every), failed)
 
 
-def sample_maker(setup: tuple[DataSettings, Callable[[], Encoder]]) -> Callable[[Missing], None]:
+def sample_maker(setup: tuple[DataSettings, Callable[[], Encoder]]) -> Callable[[Wanted], None]:
     """A function that makes a sample of the data with the encoder, or writes the reason why it cannot be made."""
     data, encoder = setup[0], setup[1]()
     sources = [open_source(settings) for settings in data.sources]
 
-    def make(job: Missing) -> None:
+    def make(job: Wanted) -> None:
         settings = data.sources[job.source]
         try:
             shot = sources[job.source].capture(job.scene, job.draw)
             sample = make_sample(
                 shot.photos, shot.inputs, encoder, known=shot.known, max_size=data.max_size, seed=settings.seed
             )
-            write_sample(_path(data, job), sample)
-        except (ImpossibleScene, QuerySplatError) as error:
-            _failed(data, job, error.message)
+        except MissingPart:  # no fault of the sample
+            raise
+        except QuerySplatError as error:
+            with atomic_path(job.reason) as draft:
+                draft.write_text(error.message)
+        else:
+            write_sample(job.path, sample)
 
     return make
-
-
-def _path(data: DataSettings, job: Missing) -> Path:
-    return cache_folder(data, data.sources[job.source]) / f"{job.scene:06d}-{job.draw:03d}.safetensors"
-
-
-def _reason(data: DataSettings, job: Missing) -> Path:
-    return _path(data, job).with_suffix(".failed")
-
-
-def _failed(data: DataSettings, job: Missing, why: str) -> None:
-    with atomic_path(_reason(data, job)) as draft:
-        draft.write_text(why)
 
 
 def cache_folder(data: DataSettings, source: SourceSettings) -> Path:
@@ -171,12 +177,8 @@ class CachedSamples:
     def paths(self, inputs: tuple[int, int]) -> list[Path]:
         """The files of a stage with so many inputs."""
         if inputs not in self._paths:
-            self._paths[inputs] = [
-                path
-                for source in narrowed(self._data.sources, inputs)
-                for path in sorted(cache_folder(self._data, source).glob("*.safetensors"))
-                if int(path.stem[:6]) < source.scenes or source.kind == "captured"
-            ]
+            every = wanted_samples(self._data, narrowed(self._data.sources, inputs))
+            self._paths[inputs] = [each.path for each in every if each.path.is_file()]
         return self._paths[inputs]
 
     def path(self, draw: Draw) -> Path:

@@ -39,6 +39,10 @@ class Journal:
     def rows(self) -> list[dict[str, Any]]:
         return [row for row in map(_parsed, self._path.read_text().splitlines()) if row]
 
+    def last(self) -> dict[str, Any] | None:
+        """The last line; None where there is none yet."""
+        return next(reversed(self.rows()), None)
+
     def draw(self) -> None:
         """`curve.png` beside the log."""
         rows = self.rows()

@@ -14,14 +14,14 @@ from querysplat_cli.runtime.device import find_device, peak_gib, to_device
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.drafts import scratch_folder
-from querysplat_cli.training.config import SourceSettings, TrainConfig, with_queries
+from querysplat_cli.training.config import DataSettings, SourceSettings, TrainConfig, with_queries
 from querysplat_cli.training.data import (
     CachedSamples,
     Draw,
-    cache_folder,
     narrowed,
     prepare_samples,
     sources_of_stages,
+    wanted_samples,
 )
 from querysplat_cli.training.online import OnlineSamples
 from querysplat_cli.training.passes import LARGE_FEATURES, Sample
@@ -103,7 +103,7 @@ def plan(request: TrainRequest, stages: Stages) -> TrainPlan:
     scenes, assumed = _scene_counts(config.data.sources)
     cached = [] if config.data.online else sources_of_stages(config.data, config.stages)
     held = [_scenes_of(source, config.data.sources, scenes) * source.samples for source in cached]
-    ready = sum(len(list(cache_folder(config.data, each).glob("*.safetensors"))) for each in cached)
+    ready = sum(_ready(config.data, source) for source in cached)
     sample_bytes = [_sample_bytes(source, config.model, config.data.max_size) for source in cached]
     measured = _measured(config, device, ready, stages)
     hours = None
@@ -145,6 +145,14 @@ def _scene_counts(sources: Sequence[SourceSettings]) -> tuple[list[int], str]:
             counts.append(source.scenes)
             assumed = f"{source.scenes:,} scenes: {error.message}"
     return counts, assumed
+
+
+def _ready(data: DataSettings, source: SourceSettings) -> int:
+    """Samples of a source that are in the cache; 0 where the source is not found."""
+    try:
+        return sum(each.path.is_file() for each in wanted_samples(data, [source]))
+    except QuerySplatError:
+        return 0
 
 
 def _scenes_of(source: SourceSettings, originals: Sequence[SourceSettings], scenes: Sequence[int]) -> int:

@@ -32,6 +32,9 @@ class Procedural:
     def __len__(self) -> int:
         return self._settings.scenes
 
+    def name(self, scene: int) -> str:
+        return f"{scene:06d}"
+
     def capture(self, scene: int, draw: int) -> Capture:
         settings = self._settings
         chance = np.random.default_rng([settings.seed, scene, draw])

@@ -9,6 +9,7 @@ import torch
 
 from querysplat_cli.encoders.base import Encoder, EncoderOptions
 from querysplat_cli.encoders.registry import find_encoder
+from querysplat_cli.runtime import signals
 from querysplat_cli.runtime.cluster import find_engine
 from querysplat_cli.runtime.device import find_device
 from querysplat_cli.runtime.progress import Progress, Stages
@@ -47,7 +48,8 @@ class TrainRequest:
 def train(request: TrainRequest, stages: Stages) -> TrainReport | None:
     """Make the missing samples, and train. Only the first of several processes returns a report.
 
-    Raises QuerySplatError on bad input and MissingPart when weights are missing.
+    Raises QuerySplatError on bad input and MissingPart when weights are missing. The training itself is checked first,
+    as samples may take hours.
     """
     config, folder = request.config, request.output
     device = find_device(request.device)
@@ -55,7 +57,7 @@ def train(request: TrainRequest, stages: Stages) -> TrainReport | None:
         if device.type == "cuda":
             device = torch.device("cuda", processes.local)
             torch.cuda.set_device(device)
-        if not request.resume:
+        if not request.resume and not request.samples_only:
             refuse_existing([folder / STATE, folder / MODEL], force=request.force)
         if request.tensorboard:
             check_tensorboard()
@@ -63,15 +65,33 @@ def train(request: TrainRequest, stages: Stages) -> TrainReport | None:
         if processes.first:
             stack.enter_context(sole_writer(folder))
         processes.wait()
+        trainer = None
+        if not request.samples_only:
+            with stages("model"):
+                trainer = Trainer(
+                    config, folder, processes, device, resume=request.resume, perceptual=request.perceptual
+                )
         with stages("samples") as progress:
             samples = _samples(request, processes, device, stages, progress)
-        if request.samples_only:
+        if trainer is None:
             return None
         with stages("train") as progress:
-            trainer = Trainer(config, folder, processes, device, resume=request.resume, perceptual=request.perceptual)
-            report = trainer.run(samples, progress=progress, tensorboard=request.tensorboard)
+            report = _trained(request, trainer, samples, progress)
         processes.wait()
     return report if processes.first else None
+
+
+def _trained(request: TrainRequest, trainer: Trainer, samples: Samples, progress: Progress) -> TrainReport:
+    """Take the steps. The state of a training that is replaced goes first: `--resume` would go on with that one."""
+    state = request.output / STATE
+    if request.force and not request.resume and trainer.processes.first:
+        state.unlink(missing_ok=True)
+    try:
+        return trainer.run(samples, progress=progress, tensorboard=request.tensorboard)
+    except KeyboardInterrupt:
+        if state.is_file():
+            signals.keep(f"The last saved state is in {request.output}; --resume goes on with it.")
+        raise
 
 
 def _samples(

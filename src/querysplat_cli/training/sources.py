@@ -1,5 +1,7 @@
 """Sources of training scenes: procedural ones and captured ones."""
 
+import hashlib
+import re
 from functools import lru_cache
 from pathlib import Path
 from typing import Protocol, runtime_checkable
@@ -18,12 +20,19 @@ from querysplat_cli.training.config import SourceSettings
 from querysplat_cli.training.policy import TRAINING_POLICY
 from querysplat_cli.training.procedural import Procedural
 
+NAME_LENGTH = 40
+"""Characters of a scene's name in the names of its samples' files."""
+
 
 @runtime_checkable
 class Source(Protocol):
     """Scenes by number. A capture depends only on the seed, the scene and the draw."""
 
     def __len__(self) -> int: ...
+
+    def name(self, scene: int) -> str:
+        """Part of a file's name. It stays the scene's when others are added."""
+        ...
 
     def capture(self, scene: int, draw: int) -> Capture:
         """Raises QuerySplatError when the scene cannot be used."""
@@ -54,9 +63,20 @@ class Captured:
     def __len__(self) -> int:
         return len(self._scenes)
 
+    def name(self, scene: int) -> str:
+        """What can be read of the scene's name, and its key."""
+        readable = re.sub(r"[^\w-]+", "_", self._scenes[scene].name)[:NAME_LENGTH]
+        return f"{readable}-{self._key(scene):08x}"
+
+    def _key(self, scene: int) -> int:
+        """A number that depends on the scene alone. Scenes have one name each; films are told apart by their paths."""
+        place = self._scenes[scene]
+        which = str(place) if isinstance(place, Path) else place.name
+        return int(hashlib.sha256(which.encode()).hexdigest()[:8], 16)
+
     def capture(self, scene: int, draw: int) -> Capture:
         settings, place = self._settings, self._scenes[scene]
-        chance = np.random.default_rng([settings.seed, scene, draw])
+        chance = np.random.default_rng([settings.seed, self._key(scene), draw])
         if isinstance(place, Path):
             film = _film(place)
             inputs, targets = drawn_views(chance, settings, len(film))

@@ -2,7 +2,7 @@
 
 import math
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -39,21 +39,31 @@ class TrainReport:
     """What a run did; seconds are this run's.
 
     Each step took `batch` samples, shared by `processes`. `skipped` counts samples without a gradient by reason,
-    `redrawn` scenes that gave no sample.
+    `redrawn` scenes that gave no sample. `loss` and `psnr` are those of the last line of the log, and None without one.
     """
 
     model: str
     steps: int
     batch: int
     processes: int
-    loss: float
-    psnr: float
+    loss: float | None
+    psnr: float | None
     skipped: dict[str, int]
     redrawn: int
     seconds: float
     steps_per_second: float
     waiting: float
     peak_memory_gib: float
+
+
+@dataclass
+class _Window:
+    """The losses since a line of the log, after `step`, and the seconds of waiting for data."""
+
+    step: int
+    begun: float = field(default_factory=time.perf_counter)
+    losses: list[SampleLoss] = field(default_factory=list)
+    waited: float = 0.0
 
 
 class Trainer:
@@ -102,40 +112,37 @@ class Trainer:
         """Train to the last step and save now and then. Only the first process writes files."""
         journal = Journal(self.folder, self.step, tensorboard=tensorboard) if self.processes.first else None
         kept: RecentResults[Anchors] = RecentResults(ANCHORS_KEPT)
+        row = journal.last() if journal else None
         begun, first, waited = time.perf_counter(), self.step, 0.0
-        recent: list[SampleLoss] = []
-        lines: list[dict[str, Any]] = []
-        mark, mark_step, mark_waited = begun, self.step, 0.0
+        window = _Window(self.step)
         while self.step < self.config.steps:
             number, before = self.config.at(self.step)
             if number != self._stage:
                 self._enter(number)
                 self._optimiser = new_optimiser(self.model, self.config.optimiser)
             losses, spent = self._step(samples, kept, before)
-            recent, waited = recent + losses, waited + spent
+            window.losses += losses
+            window.waited += spent
+            waited += spent
             self.step += 1
             last = self.step == self.config.steps
             if self.step % self.config.log_every == 0 or last:
-                now = time.perf_counter()
-                row = self._row(recent, now - mark, self.step - mark_step, waited - mark_waited)
-                recent, mark, mark_step, mark_waited = [], now, self.step, waited
-                lines.append(row)
+                row, window = self._row(window), _Window(self.step)
                 if journal:
                     journal.add(row)
             if self.step % self.config.save_every == 0 or last:
                 self._save(journal, time.perf_counter() - begun)
-            if lines and lines[-1]["step"] == self.step:
-                row, done = lines[-1], self.step / self.config.steps
+            if row and row["step"] == self.step:
+                done = self.step / self.config.steps
                 progress(f"loss {row['loss']:.4f}, {row['psnr']:.2f} dB, {row['seconds_per_step']:.2f} s a step", done)
         seconds = time.perf_counter() - begun
-        final = lines[-1] if lines else {"loss": math.nan, "psnr": math.nan}
         return TrainReport(
             model=str(self.folder / MODEL),
             steps=self.step,
             batch=self.config.optimiser.batch,
             processes=self.processes.world,
-            loss=final["loss"],
-            psnr=final["psnr"],
+            loss=_figure(row, "loss"),
+            psnr=_figure(row, "psnr"),
             skipped=self.skipped,
             redrawn=samples.redrawn,
             seconds=seconds,
@@ -199,8 +206,9 @@ class Trainer:
         self._optimiser.zero_grad(set_to_none=True)
         return results
 
-    def _row(self, recent: list[SampleLoss], seconds: float, steps: int, waited: float) -> dict[str, Any]:
-        sound = [each for each in recent if not each.skipped] or recent
+    def _row(self, window: _Window) -> dict[str, Any]:
+        seconds = time.perf_counter() - window.begun
+        sound = [each for each in window.losses if not each.skipped] or window.losses
         names = sorted({name for each in sound for name in each.parts})
         mean = {name: sum(each.parts.get(name, 0.0) for each in sound) / len(sound) for name in names}
         return {
@@ -211,8 +219,8 @@ class Trainer:
             "lr": self._optimiser.param_groups[0]["lr"],
             "gaussians": sum(each.gaussians for each in sound) // len(sound),
             "skipped": sum(self.skipped.values()),
-            "seconds_per_step": seconds / max(1, steps),
-            "waiting": waited / max(seconds, 1e-9),
+            "seconds_per_step": seconds / max(1, self.step - window.step),
+            "waiting": window.waited / max(seconds, 1e-9),
             "peak_memory_gib": round(peak_gib(self.device), 3),
         }
 
@@ -257,6 +265,12 @@ class Trainer:
 def _generator(*numbers: int) -> torch.Generator:
     """Of random numbers that differ wherever one of these does."""
     return torch.Generator().manual_seed(int(np.random.SeedSequence(numbers).generate_state(1)[0]))
+
+
+def _figure(row: dict[str, Any] | None, name: str) -> float | None:
+    """A number of a line of the log, None where there is none: JSON has no NaN."""
+    value = row.get(name) if row else None
+    return value if value is not None and math.isfinite(value) else None
 
 
 def samples_in_turn(batch: int, processes: int) -> int:
