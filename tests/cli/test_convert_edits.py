@@ -77,6 +77,28 @@ def test_cleaning_says_what_went_and_why(scene: Path, tmp_path: Path, capsys: py
     assert said["psnr"]["after"] == pytest.approx(step["psnr"], abs=0.01)
 
 
+def test_what_only_one_of_many_photos_shows_stays(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """PSNR is that of 8 of these 16 photos, but each of them shows a patch of its own."""
+    count, size = 16, 24
+    w2c = torch.eye(4).repeat(count, 1, 1)
+    w2c[:, 0, 3] = -10.0 * torch.arange(count)
+    patch = torch.rand(20, 3, generator=torch.Generator().manual_seed(0)) + torch.tensor([-0.5, -0.5, 4.0])
+    places = torch.cat([patch + torch.tensor([10.0 * view, 0, 0]) for view in range(count)])
+    write_ply(tmp_path / "s.ply", plain(places, 0.1))
+    (tmp_path / "s").mkdir()
+    K = torch.tensor([[24.0, 0, 12], [0, 24, 12], [0, 0, 1]]).repeat(count, 1, 1)
+    names = tuple(f"{view}.png" for view in range(count))
+    views = Views(
+        torch.zeros(count, 3, size, size), torch.ones(count, size, size).bool(), names, ((size, size),) * count
+    )
+    write_cameras(tmp_path / "s" / "cameras.json", Cameras(w2c, K, size, size), views)
+    for option in (["--clean"], ["--prune", "160"]):
+        said = converted(capsys, tmp_path / "s.ply", tmp_path / "t.ply", *option, "--force")
+        assert said["psnr"]["views"] == 8
+        kept = read_ply(tmp_path / "t.ply").means[:, 0]
+        assert len({round(float(x) / 10) for x in kept}) == count
+
+
 def test_a_file_that_replaces_its_source_is_compared_with_the_size_before(
     scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -57,7 +57,8 @@ def test_a_demo_that_ends_early_leaves_the_photos_of_the_last_one(
 
 def test_a_demo_replaces_photos_when_it_is_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "photos").mkdir()
-    (tmp_path / "photos/photo_99.jpg").touch()
+    for name in ("photo_99.jpg", "photo_1000.jpg", "photo_10000.jpg"):
+        (tmp_path / "photos" / name).touch()
     monkeypatch.setattr(demo, "reconstruct", lambda *_: Mock(spec=Report))
     run_demo(DemoRequest(output=tmp_path, force=True), Stages())
     assert len(list((tmp_path / "photos").iterdir())) == DemoRequest.photos

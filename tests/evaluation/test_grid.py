@@ -47,9 +47,16 @@ def test_every_setting_that_makes_a_scene_can_be_varied() -> None:
 def test_rows_are_the_product() -> None:
     table = rows([read_axis("tto=0,5"), read_axis("preset=compact,a/b.safetensors")], ["free", "posed"])
     assert len(table) == 2 * (1 + 2 * 2)
-    assert [row.name for row in table[:3]] == ["free_depth", "free_tto=0_preset=compact", "free_tto=0_preset=b"]
+    assert [row.name for row in table[:3]] == ["free_depth", "free_tto=0_preset=compact", "free_tto=0_preset=a-b"]
     assert table[2].overrides == (("tto", 0), ("preset", "a/b.safetensors"))
     assert len({row.name for row in table}) == len(table)
     assert all(Path(row.name).name == row.name for row in table)
     with pytest.raises(QuerySplatError, match="twice"):
         rows([read_axis("tto=0"), read_axis("tto=5")], ["free"])
+
+
+def test_files_of_one_name_in_two_folders_have_rows_of_their_own() -> None:
+    table = rows([read_axis("preset=a/model.safetensors,b/model.safetensors")], ["free"])
+    assert [row.name for row in table[1:]] == ["free_preset=a-model", "free_preset=b-model"]
+    with pytest.raises(QuerySplatError, match="two rows would be called free_preset=c-model"):
+        rows([read_axis("preset=a/c/model.safetensors,b/c/model.safetensors")], ["free"])

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from querysplat_cli.runtime import caches
-from querysplat_cli.runtime.caches import find_caches
+from querysplat_cli.runtime.caches import find_caches, hub_checkpoints
 
 
 @pytest.fixture
@@ -48,3 +48,19 @@ def test_what_the_user_has_set_stays(nowhere: dict[str, str]) -> None:
     nowhere |= {"NUMBA_CACHE_DIR": "/mine", "MPLCONFIGDIR": "/mine too"}
     find_caches(nowhere)
     assert nowhere == {"NUMBA_CACHE_DIR": "/mine", "MPLCONFIGDIR": "/mine too"}
+
+
+@pytest.mark.parametrize(
+    ("environment", "torch"),
+    [
+        ({"TORCH_HOME": "/t", "XDG_CACHE_HOME": "/x"}, "/t"),
+        ({"XDG_CACHE_HOME": "/x"}, "/x/torch"),
+        ({"HOME": "/h"}, "/h/.cache/torch"),
+    ],
+)
+def test_the_cache_of_torch_hub(environment: dict[str, str], torch: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("TORCH_HOME", "XDG_CACHE_HOME", "HOME"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
+    assert hub_checkpoints() == [Path(torch) / "hub" / "checkpoints"]

@@ -32,12 +32,14 @@ class ComparedViews:
     """Cameras, in a frame that `frame` maps to that of the file, and the pictures that they are to show.
 
     kind: "photos", or "inputs" or "orbit" where the pictures are renders of the source from there.
+    judges: all cameras of that kind, by which importance is judged; `cameras` are a few of them.
     """
 
     kind: str
     cameras: Cameras
     pictures: Views
     frame: Sim3
+    judges: Cameras
 
     def __len__(self) -> int:
         return len(self.cameras)
@@ -76,29 +78,33 @@ def compared_views(source: Path, gaussians: Gaussians) -> ComparedViews:
         cameras = surround(middle, PRUNE_POLICY.tested_views, *ORBIT_SIZE)
         distance = float((cameras.centres - middle.median(0).values).norm(dim=1).max())
         frame = Sim3(distance / ORBIT_UNITS, torch.eye(3).double(), torch.zeros(3).double())
-        return _of_renders("orbit", cameras.transformed(frame.inverse()), frame, gaussians)
+        cameras = cameras.transformed(frame.inverse())
+        return _of_renders(ComparedViews("orbit", cameras, _blank(cameras), frame, cameras), gaussians)
     inputs, frame = beside
     some = evenly_spaced(range(len(inputs.names)), PRUNE_POLICY.tested_views)
     if (folder_of_scene(source) / "memories.safetensors").is_file():
         try:
             scene, _ = read_scene(source)
-            return ComparedViews("photos", scene.cameras[some], scene.views[some], frame)
+            return ComparedViews("photos", scene.cameras[some], scene.views[some], frame, scene.cameras)
         except QuerySplatError:
             pass  # a folder that is damaged, or another scene's, is no reason not to convert
-    height, width = (max(side) for side in zip(*(inputs.sizes[view] for view in some), strict=True))
-    return _of_renders("inputs", replace(inputs.cameras[some], height=height, width=width), frame, gaussians)
+    height, width = (max(side) for side in zip(*inputs.sizes, strict=True))
+    cameras = replace(inputs.cameras, height=height, width=width)
+    return _of_renders(ComparedViews("inputs", cameras[some], _blank(cameras[some]), frame, cameras), gaussians)
 
 
-def _of_renders(kind: str, cameras: Cameras, frame: Sim3, gaussians: Gaussians) -> ComparedViews:
+def _blank(cameras: Cameras) -> Views:
     count, height, width = len(cameras), cameras.height, cameras.width
     masks = torch.ones(count, height, width, dtype=torch.bool)
     names = tuple(map(str, range(count)))
-    empty = Views(torch.zeros(count, 3, height, width), masks, names, ((height, width),) * count)
-    views = ComparedViews(kind, cameras, empty, frame)
+    return Views(torch.zeros(count, 3, height, width), masks, names, ((height, width),) * count)
+
+
+def _of_renders(views: ComparedViews, gaussians: Gaussians) -> ComparedViews:
     here = views.here(gaussians)
     with torch.no_grad():
-        pictures = torch.stack([_drawn(here, cameras, view) for view in range(count)])
-    return replace(views, pictures=replace(empty, images=pictures))
+        pictures = torch.stack([_drawn(here, views.cameras, view) for view in range(len(views))])
+    return replace(views, pictures=replace(views.pictures, images=pictures))
 
 
 def _drawn(gaussians: Gaussians, cameras: Cameras, view: int) -> torch.Tensor:

@@ -17,7 +17,7 @@ from querysplat_cli.scene.pictures import eight_bit, write_picture
 
 HOME = FolderKind(("*",))
 """The output folder itself stays, with all other files."""
-PHOTOS = FolderKind(("photo_??.jpg", "photo_???.jpg"))
+PHOTOS = FolderKind(tuple(f"photo_{'?' * digits}.jpg" for digits in (2, 3, 4, 5)))
 
 
 def run_demo(request: DemoRequest, stages: Stages) -> Report:

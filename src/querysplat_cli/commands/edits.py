@@ -86,14 +86,14 @@ def _dirt(here: Gaussians, chosen: Mask, views: ComparedViews) -> tuple[Mask, di
     gone = torch.zeros_like(chosen)
     if not chosen.any():
         return gone, {}
-    found = unclean(here[chosen], None if views.kind == "orbit" else views.cameras)
+    found = unclean(here[chosen], None if views.kind == "orbit" else views.judges)
     gone[chosen] = found.all
     return gone, found.counts()
 
 
 def _least(here: Gaussians, kept: Mask, chosen: Mask, most: int, views: ComparedViews) -> Mask:
     """The Gaussians beyond the `most` important ones. The backdrop counts, but goes last."""
-    value = importance(here[kept], views.cameras)
+    value = importance(here[kept], views.judges)
     value[~chosen[kept]] = torch.inf
     order = value.argsort(descending=True, stable=True)
     gone = torch.zeros_like(kept)

@@ -18,6 +18,7 @@ from querysplat_cli.scene.files import refuse_existing, with_name
 from querysplat_cli.scene.formats.transforms import NamedCameras, read_cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.paths import opaque_centres
+from querysplat_cli.scene.quantiles import picked
 from querysplat_cli.scene.upright import up_direction
 
 BINS = 20
@@ -98,8 +99,8 @@ def describe(
 
 def _box(points: Tensor, left_out: float) -> tuple[Tensor, Tensor]:
     """Corners of the box that holds all points but the share `left_out` at either end of every axis."""
-    ordered, last = points.sort(0).values, len(points) - 1
-    return ordered[round(left_out * last)], ordered[round((1 - left_out) * last)]
+    low, high = picked(points, left_out, 1 - left_out)
+    return low, high
 
 
 def _odd(gaussians: Gaussians, extent: float, policy: OddPolicy) -> dict[str, Tensor]:

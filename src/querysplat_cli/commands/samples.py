@@ -4,6 +4,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from querysplat_cli.scene.quantiles import picked
+
 QUANTILES = (0.0, 0.05, 0.25, 0.5, 0.75, 0.95, 1.0)
 DRAWN_POINTS = 20_000
 """The most points of a drawing."""
@@ -11,8 +13,7 @@ DRAWN_POINTS = 20_000
 
 def quantiles(values: Float[Tensor, "n"]) -> dict[str, float]:
     """The values at `QUANTILES`, by these as text. Each is one of `values`, of which there must be at least one."""
-    ordered = values.sort().values
-    return {f"{level:g}": float(ordered[round(level * (len(ordered) - 1))]) for level in QUANTILES}
+    return {f"{level:g}": value for level, value in zip(QUANTILES, picked(values, *QUANTILES).tolist(), strict=True)}
 
 
 def drawn_points(count: int) -> Int[Tensor, "drawn"]:

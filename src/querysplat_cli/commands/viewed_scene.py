@@ -21,6 +21,7 @@ from querysplat_cli.scene.formats.transforms import NamedCameras, read_working_c
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.paths import first_shown, opaque_centres, surround
 from querysplat_cli.scene.pictures import stored_name
+from querysplat_cli.scene.quantiles import picked
 from querysplat_cli.scene.upright import up_direction
 from querysplat_cli.splat.conventions import RenderSettings
 
@@ -117,7 +118,7 @@ def framing(gaussians: Gaussians, inputs: NamedCameras | None, unit: float | Non
         "near": near,
         "far": FARTHEST * near,
         "depth": _depth_range(points, cameras, near),
-        "sizes": [max(float(sizes.quantile(0.01)), 1e-9), max(float(sizes.max()), 1e-9)],
+        "sizes": [max(float(picked(sizes, 0.01)), 1e-9), max(float(sizes.max()), 1e-9)],
         "outside": view_entries(NamedCameras(("",), outside, (OUTSIDE_SIZE,)))[0],
         "first": first_shown(cameras),
     }
@@ -128,7 +129,7 @@ def _depth_range(points: Float[Tensor, "n 3"], cameras: Cameras, near: float) ->
     depths = torch.cat(seen).clamp_min(near)
     if not len(depths):
         return [near, FARTHEST * near]
-    first, last = (float(depths.sort().values[round(share * (len(depths) - 1))]) for share in DEPTH_SHARES)
+    first, last = picked(depths, *DEPTH_SHARES).tolist()
     return [first, max(last, 1.01 * first)]
 
 

@@ -23,9 +23,13 @@ def rows(axes: Sequence[Axis], cameras: Sequence[CameraSource]) -> list[Row]:
             overrides = tuple(zip(names, values, strict=True))
             label = "_".join([source, *(f"{name}={_label(value)}" for name, value in overrides)])
             found.append(Row(label, "querysplat", source, overrides))
+    named = [row.name for row in found]
+    twice = next((name for name in named if named.count(name) > 1), None)
+    if twice:
+        raise QuerySplatError(f"--sweep: two rows would be called {twice}", "Rename a file, or a folder that has one.")
     return found
 
 
 def _label(value: Any) -> str:
     text = "auto" if value is None else str(value)
-    return Path(text).stem if "/" in text else text
+    return "-".join(Path(text.lstrip("/")).with_suffix("").parts[-2:]) if "/" in text else text

@@ -28,6 +28,14 @@ def is_cached(function: object) -> bool:
     return any(Path(stats.cache_path).glob(name))
 
 
+def hub_checkpoints() -> list[Path]:
+    """The folder in which torch's hub keeps weights: none where the user has no home."""
+    home = os.environ.get("TORCH_HOME")
+    cache = _home(os.environ)
+    torch_home = Path(home) if home else cache and cache / "torch"
+    return [torch_home / "hub" / "checkpoints"] if torch_home else []
+
+
 def _home(environment: MutableMapping[str, str]) -> Path | None:
     cache = environment.get("XDG_CACHE_HOME")
     try:

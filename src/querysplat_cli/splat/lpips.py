@@ -4,7 +4,6 @@ Two files make it: a backbone as torchvision publishes it (vgg16-*.pth, alexnet-
 `lpips` package ships them (vgg.pth, alex.pth).
 """
 
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -16,6 +15,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from querysplat_cli.runtime.caches import hub_checkpoints
 from querysplat_cli.runtime.errors import MissingPart, QuerySplatError
 
 Perceptual = Callable[[Float[Tensor, "n 3 h w"], Float[Tensor, "n 3 h w"]], Float[Tensor, ""]]
@@ -113,8 +113,7 @@ def find_lpips(folder: Path | None, net: str = "vgg") -> LpipsFiles | str:
     MissingPart when a folder is given and lacks one.
     """
     backbone = BACKBONES[net]
-    hub = Path(os.environ.get("TORCH_HOME", Path.home() / ".cache" / "torch")) / "hub" / "checkpoints"
-    places = [folder] if folder else [hub, *_package_folders()]
+    places = [folder] if folder else [*hub_checkpoints(), *_package_folders()]
     trunk = _first(places, backbone.pattern)
     linear = _first(places, backbone.linear)
     if trunk and linear:

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.quantiles import picked
 from querysplat_cli.splat.conventions import RenderSettings
 from querysplat_cli.splat.render import Rendering, render
 
@@ -35,10 +36,10 @@ def surface_depth(gaussians: Gaussians, camera: Cameras, picture: Rendering) -> 
     """Of the `picture` of one view. Where nothing is covered, depth and confidence are 0."""
     settings = RenderSettings()
     z = camera.local(gaussians.means, 0)[:, 2]
-    z = z[(z > settings.near) & (z < settings.far)].sort().values
+    z = z[(z > settings.near) & (z < settings.far)]
     if not len(z):
         return SurfaceDepth(torch.zeros_like(picture.depth[0]), torch.zeros_like(picture.alpha[0]))
-    first, last = (float(z[round(share * (len(z) - 1))]) for share in (0.001, 0.999))
+    first, last = picked(z, 0.001, 0.999).tolist()
     levels = torch.logspace(0, 1, LEVELS - 1, base=1.001 * last / first) * first
     coverage, weighted = [torch.zeros_like(picture.alpha[0])], [torch.zeros_like(picture.alpha[0])]
     for level in levels.tolist():

@@ -30,6 +30,7 @@ class Page {
     this.resource = resource;
     this.manifest = manifest;
     this.index = manifest.first;
+    this.urls = {}; // of the photos that were shown, by name
     this.loaded = null; // the version of the Gaussians on the canvas
     this.canvas = element("canvas");
     this.view = new SplatView(this.canvas, manifest);
@@ -86,8 +87,10 @@ class Page {
 
   async showPhoto(view) {
     if (!view.photo) return;
-    view.url ??= URL.createObjectURL(new Blob([await this.resource(view.photo)], { type: "image/jpeg" }));
-    element("photo").src = element("overlay").src = view.url;
+    this.urls[view.photo] ??= URL.createObjectURL(new Blob([await this.resource(view.photo)], { type: "image/jpeg" }));
+    // Another photo may be asked for by now.
+    if (this.manifest.views[this.index]?.photo !== view.photo) return;
+    element("photo").src = element("overlay").src = this.urls[view.photo];
   }
 
   label() {
