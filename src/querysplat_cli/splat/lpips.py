@@ -126,12 +126,12 @@ def find_lpips(folder: Path | None, net: str = "vgg") -> LpipsFiles | str:
         )
         if not found
     )
-    where = str(folder) if folder else f"{hub} or an installed lpips package"
     if folder:
         raise MissingPart(
             f"{folder}: LPIPS needs {lacking}",
             "The backbone is torchvision's file, the linear layers are in the lpips package (weights/v0.1).",
         )
+    where = " or ".join([*map(str, hub_checkpoints()), "an installed lpips package"])
     return f"no LPIPS: {lacking} not found in {where}"
 
 
