@@ -1,7 +1,9 @@
 """The package as a library: its few names, imported when they are used."""
 
+import json
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -61,3 +63,18 @@ def test_a_place_is_rendered_too_and_levels_of_detail_are_opened(tmp_path: Path)
     for name in ("s.ply", "s.lod"):
         assert len(open_scene(tmp_path / name).gaussians) == 40
         assert render(str(tmp_path / name), cameras).colour.amax() > 0.5
+
+
+def test_a_scene_is_drawn_however_large_its_units_are(tmp_path: Path) -> None:
+    """The splatter's limits are those of the frame in which it was made: a scene in millimetres is not too far."""
+    from querysplat_cli import open_scene, render, write_ply
+
+    one = red_gaussians(1)
+    write_ply(tmp_path / "s.ply", replace(one, means=one.means * 1000, scales=one.scales * 1000))
+    lens = {"w": 64, "h": 48, "fl_x": 60.0, "fl_y": 60.0, "cx": 32.0, "cy": 24.0}
+    pose = torch.diag(torch.tensor([1.0, -1, -1, 1])).tolist()
+    frame = {"scale": 1000.0, "rotation": torch.eye(3).tolist(), "translation": [0.0, 0, 0]}
+    listing = {"frames": [{"file_path": "a.png", "transform_matrix": pose, **lens}], "working_frame": frame}
+    (tmp_path / "s").mkdir()
+    (tmp_path / "s" / "cameras.json").write_text(json.dumps(listing))
+    assert render(open_scene(tmp_path / "s.ply")).colour.amax() > 0.5

@@ -1,7 +1,7 @@
 """The library: photos to a scene and a scene to pictures, from Python. Nothing is printed."""
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -17,8 +17,9 @@ from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.runtime.tables import from_values
 from querysplat_cli.scene.cameras import Cameras
-from querysplat_cli.scene.formats.transforms import NamedCameras, read_cameras
+from querysplat_cli.scene.formats.transforms import NamedCameras, read_cameras, working_frame
 from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.splat.conventions import RenderSettings
 from querysplat_cli.splat.render import Rendering
 from querysplat_cli.splat.render import render as draw
 
@@ -117,10 +118,18 @@ def render(scene: Scene | Gaussians | Place, cameras: Cameras | None = None, **h
     if isinstance(scene, str | Path):
         scene = open_scene(scene)
     if isinstance(scene, Scene):
+        how.setdefault("settings", _limits(scene.ply))
         return draw(scene.gaussians, cameras if cameras is not None else scene.cameras, **how)
     if cameras is None:
         raise QuerySplatError("Gaussians have no cameras of their own", "Give render(gaussians, cameras).")
     return draw(scene, cameras, **how)
+
+
+def _limits(ply: Path) -> RenderSettings:
+    """The splatter's limits in the units of the file: they are made for those in which the scene was made."""
+    beside, usual = folder_of_scene(ply) / "cameras.json", RenderSettings()
+    frame = working_frame(beside) if beside.is_file() else None
+    return replace(usual, near=usual.near * frame.scale, far=usual.far * frame.scale) if frame else usual
 
 
 def _stages(progress: Listener | None) -> Stages:

@@ -1,7 +1,7 @@
 """Colours in [0, 1] as 8-bit pictures, and picture files."""
 
 from collections.abc import Sequence
-from pathlib import Path
+from pathlib import Path, PurePath
 
 import cv2
 import numpy as np
@@ -21,6 +21,12 @@ def stored_name(name: str) -> str:
     """The file name of a photo's undistorted picture: the photo's, with .png added if we do not write its format."""
     suffix = Path(name).suffix.lower()
     return name if suffix in LOSSLESS_SUFFIXES | {".jpg", ".jpeg"} else f"{name}.png"
+
+
+def png_names(names: Sequence[str]) -> list[str]:
+    """Names of PNGs of photos, with .png instead of the suffix, or after it where two photos differ in that alone."""
+    plain = [str(PurePath(name).with_suffix("")) for name in names]
+    return [f"{name}.png" for name in (plain if len(set(plain)) == len(plain) else names)]
 
 
 def write_picture(path: Path, pixels: np.ndarray, settings: Sequence[int] = ()) -> None:
