@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from querysplat_cli.runtime.errors import MissingPart, QuerySplatError
+from querysplat_cli.runtime.progress import silent
 from querysplat_cli.training.config import DataSettings, SourceSettings
 from querysplat_cli.training.data import CachedSamples, cache_folder, prepare_samples, wanted_samples
 from querysplat_cli.training.plan import _ready
@@ -15,10 +16,6 @@ from querysplat_cli.training.sources import open_source
 from training_scenes import sample, training
 
 ROOM = SourceSettings("procedural", scenes=2, size=(60, 66), inputs=(2, 2), targets=1, cameras="posed")
-
-
-def silent(text: str, fraction: float) -> None:
-    pass
 
 
 class Losing:

@@ -118,7 +118,8 @@ def render(scene: Scene | Gaussians | Place, cameras: Cameras | None = None, **h
     if isinstance(scene, str | Path):
         scene = open_scene(scene)
     if isinstance(scene, Scene):
-        how.setdefault("settings", _limits(scene.ply))
+        if "settings" not in how:
+            how["settings"] = _limits(scene.ply)
         return draw(scene.gaussians, cameras if cameras is not None else scene.cameras, **how)
     if cameras is None:
         raise QuerySplatError("Gaussians have no cameras of their own", "Give render(gaussians, cameras).")
