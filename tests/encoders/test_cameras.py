@@ -12,7 +12,7 @@ import torch
 from synthetic import FOCAL, WIDTH, arc, camera, photograph, photographs, room, wall
 
 from querysplat_cli.encoders.base import CameraRequest, PosedViews
-from querysplat_cli.encoders.classical import matches
+from querysplat_cli.encoders.classical import photo_pairs
 from querysplat_cli.encoders.classical.cameras import estimate_cameras
 from querysplat_cli.runtime.errors import ExitCode, ImpossibleScene
 from querysplat_cli.scene.cameras import PhotoCamera
@@ -276,9 +276,12 @@ def test_nothing_is_left_behind_by_ctrl_c(six: list[Photo], tmp_path: Path, monk
     assert not list(tmp_path.iterdir())
 
 
-def test_many_photos_are_matched_with_the_most_similar(six: list[Photo], monkeypatch: pytest.MonkeyPatch) -> None:
-    few = replace(matches.CAMERA_POLICY, exhaustive_photos=3, most_partners=2)
-    monkeypatch.setattr(matches, "CAMERA_POLICY", few)
+@pytest.mark.parametrize("looked_up", [3, 100])
+def test_many_photos_are_matched_with_the_most_similar(
+    six: list[Photo], monkeypatch: pytest.MonkeyPatch, looked_up: int
+) -> None:
+    few = replace(photo_pairs.CAMERA_POLICY, exhaustive_photos=3, most_partners=2, looked_up=looked_up, words=8)
+    monkeypatch.setattr(photo_pairs, "CAMERA_POLICY", few)
     shuffled = [six[i] for i in (3, 0, 5, 1, 4, 2)]
     found = place(shuffled)
     degrees, _ = pose_error(found, six, arc(6))

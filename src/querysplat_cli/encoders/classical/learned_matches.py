@@ -1,5 +1,6 @@
 """More matches for some pairs of photos, from a network, beside those of SIFT."""
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -54,13 +55,11 @@ def weak_pairs(matches: Matches, weak: Sequence[int]) -> list[tuple[int, int]]:
     """
     if not weak:
         return []
-    policy, doubtful = LEARNED_POLICY, set(weak)
+    policy, doubtful, raw = LEARNED_POLICY, set(weak), _match_counts(matches)
     inliers = {(pair.first, pair.second): len(pair) for pair in matches.pairs}
     wanted = [
         pair for pair in all_pairs(matches) if doubtful & set(pair) and inliers.get(pair, 0) < policy.enough_inliers
     ]
-    with pycolmap.Database.open(matches.database) as store:
-        raw = {pair: _match_count(store, pair) for pair in wanted}
     best = sorted(wanted, key=lambda pair: (-raw[pair], pair[1] - pair[0], pair))
     return sorted(best[: policy.most_pairs])
 
@@ -68,13 +67,14 @@ def weak_pairs(matches: Matches, weak: Sequence[int]) -> list[tuple[int, int]]:
 def all_pairs(matches: Matches) -> list[tuple[int, int]]:
     """Every pair of photos; of many photos, those of which SIFT finds matches, right or wrong."""
     count = len(matches.sizes)
-    pairs = [(one, two) for one in range(count) for two in range(one + 1, count)]
     if count <= CAMERA_POLICY.exhaustive_photos:
-        return pairs
+        return [(one, two) for one in range(count) for two in range(one + 1, count)]
+    return sorted(+_match_counts(matches))
+
+
+def _match_counts(matches: Matches) -> Counter[tuple[int, int]]:
+    """How many matches, right or wrong, the database has of each pair of photo numbers, the smaller one first."""
     with pycolmap.Database.open(matches.database) as store:
-        return [pair for pair in pairs if _match_count(store, pair)]
-
-
-def _match_count(store: pycolmap.Database, pair: tuple[int, int]) -> int:
-    numbers = pair[0] + 1, pair[1] + 1
-    return len(store.read_matches(*numbers)) if store.exists_matches(*numbers) else 0
+        ids, counts = store.read_num_matches()
+    numbers = [sorted(pycolmap.pair_id_to_image_pair(pair)) for pair in ids]
+    return Counter({(one - 1, two - 1): count for (one, two), count in zip(numbers, counts, strict=True)})

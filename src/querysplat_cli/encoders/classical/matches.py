@@ -13,19 +13,18 @@ from scipy.sparse.csgraph import connected_components
 from querysplat_cli.encoders.classical.features import (
     are_large,
     extract_features,
-    feature_sizes,
     image_name,
     write_grey,
     write_masks,
 )
 from querysplat_cli.encoders.classical.lens_prior import usual_focal
+from querysplat_cli.encoders.classical.photo_pairs import choose_pairs
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY, MatchEffort
 from querysplat_cli.encoders.classical.verified_pairs import Pair, Verification, match_pairs, read_pairs
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.cameras import PhotoCamera, rescaled
 from querysplat_cli.scene.drafts import scratch_folder
-from querysplat_cli.scene.lenses import same_panorama
 from querysplat_cli.scene.views import Photo
 
 
@@ -104,7 +103,7 @@ def matched(
         extract_features(matches.database, folder, effort)
         with pycolmap.Database.open(matches.database) as store:
             features = tuple(store.num_keypoints_for_image(i + 1) for i in range(len(photos)))
-            chosen = _choose_pairs(store, photos)
+            chosen = choose_pairs(store, photos)
         progress("matching", 0.3)
         match_pairs(matches.database, folder, chosen, effort, Verification.of(sizes, effort, seed))
         with pycolmap.Database.open(matches.database) as store:
@@ -174,47 +173,3 @@ def write_images(store: pycolmap.Database, keyed: Sequence[tuple[Hashable, pycol
         frame.add_data_id(image.data_id)
         store.write_frame(frame, use_frame_id=True)
         store.write_image(image, use_image_id=True)
-
-
-def _choose_pairs(store: pycolmap.Database, photos: Sequence[Photo]) -> list[tuple[int, int]]:
-    """Pairs to match: all of a few photos; else similar ones, neighbours, and frames near each other in a film."""
-    count = len(photos)
-    everything = [(i, j) for i in range(count) for j in range(i + 1, count) if not same_panorama(photos[i], photos[j])]
-    if count <= CAMERA_POLICY.exhaustive_photos:
-        return everything
-    similarity = _similarity([_largest_features(store, photo) for photo in range(count)])
-    order = np.argsort(-similarity, axis=1, kind="stable")[:, : CAMERA_POLICY.most_partners]
-    near = {(min(i, j), max(i, j)) for i in range(count) for j in order[i].tolist() if i != j}
-    return [(i, j) for i, j in everything if (i, j) in near or j - i <= 2 or _near_in_film(photos, i, j)]
-
-
-def _near_in_film(photos: Sequence[Photo], first: int, second: int) -> bool:
-    same = photos[first].pts is not None and photos[first].path == photos[second].path
-    return same and second - first in CAMERA_POLICY.film_steps
-
-
-def _largest_features(store: pycolmap.Database, photo: int) -> np.ndarray:
-    """Unit descriptors [n, 128] of a photo's largest features."""
-    keypoints = store.read_keypoints(photo + 1)
-    largest = np.argsort(-feature_sizes(keypoints), kind="stable")[: CAMERA_POLICY.compared_features]
-    descriptors = store.read_descriptors(photo + 1).data[largest].astype(np.float32)
-    return np.asarray(descriptors / np.maximum(np.linalg.norm(descriptors, axis=1, keepdims=True), 1))
-
-
-def _similarity(descriptors: Sequence[np.ndarray]) -> np.ndarray:
-    """For each pair of photos, the number of features whose nearest in the other is clearly nearer than the second."""
-    count, sampled = len(descriptors), CAMERA_POLICY.compared_features
-    everything = np.zeros((count, sampled, descriptors[0].shape[1]), np.float32)
-    for photo, rows in enumerate(descriptors):
-        everything[photo, : len(rows)] = rows
-    similarity = np.zeros((count, count), np.int64)
-    for photo, rows in enumerate(descriptors):
-        cosines = (rows @ everything.reshape(count * sampled, -1).T).reshape(len(rows), count, sampled)
-        nearest = cosines.argmax(-1)[..., None]
-        first = np.take_along_axis(cosines, nearest, -1)[..., 0]
-        np.put_along_axis(cosines, nearest, -1, -1)
-        # |a − b|² = 2 − 2·cos for unit vectors, so the ratio of distances enters squared.
-        ratio = CAMERA_POLICY.compared_ratio**2
-        similarity[photo] = np.count_nonzero(1 - first < ratio * (1 - cosines.max(-1)), axis=0)
-    np.fill_diagonal(similarity, 0)
-    return similarity + similarity.T

@@ -81,6 +81,12 @@ class CameraPolicy:
     """With more photos, each is matched with this many of the most similar ones."""
     film_steps: tuple[int, ...] = (1, 2, 3, 4, 8, 16)
     """Frames of one film are also matched when they are so many chosen frames apart."""
+    looked_up: int = 100
+    """The most similar ones are sought among this many photos that look most alike as a whole."""
+    words: int = 64
+    """Visual words by which looks are compared (Jégou et al. 2010)."""
+    word_samples: int = 20_000
+    """The visual words are clusters of about so many features of all photos."""
     compared_features: int = 256
     """Similarity is judged by so many of each photo's largest features (preemptive matching, Wu 2013)."""
     compared_ratio: float = 0.8
