@@ -21,17 +21,18 @@ from typing import Any
 import numpy as np
 
 from common.output import markdown
+from querysplat_cli.evaluation.published import tables
 from querysplat_cli.runtime.figures import new_figure, save_figure
 from querysplat_cli.training.journal import CURVE_WINDOW
 
-PAPER = {
-    "": (22.8963, 0.7381, 0.2682),
-    "one-branch": (20.9161, 0.6593, 0.3440),
-    "no-appearance": (18.6447, 0.5782, 0.4254),
-    "no-early-regularisation": (22.6090, 0.7228, 0.2877),
-    "vggt": (23.0723, 0.7388, 0.2749),
+PUBLISHED = {
+    "": ("ablation-appearance", 0),
+    "one-branch": ("ablation-appearance", 1),
+    "no-appearance": ("ablation-appearance", 2),
+    "no-early-regularisation": ("ablation-regularization", 1),
+    "vggt": ("ablation-vgm-backbone", 1),
 }
-"""PSNR, SSIM and LPIPS at 4-view interpolation, by the end of a variant's name; "" is the whole model."""
+"""The paper's table and the number of its row, by the end of a variant's name; "" is the whole model."""
 HEAD = ("variant", "seeds", "steps", "minutes", "made up", "against the whole", "real", "the paper's")
 
 
@@ -136,9 +137,12 @@ def shown(found: dict[str, tuple[float, float]]) -> str:
 
 def paper(variant: str, whole: str) -> tuple[float, ...]:
     """The paper's figures of a variant; nothing for one that it does not have."""
-    if variant == whole:
-        return PAPER[""]
-    return next((figures for name, figures in PAPER.items() if name and variant.endswith(name)), ())
+    name = "" if variant == whole else next((name for name in PUBLISHED if name and variant.endswith(name)), None)
+    if name is None:
+        return ()
+    label, number = PUBLISHED[name]
+    (published,) = (each for each in tables() if each["label"] == label)
+    return tuple(published["rows"][number][metric] for metric in ("psnr", "ssim", "lpips"))
 
 
 def main() -> None:

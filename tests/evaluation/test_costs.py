@@ -12,6 +12,7 @@ from querysplat_cli.evaluation.costs import measured
 from querysplat_cli.evaluation.memoised import MemoisedEncoder
 from querysplat_cli.runtime.device import reset_peak_memory
 from querysplat_cli.runtime.errors import ImpossibleScene
+from querysplat_cli.runtime.progress import silent
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.views import Views
 
@@ -55,9 +56,6 @@ class Fake:
 
 
 def test_each_result_is_computed_once() -> None:
-    def silent(text: str, fraction: float) -> None:
-        pass
-
     fake = Fake()
     encoder = MemoisedEncoder(fake)
     first = encoder.estimate_cameras([], CameraRequest(64, 1), silent)

@@ -7,7 +7,7 @@ import pytest
 import torch
 from PIL import Image
 
-from querysplat_cli.scene.pictures import eight_bit, png_names, write_picture
+from querysplat_cli.scene.pictures import distinct_stems, eight_bit, write_picture
 
 
 def test_what_is_written_is_read(tmp_path: Path) -> None:
@@ -28,8 +28,8 @@ def test_a_picture_that_cannot_be_written_is_no_picture(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("names", "pngs"),
-    [(["a.jpg", "b/c.JPG"], ["a.png", "b/c.png"]), (["a.jpg", "a.png"], ["a.jpg.png", "a.png.png"])],
+    ("names", "stems"),
+    [(["a.jpg", "b/c.JPG"], ["a", "b/c"]), (["a.jpg", "a.png"], ["a.jpg", "a.png"])],
 )
-def test_photos_of_one_stem_have_pictures_of_their_own(names: list[str], pngs: list[str]) -> None:
-    assert png_names(names) == pngs
+def test_photos_of_one_stem_have_pictures_of_their_own(names: list[str], stems: list[str]) -> None:
+    assert distinct_stems(names) == stems

@@ -16,6 +16,7 @@ from safetensors.torch import load_file
 
 from querysplat_cli.model.checkpoints import load_file as load_model
 from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.progress import silent
 from querysplat_cli.training.config import LossSettings, OptimiserSettings, StageSettings, TrainConfig
 from querysplat_cli.training.data import CachedSamples, Draw
 from querysplat_cli.training.journal import Journal
@@ -27,10 +28,6 @@ from querysplat_cli.training.trainer import MODEL, STATE, Trainer, TrainReport, 
 from training_scenes import TINY, sample, toml, training
 
 CPU = torch.device("cpu")
-
-
-def silent(text: str, fraction: float) -> None:
-    pass
 
 
 def run(config: TrainConfig, folder: Path, *, resume: bool = False) -> TrainReport:

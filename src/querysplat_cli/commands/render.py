@@ -30,7 +30,7 @@ from querysplat_cli.scene.formats.transforms import (
 )
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.paths import centred, interpolate, opaque_centres, orbit, scene_middle, surround
-from querysplat_cli.scene.pictures import eight_bit, png_names, write_picture
+from querysplat_cli.scene.pictures import distinct_stems, eight_bit, write_picture
 from querysplat_cli.splat.render import Rendering, render
 from querysplat_cli.splat.surface_depth import SurfaceDepth, surface_depth
 from querysplat_cli.splat.transform import transform_gaussians
@@ -155,8 +155,7 @@ def _cameras(request: RenderRequest, beside: Path, gaussians: Gaussians) -> Path
     inputs = read_cameras(file)[0]
     if request.is_film and (file == beside or request.seconds):
         return _through(inputs, request)
-    names = [name.removesuffix(".png") for name in png_names(inputs.names)]
-    return names, inputs.cameras, list(inputs.sizes)
+    return distinct_stems(inputs.names), inputs.cameras, list(inputs.sizes)
 
 
 def _orbit(request: RenderRequest, known: NamedCameras | None, gaussians: Gaussians) -> Path3D:

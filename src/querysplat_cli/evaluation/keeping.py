@@ -10,7 +10,7 @@ from querysplat_cli.evaluation.judge import RowResult
 from querysplat_cli.evaluation.metrics import Meter
 from querysplat_cli.evaluation.nerfbaselines import write_predictions
 from querysplat_cli.scene.formats.dataset import Frame
-from querysplat_cli.scene.pictures import eight_bit, png_names, write_picture
+from querysplat_cli.scene.pictures import distinct_stems, eight_bit, write_picture
 
 
 @dataclass(frozen=True)
@@ -36,5 +36,5 @@ class Keeping:
 
 def _write_rendered(folder: Path, result: RowResult) -> None:
     for group, views in result.views.items():
-        for view, name in zip(views, png_names([view.frame.name for view in views]), strict=True):
-            write_picture(folder / group / name, eight_bit(view.picture))
+        for view, name in zip(views, distinct_stems([view.frame.name for view in views]), strict=True):
+            write_picture(folder / group / f"{name}.png", eight_bit(view.picture))

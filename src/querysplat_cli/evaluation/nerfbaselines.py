@@ -17,7 +17,7 @@ from torch import Tensor
 from querysplat_cli.evaluation.judge import ViewScore
 from querysplat_cli.evaluation.metrics import METRICS, Meter
 from querysplat_cli.scene.formats.dataset import Frame
-from querysplat_cli.scene.pictures import eight_bit, png_names, write_picture
+from querysplat_cli.scene.pictures import distinct_stems, eight_bit, write_picture
 
 ROUNDING = (
     "pictures are rounded to 8 bits; metrics.json beside this folder has the scores of the pictures before rounding"
@@ -34,8 +34,8 @@ def write_predictions(
     """Write `views` by group into `folder`, which NerfBaselines' `evaluate` reads. `about` says what was run."""
     scores: dict[str, dict[str, float | None]] = {}
     for group, members in views.items():
-        for view, short in zip(members, png_names([view.frame.name for view in members]), strict=True):
-            name = f"{group}/{short}"
+        for view, stem in zip(members, distinct_stems([view.frame.name for view in members]), strict=True):
+            name = f"{group}/{stem}.png"
             render, photo = (eight_bit(image) for image in (view.picture, truth(view.frame)))
             write_picture(folder / "color" / name, render)
             write_picture(folder / "gt-color" / name, photo)

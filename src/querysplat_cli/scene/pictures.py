@@ -23,10 +23,10 @@ def stored_name(name: str) -> str:
     return name if suffix in LOSSLESS_SUFFIXES | {".jpg", ".jpeg"} else f"{name}.png"
 
 
-def png_names(names: Sequence[str]) -> list[str]:
-    """Names of PNGs of photos, with .png instead of the suffix, or after it where two photos differ in that alone."""
-    plain = [str(PurePath(name).with_suffix("")) for name in names]
-    return [f"{name}.png" for name in (plain if len(set(plain)) == len(plain) else names)]
+def distinct_stems(names: Sequence[str]) -> list[str]:
+    """Names of photos without their suffixes, or with them where two photos differ in that alone."""
+    stems = [str(PurePath(name).with_suffix("")) for name in names]
+    return stems if len(set(stems)) == len(stems) else list(names)
 
 
 def write_picture(path: Path, pixels: np.ndarray, settings: Sequence[int] = ()) -> None:
