@@ -2,6 +2,7 @@
 
 import mmap
 import resource
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -35,6 +36,20 @@ def test_photos_beyond_the_memory_are_the_same_photos(tmp_path: Path) -> None:
     release(kept[0])
     np.testing.assert_array_equal(kept[0].pixels, photo(0).pixels)
     assert list(tmp_path.iterdir()) == []  # the file has no name
+
+
+def test_masks_lie_in_the_file_too(tmp_path: Path) -> None:
+    masked = [replace(photo(seed), mask=photo(seed).pixels[..., 0] > 99) for seed in range(2)]
+    keep = FiledPixels(tmp_path, masked[0].pixels.nbytes)
+    for before, after in zip(masked, map(keep, masked), strict=True):
+        assert before.mask is not None
+        assert after.mask is not None
+        assert isinstance(after.mask.base, mmap.mmap)
+        assert after.mask.dtype == bool
+        for _ in range(2):
+            np.testing.assert_array_equal(after.mask, before.mask)
+            np.testing.assert_array_equal(after.pixels, before.pixels)
+            release(after)
 
 
 def test_files_are_read_into_it_one_by_one(tmp_path: Path) -> None:
