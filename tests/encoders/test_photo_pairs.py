@@ -1,13 +1,20 @@
-"""Which photos are worth comparing, of many."""
+"""Which photos are worth comparing, of many, and which are matched."""
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pycolmap
 import pytest
 
 from querysplat_cli.encoders.classical import photo_pairs
+from querysplat_cli.scene.resample import PinholeView
+from querysplat_cli.scene.views import Photo
 
 PLACES, EACH = 6, 5
+Chosen = Callable[..., set[tuple[int, int]]]
 
 
 def descriptors(seed: int) -> list[np.ndarray]:
@@ -44,3 +51,43 @@ def test_a_photo_without_features_is_compared_like_any_other() -> None:
 def test_few_photos_are_all_compared() -> None:
     near = photo_pairs.resembling(descriptors(0))
     assert near.sum() == PLACES * EACH * (PLACES * EACH - 1)
+
+
+def shot(name: str, frame: int | None = None, view: PinholeView | None = None) -> Photo:
+    """A photo of a file, or a frame of a film."""
+    return Photo(name, Path(name), np.zeros((4, 4, 3), np.uint8), pts=frame, view=view)
+
+
+@pytest.fixture
+def chosen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Chosen:
+    """Which of the photos are matched that have these descriptors."""
+
+    def choose(photos: list[Photo], rows: Sequence[np.ndarray], **policy: Any) -> set[tuple[int, int]]:
+        monkeypatch.setattr(photo_pairs, "_largest_features", lambda store, photo: rows[photo])
+        changed = replace(photo_pairs.CAMERA_POLICY, exhaustive_photos=3, **policy)
+        monkeypatch.setattr(photo_pairs, "CAMERA_POLICY", changed)
+        with pycolmap.Database.open(tmp_path / "matches.db") as store:
+            pairs = photo_pairs.choose_pairs(store, photos)
+        assert pairs == sorted(set(pairs))
+        return set(pairs)
+
+    return choose
+
+
+def test_neighbours_are_matched_and_near_frames_of_one_film(chosen: Chosen) -> None:
+    photos = [*(shot("a.mp4", i) for i in range(10)), *(shot("b.mp4", i) for i in range(10)), shot("c.jpg")]
+    expected = {(i, i + step) for step in (1, 2) for i in range(21 - step)}
+    expected |= {(i, i + step) for step in (4, 8) for i in range(20 - step) if (i < 10) == (i + step < 10)}
+    assert chosen(photos, descriptors(2)[:21], most_partners=0, film_steps=(1, 4, 8)) == expected
+
+
+def test_a_film_that_comes_back_is_matched_with_its_beginning(chosen: Chosen) -> None:
+    rows = descriptors(3)
+    loop = [rows[place * EACH] for place in range(PLACES)] + [rows[1]]
+    assert (0, PLACES) in chosen([shot("a.mp4", i) for i in range(PLACES + 1)], loop, most_partners=1)
+
+
+def test_views_of_one_panorama_are_never_matched(chosen: Chosen) -> None:
+    view = PinholeView((0.25, 0.25), (0.12, 0.12), (0.125, 0.125))
+    photos = [shot("a.jpg", view=view), shot("a.jpg", view=view), shot("b.jpg"), shot("c.jpg")]
+    assert chosen(photos, descriptors(4)[:4], most_partners=0) == {(0, 2), (1, 2), (1, 3), (2, 3)}
