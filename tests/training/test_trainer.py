@@ -3,13 +3,13 @@
 import json
 import math
 import os
-import signal
 import subprocess
 import sys
 import time
 from dataclasses import replace
 from pathlib import Path
 
+import psutil
 import pytest
 import torch
 from safetensors.torch import load_file
@@ -259,11 +259,12 @@ def test_two_processes_resume_exactly(tmp_path: Path) -> None:
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
     for folder, more in ((whole, ()), (parts, ("--set", "stages.0.steps=4"))):
         if folder == parts:
-            process = subprocess.Popen([*command, "-o", str(folder), *more], env=environment, start_new_session=True)
+            process = psutil.Popen([*command, "-o", str(folder), *more], env=environment)
             deadline = time.monotonic() + 120
             while not (folder / STATE).is_file() and time.monotonic() < deadline:
                 time.sleep(0.01)
-            os.killpg(process.pid, signal.SIGKILL)
+            for each in (process, *process.children(recursive=True)):  # torchrun's workers have sessions of their own
+                each.kill()
             process.wait()
             more = (*more, "--resume")
         subprocess.run([*command, "-o", str(folder), *more], env=environment, check=True, capture_output=True)
