@@ -81,10 +81,12 @@ def test_every_two_groups_with_a_photo_in_common_have_a_seam() -> None:
     assert [(seam.regions, seam.photos) for seam in find_seams(groups)] == [((0, 1), (1, 2)), ((1, 2), (4,))]
 
 
-def test_photos_are_taken_together_as_far_as_memory_goes(street: PosedViews) -> None:
+def test_photos_are_taken_together_as_far_as_memory_and_time_go(street: PosedViews) -> None:
     photos = LargePhotos(street.views, street.cameras)
     enough = 40 * math.sqrt(PIPELINE_POLICY.joint_pixels / (VIEWS * 30 * 40))
     assert [parts_needed(photos, size) for size in (20, 40, int(enough), int(enough) + 1)] == [1, 1, 1, 2]
+    many = [row % VIEWS for row in range(PIPELINE_POLICY.joint_photos + 1)]
+    assert [parts_needed(photos.some(rows), 40) for rows in (many[1:], many)] == [1, 2]
 
 
 def test_regions_that_show_other_things_are_not_joined() -> None:

@@ -69,6 +69,9 @@ class PipelinePolicy:
     """Its learning rate as a share of the usual one."""
     joint_pixels: float = 1e8
     """Pixels of all photos up to which it takes them together: at most 1.3 GB. More are taken part by part."""
+    joint_photos: int = 120
+    """Photos up to which it takes them together. A step takes time for every Gaussian of its part, so that many photos
+    together would take time with the square of their number."""
 
 
 PIPELINE_POLICY = PipelinePolicy()

@@ -80,10 +80,10 @@ def verdict(seam: Seam, decibels: float) -> str | None:
 
 
 def parts_needed(photos: LargePhotos, size: int) -> int:
-    """In how many parts memory takes the pictures of all photos, at a longer side of `size` pixels."""
+    """In how many parts the last optimisation takes the photos, at a longer side of `size` pixels."""
     growth = max(1.0, size / photos.working) ** 2
     pixels = growth * sum(height * width for height, width in photos.views.sizes)
-    return math.ceil(pixels / PIPELINE_POLICY.joint_pixels)
+    return math.ceil(max(pixels / PIPELINE_POLICY.joint_pixels, len(photos.views) / PIPELINE_POLICY.joint_photos))
 
 
 def smoothed(
