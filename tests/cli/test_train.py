@@ -89,6 +89,18 @@ def test_dry_run_measures_and_writes_nothing(config: Path, capsys: pytest.Captur
     assert plan["unmeasured"] == ""
 
 
+def test_dry_run_counts_the_samples_that_are_still_to_be_made(
+    config: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Once one sample was cached, making the others took no time."""
+    next((config.parent / "cache").rglob("*.safetensors")).unlink()
+    assert run(["train", "--config", str(config), "-o", str(config.parent / "run"), "--dry-run", "--json"]) == 0
+    plan = json.loads(capsys.readouterr().out)
+    assert (plan["samples"], plan["ready"]) == (3, 2)
+    assert plan["seconds_per_sample"] > 0
+    assert plan["hours"] > plan["seconds_per_sample"] / 3600
+
+
 def test_dry_run_of_the_paper_states_batch_samples_disk_and_memory(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -105,7 +105,7 @@ def plan(request: TrainRequest, stages: Stages) -> TrainPlan:
     held = [_scenes_of(source, config.data.sources, scenes) * source.samples for source in cached]
     ready = sum(_ready(config.data, source) for source in cached)
     sample_bytes = [_sample_bytes(source, config.model, config.data.max_size) for source in cached]
-    measured = _measured(config, device, ready, stages)
+    measured = _measured(config, device, cached=0 < ready == sum(held), stages=stages)
     hours = None
     if measured.step is not None:
         made = sum(held) - ready if cached else config.steps * config.optimiser.batch
@@ -187,17 +187,17 @@ def _sample_bytes(source: SourceSettings, model: ModelConfig, max_size: int) -> 
 
 @dataclass(frozen=True)
 class _Measured:
-    """Seconds to make a sample (None where it was in the cache) and to step on one; or the reason for no figure."""
+    """Seconds to make a sample (None where all are in the cache) and to step on one; or the reason for no figure."""
 
     sample: float | None = None
     step: float | None = None
     reason: str = ""
 
 
-def _measured(config: TrainConfig, device: torch.device, ready: int, stages: Stages) -> _Measured:
+def _measured(config: TrainConfig, device: torch.device, *, cached: bool, stages: Stages) -> _Measured:
     with stages("measure"):
         try:
-            sample, seconds = _one_sample(config, device, ready)
+            sample, seconds = _one_sample(config, device, cached=cached)
         except QuerySplatError as error:
             return _Measured(reason=f"{error.message}: {error.hint}")
         model = starting_model(config)
@@ -207,10 +207,10 @@ def _measured(config: TrainConfig, device: torch.device, ready: int, stages: Sta
         )
 
 
-def _one_sample(config: TrainConfig, device: torch.device, ready: int) -> tuple[Sample, float | None]:
+def _one_sample(config: TrainConfig, device: torch.device, *, cached: bool) -> tuple[Sample, float | None]:
     """A sample of the cache, or a new one and the seconds that it took."""
     draw = Draw(0, 0, config.stages[0].inputs)
-    if ready:
+    if cached:
         return CachedSamples(config.data, config.seed).get(draw)[0], None
     encoder = training_encoder(config.data, device)
     start = time.perf_counter()
