@@ -89,9 +89,7 @@ def test_dry_run_measures_and_writes_nothing(config: Path, capsys: pytest.Captur
     assert plan["unmeasured"] == ""
 
 
-def test_dry_run_counts_the_samples_that_are_still_to_be_made(
-    config: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_dry_run_counts_the_samples_that_are_still_to_be_made(config: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Once one sample was cached, making the others took no time."""
     next((config.parent / "cache").rglob("*.safetensors")).unlink()
     assert run(["train", "--config", str(config), "-o", str(config.parent / "run"), "--dry-run", "--json"]) == 0

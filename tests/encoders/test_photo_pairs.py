@@ -48,6 +48,14 @@ def test_a_photo_without_features_is_compared_like_any_other() -> None:
     assert (near.sum(1) >= EACH - 1).all()
 
 
+@pytest.mark.usefixtures("few")
+@pytest.mark.parametrize("features", [0, 1, 12, 17])
+def test_many_photos_of_one_picture_or_of_nothing(features: int) -> None:
+    """k-means had no descriptors to begin with, or too few that differ."""
+    near = photo_pairs.resembling([descriptors(5)[0][:features]] * 20)
+    assert (near.sum(1) >= EACH - 1).all()
+
+
 def test_few_photos_are_all_compared() -> None:
     near = photo_pairs.resembling(descriptors(0))
     assert near.sum() == PLACES * EACH * (PLACES * EACH - 1)

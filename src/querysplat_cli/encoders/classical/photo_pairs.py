@@ -1,5 +1,6 @@
 """Which pairs of photos are matched: all of a few; of many, similar photos, neighbours, and frames near in a film."""
 
+import warnings
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -87,9 +88,7 @@ def resembling(descriptors: Sequence[np.ndarray]) -> np.ndarray:
 
 def _looks(descriptors: Sequence[np.ndarray]) -> np.ndarray:
     """Unit vectors [photos, words · 128], or zeros for a photo without features."""
-    policy = CAMERA_POLICY
-    everything = np.concatenate(descriptors)
-    words, _ = kmeans2(everything[:: max(1, len(everything) // policy.word_samples)], policy.words, minit="++", seed=0)
+    words = _visual_words(np.concatenate(descriptors))
     looks = np.zeros((len(descriptors), *words.shape), np.float32)
     for look, rows in zip(looks, descriptors, strict=True):
         if len(rows):
@@ -98,3 +97,13 @@ def _looks(descriptors: Sequence[np.ndarray]) -> np.ndarray:
     looks /= np.maximum(np.linalg.norm(looks, axis=2, keepdims=True), 1e-12)
     looks = looks.reshape(len(looks), -1)
     return np.asarray(looks / np.maximum(np.linalg.norm(looks, axis=1, keepdims=True), 1e-12))
+
+
+def _visual_words(descriptors: np.ndarray) -> np.ndarray:
+    """Centres [words, 128] of clusters of the descriptors [n, 128]; these themselves where few are distinct."""
+    policy = CAMERA_POLICY
+    distinct = np.unique(descriptors[:: max(1, len(descriptors) // policy.word_samples)], axis=0)
+    if len(distinct) <= policy.words:
+        return distinct
+    with warnings.catch_warnings(action="ignore"):  # a cluster may become empty, and keeps its centre then
+        return np.asarray(kmeans2(distinct, policy.words, minit="++", seed=0)[0])
