@@ -6,9 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 
 from querysplat_cli.scene.cameras import Cameras
-from querysplat_cli.training.photographer import cast, walk
+from querysplat_cli.training import raycast
+from querysplat_cli.training.photographer import cast, packed, walk
 from querysplat_cli.training.raycast import BALL, BOX, CYLINDER
 from querysplat_cli.training.rooms import make_room
 from querysplat_cli.training.solids import Scene, Solid
@@ -192,3 +195,22 @@ def test_the_photographer_walks_among_the_furniture_not_through_it(seed: int, co
         turn = torch.rad2deg(torch.acos((views.w2c[1:, 2, :3] * views.w2c[:-1, 2, :3]).sum(1).clamp(-1, 1)))
         assert turn.max() < 15
         assert np.linalg.norm(np.diff(eyes, axis=0), axis=1).max() < 0.9
+
+
+@given(st.integers(0, 2**32 - 1))
+def test_no_solid_that_a_ray_of_a_cone_meets_is_left_out(seed: int) -> None:
+    chance = np.random.default_rng(seed)
+    parts = [
+        solid(int(chance.integers(3)), tuple(chance.normal(0, 4, 3)), tuple(chance.uniform(0.05, 2, 3)), turn=1.0)
+        for _ in range(30)
+    ]
+    table, everything = packed(parts), np.arange(30)
+    start, along = chance.normal(0, 4, 3), chance.normal(0, 2, 3)
+    reach, growth, longest = chance.uniform(0, 1), chance.uniform(0, 0.3), chance.choice([1.0, np.inf])
+    kept = set(raycast.touching(table, everything, start, along, longest, (reach, growth)))
+    aside = np.cross(along, chance.normal(size=3))
+    aside *= chance.uniform(0, 1) / np.linalg.norm(aside)
+    origin = start + reach * aside
+    direction = along + (growth * np.linalg.norm(along) if longest > 1 else 0) * aside
+    met = [raycast.distance(table, i, tuple(origin), tuple(direction), (direction**2).sum()) for i in everything]
+    assert kept >= {i for i in everything if met[i] <= longest and np.isfinite(met[i])}

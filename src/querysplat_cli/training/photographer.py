@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from querysplat_cli.scene.cameras import Cameras
-from querysplat_cli.training import raycast
+from querysplat_cli.training import raycast, shading
 from querysplat_cli.training.policy import TRAINING_POLICY
 from querysplat_cli.training.solids import Scene, Solid, Vector, distance_to
 from querysplat_cli.training.textures import PAINTS
@@ -18,6 +18,8 @@ HEIGHT, WIDTH, FOCAL = 480, 640, 560.0
 """Image size and focal length of `walk`, in pixels: a horizontal field of view of 59°."""
 LAMPS = 8
 """Points that stand for the lamp's area."""
+LAMP_RADIUS = 0.45
+"""In metres."""
 
 
 def walk(scene: Scene, views: int, seed: int) -> Cameras:
@@ -63,16 +65,17 @@ def cast(
 
     A pixel where surfaces meet is the mean of `samples`² rays.
     """
-    solids = _packed(scene.solids)
-    light = np.flatnonzero([solid.casts_shadow for solid in scene.solids]), _lamp_points(scene.lamp)
+    solids = packed(scene.solids)
+    opaque = np.flatnonzero([solid.casts_shadow for solid in scene.solids])
+    light = opaque, _lamp_points(scene.lamp), np.array([*scene.lamp, LAMP_RADIUS], dtype=float)
     size = len(cameras), cameras.height, cameras.width
     images, depth, face = np.zeros((*size, 3)), np.zeros(size), np.zeros(size[1:], np.int64)
     c2w, K = cameras.to(torch.float64).c2w.numpy(), cameras.K.double().numpy()
     for view in range(len(cameras)):
-        lens = (K[view, 0, 0], K[view, 1, 1]), (K[view, 0, 2], K[view, 1, 2])
+        camera = c2w[view], K[view, [0, 1, 0, 1], [0, 1, 2, 2]]
         seen = depth[view], face
-        raycast.measure_view(solids, c2w[view], lens, *seen)
-        raycast.photograph_view(solids, light, c2w[view], lens, seen, images[view], samples)
+        raycast.measure_view(solids, camera, *seen)
+        shading.photograph_view(solids, light, camera, seen, images[view], samples)
     return torch.from_numpy(images).float().permute(0, 3, 1, 2).contiguous(), torch.from_numpy(depth).float()
 
 
@@ -112,7 +115,7 @@ def aimed(
     return Cameras(torch.from_numpy(w2c).float(), K, height, width)
 
 
-def _packed(solids: Sequence[Solid]) -> np.ndarray:
+def packed(solids: Sequence[Solid]) -> np.ndarray:
     """The table of numbers that `raycast` takes, a row for each solid."""
     table = np.zeros((len(solids), raycast.TABLE_COLUMNS))
     for row, solid in zip(table, solids, strict=True):
@@ -130,5 +133,8 @@ def _packed(solids: Sequence[Solid]) -> np.ndarray:
 def _lamp_points(middle: Vector) -> np.ndarray:
     """Points [LAMPS, 3] of a level disc. The first half of them, and the second half, each cover the whole disc."""
     number = np.arange(LAMPS)
-    radius, angle = 0.45 * np.sqrt((number % (LAMPS / 2) + 0.5) / LAMPS * 2), number * math.pi * (3 - math.sqrt(5))
+    radius, angle = (
+        LAMP_RADIUS * np.sqrt((number % (LAMPS / 2) + 0.5) / LAMPS * 2),
+        number * math.pi * (3 - math.sqrt(5)),
+    )
     return np.array(middle) + np.stack([radius * np.cos(angle), radius * np.sin(angle), 0 * angle], 1)
