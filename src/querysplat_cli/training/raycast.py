@@ -129,11 +129,11 @@ def eye_of(camera):  # type: ignore[no-untyped-def]
 
 
 @nb.njit(cache=True, error_model="numpy")
-def in_run(solids, camera, first, row):  # type: ignore[no-untyped-def]
-    """The solids that RUN pixels of a row from column `first` on may show."""
+def in_run(solids, everything, camera, first, row):  # type: ignore[no-untyped-def]
+    """Which of `everything`, the numbers of all solids, RUN pixels of a row from column `first` on may show."""
     middle = ray(camera, first + RUN / 2, row + 0.5)
     spread = (RUN / 2 + 1) / min(camera[1][0], camera[1][1])
-    return touching(solids, np.arange(len(solids)), eye_of(camera), middle, np.inf, (0.0, spread))
+    return touching(solids, everything, eye_of(camera), middle, np.inf, (0.0, spread))
 
 
 @nb.njit(cache=True, error_model="numpy", parallel=True)
@@ -141,10 +141,10 @@ def measure_view(solids, camera, depth, face):  # type: ignore[no-untyped-def]
     """Fill `depth` [height, width] (camera z through each pixel's middle; 0: nothing hit) and `face` (a number
     for each face of each solid; -1: nothing). `camera` is c2w, and (fx, fy, cx, cy) in pixels."""
     height, width = depth.shape
-    origin = eye_of(camera)
+    origin, everything = eye_of(camera), np.arange(len(solids))
     for row in nb.prange(height):
         for first in range(0, width, RUN):
-            candidates = in_run(solids, camera, first, row)
+            candidates = in_run(solids, everything, camera, first, row)
             for column in range(first, min(width, first + RUN)):
                 d = ray(camera, column + 0.5, row + 0.5)
                 t, i = nearest(solids, candidates, origin, d)

@@ -105,7 +105,7 @@ def _shade(solids, opaque, lamps, i, origin, direction, t, spread):  # type: ign
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _mirrored(solids, light, i, origin, direction, t, spread):  # type: ignore[no-untyped-def]
+def _mirrored(solids, everything, light, i, origin, direction, t, spread):  # type: ignore[no-untyped-def]
     """Linear RGB that a glossy solid i reflects towards the eye, and its share of what leaves it (Schlick).
 
     What it shows is lit but reflects nothing itself. Where the mirrored ray meets nothing, it is black.
@@ -122,7 +122,7 @@ def _mirrored(solids, light, i, origin, direction, t, spread):  # type: ignore[n
         direction[1] - 2 * along * normal[1],
         direction[2] - 2 * along * normal[2],
     )
-    beyond, other = nearest(solids, np.arange(len(solids)), above, away)
+    beyond, other = nearest(solids, everything, above, away)
     if other < 0:
         return (0.0, 0.0, 0.0), share
     return _shade(solids, opaque, lamps, other, above, away, beyond, spread * (1 + t / max(beyond, LIFT))), share
@@ -140,7 +140,7 @@ def _edge(face, row, column):  # type: ignore[no-untyped-def]
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _trace(solids, camera, seen, row, first, hits):  # type: ignore[no-untyped-def]
+def _trace(solids, everything, camera, seen, row, first, samples, hits):  # type: ignore[no-untyped-def]
     """Fill `hits` with what each ray of a run of pixels meets: its direction, distance and solid (-1: nothing).
 
     `hits` [RUN, samples², 5] has one ray of pixels that are no edge; the others are not filled. Returns the number of
@@ -149,12 +149,11 @@ def _trace(solids, camera, seen, row, first, hits):  # type: ignore[no-untyped-d
     depth, face = seen
     counts, box = np.zeros(RUN, np.int64), np.empty((2, 3))
     box[0], box[1] = np.inf, -np.inf
-    origin, candidates = eye_of(camera), in_run(solids, camera, first, row)
-    side = round(math.sqrt(hits.shape[1]))
+    origin, candidates = eye_of(camera), in_run(solids, everything, camera, first, row)
     for number in range(min(RUN, depth.shape[1] - first)):
         column = first + number
         edge = _edge(face, row, column)
-        rays = side if edge else 1
+        rays = samples if edge else 1
         counts[number] = rays * rays
         for sample in range(rays * rays):
             x, y = column + (sample % rays + 0.5) / rays, row + (sample // rays + 0.5) / rays
@@ -178,7 +177,7 @@ def _in_the_way(solids, light, box):  # type: ignore[no-untyped-def]
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _colour(solids, light, opaque, origin, hit, spread):  # type: ignore[no-untyped-def]
+def _colour(solids, everything, light, opaque, origin, hit, spread):  # type: ignore[no-untyped-def]
     """Linear RGB that comes along a ray of `_trace`. Only `opaque` may hide the lamp from where the ray ends."""
     d, t, i = (hit[0], hit[1], hit[2]), hit[3], int(hit[4])
     if i < 0:
@@ -186,7 +185,7 @@ def _colour(solids, light, opaque, origin, hit, spread):  # type: ignore[no-unty
     colour = _shade(solids, opaque, light[1], i, origin, d, t, spread)
     if solids[i, GLOSS] <= 0:
         return colour
-    mirrored, share = _mirrored(solids, light, i, origin, d, t, spread)
+    mirrored, share = _mirrored(solids, everything, light, i, origin, d, t, spread)
     return (
         colour[0] + share * (mirrored[0] - colour[0]),
         colour[1] + share * (mirrored[1] - colour[1]),
@@ -204,16 +203,16 @@ def photograph_view(solids, light, camera, seen, image, samples):  # type: ignor
     since the paints fade out detail finer than a pixel.
     """
     height, width = seen[0].shape
-    origin, spread = eye_of(camera), 1.0 / camera[1][0]
+    origin, spread, everything = eye_of(camera), 1.0 / camera[1][0], np.arange(len(solids))
     for row in nb.prange(height):
         hits = np.empty((RUN, samples * samples, 5))
         for first in range(0, width, RUN):
-            counts, box = _trace(solids, camera, seen, row, first, hits)
+            counts, box = _trace(solids, everything, camera, seen, row, first, samples, hits)
             opaque = _in_the_way(solids, light, box)
             for number in range(min(RUN, width - first)):
                 red, green, blue = 0.0, 0.0, 0.0
                 for sample in range(counts[number]):
-                    colour = _colour(solids, light, opaque, origin, hits[number, sample], spread)
+                    colour = _colour(solids, everything, light, opaque, origin, hits[number, sample], spread)
                     red, green, blue = red + colour[0], green + colour[1], blue + colour[2]
                 for channel, value in enumerate((red, green, blue)):
                     linear = min(1.0, max(0.0, value / counts[number]))
