@@ -1,10 +1,12 @@
 """Which features of a photo are kept, and cameras of large photos from those."""
 
 import numpy as np
+import pycolmap
 import pytest
 from synthetic import FOCAL, WIDTH, arc, photographs, room
 
 from querysplat_cli.encoders.base import CameraRequest
+from querysplat_cli.encoders.classical import verified_pairs
 from querysplat_cli.encoders.classical.cameras import estimate_cameras
 from querysplat_cli.encoders.classical.features import are_large, spread_features
 from querysplat_cli.encoders.classical.matches import matched
@@ -70,6 +72,29 @@ def test_large_photos_are_placed_from_few_features(large: list[Photo]) -> None:
     assert once.points.numpy().tobytes() == twice.points.numpy().tobytes()
 
 
-def test_features_are_matched_by_one_thread() -> None:
+def test_each_index_of_features_has_one_thread() -> None:
     """With several, a pair loses its matches about once in a thousand runs, too seldom to be seen in a test."""
     assert matching_options(CAMERA_POLICY.ordinary).num_threads == 1
+
+
+def database_of(photos: list[Photo]) -> tuple[dict[int, bytes], dict[int, tuple[bytes, ...]]]:
+    """The matches of all pairs of COLMAP's numbers, and their geometries."""
+    with (
+        matched(photos, seed=0, progress=lambda text, fraction: None) as found,
+        pycolmap.Database.open(found.database) as store,
+    ):
+        matches = {pair: rows.tobytes() for pair, rows in zip(*store.read_all_matches(), strict=True)}
+        geometries = {
+            pair: (each.inlier_matches.tobytes(), each.F.tobytes(), each.E.tobytes(), each.H.tobytes())
+            for pair, each in zip(*store.read_two_view_geometries(), strict=True)
+        }
+    return matches, geometries
+
+
+def test_cores_share_the_matching_and_find_what_one_finds(large: list[Photo], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(verified_pairs, "PAIR_BLOCK", 100)
+    alone = database_of(large)
+    monkeypatch.setattr(verified_pairs, "PAIR_BLOCK", 1)
+    monkeypatch.setattr("os.cpu_count", lambda: 3)
+    assert database_of(large) == alone
+    assert len(alone[0]) == len(alone[1]) == 6

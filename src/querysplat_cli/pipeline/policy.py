@@ -45,8 +45,11 @@ class PipelinePolicy:
     """Bytes of the photos' pixels that stay in memory, about 90 photos of 1,600 pixels. The rest lies in a file."""
     long_run_photos: int = 60
     """From so many photos on, what a run has reached is kept until it is done."""
-    region_photos: int = 100
-    """Photos of a region at most, where --regions is auto. A film gives at most so many frames by default."""
+    undivided_photos: int = 100
+    """Up to so many photos make one region, where --regions is auto. A film gives at most so many frames by default."""
+    region_photos: int = 60
+    """More photos are divided into regions of so many at most. A region has `TtoPolicy.queries` queries, however many
+    photos it has, so smaller regions show more; and larger ones of photos of 1,600 pixels take more than 4 GiB."""
     fewest_region_photos: int = 4
     """Photos of the core of a region at least."""
     region_overlap: float = 0.25

@@ -140,7 +140,7 @@ def _mapped(
     matches: Matches, attempt: Attempt, seed: int, start: pycolmap.Reconstruction | None = None
 ) -> list[pycolmap.Reconstruction]:
     """COLMAP's models of the photos, or the one that extends `start`."""
-    options = _options(attempt, seed)
+    options = _options(attempt, seed, many=len(matches.sizes) > CAMERA_POLICY.many_photos)
     with TemporaryDirectory(dir=matches.folder) as folder:
         before = Path(folder, "before")
         if start:
@@ -162,7 +162,7 @@ def _extended(model: pycolmap.Reconstruction, matches: Matches, seed: int) -> py
     return model
 
 
-def _options(attempt: Attempt, seed: int) -> pycolmap.IncrementalPipelineOptions:
+def _options(attempt: Attempt, seed: int, *, many: bool) -> pycolmap.IncrementalPipelineOptions:
     options = pycolmap.IncrementalPipelineOptions()
     options.min_model_size = 2
     options.extract_colors = False
@@ -178,6 +178,9 @@ def _options(attempt: Attempt, seed: int) -> pycolmap.IncrementalPipelineOptions
     options.mapper.abs_pose_refine_extra_params = attempt.fit_lens
     options.ba_refine_focal_length = attempt.fit_lens
     options.ba_refine_extra_params = attempt.fit_lens
+    if many:
+        options.ba_global_frames_ratio = options.ba_global_points_ratio = CAMERA_POLICY.many_growth
+        options.ba_global_function_tolerance = options.ba_local_function_tolerance = CAMERA_POLICY.many_tolerance
     options.triangulation.min_angle = attempt.point_angle
     options.triangulation.ignore_two_view_tracks = False
     return options

@@ -20,6 +20,7 @@ from querysplat_cli.encoders.classical.features import (
 from querysplat_cli.encoders.classical.lens_prior import usual_focal
 from querysplat_cli.encoders.classical.photo_pairs import choose_pairs
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY, MatchEffort
+from querysplat_cli.encoders.classical.start_focals import calibrate_start
 from querysplat_cli.encoders.classical.verified_pairs import Pair, Verification, match_pairs, read_pairs
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Progress
@@ -81,21 +82,14 @@ def matched(
     lens; with `known`, each photo has its own camera instead. Raises QuerySplatError when the folder cannot be
     written.
     """
-    effort = effort or (CAMERA_POLICY.ordinary_large if are_large(photos) else CAMERA_POLICY.ordinary)
+    effort = effort or _usual_effort(photos)
     # COLMAP writes messages to the terminal, where standard output may be the JSON of `--json`.
     pycolmap.logging.minloglevel = pycolmap.logging.FATAL.value
     with scratch_folder() as folder, _naming_the_folder(folder):
         progress("finding features", 0.0)
         sizes = write_grey(photos, folder, effort.feature_size)
         write_masks(photos, sizes, folder)
-        focals = tuple(
-            photo.focal * size[1] / photo.width if photo.focal else None
-            for photo, size in zip(photos, sizes, strict=True)
-        )
-        usual = tuple(
-            usual_focal(*(photo.cut_from or (photo.height, photo.width))) * size[1] / photo.width
-            for photo, size in zip(photos, sizes, strict=True)
-        )
+        focals, usual = _focals(photos, sizes)
         cameras = _known_cameras(known, sizes) if known else shared_cameras(sizes, focals, usual)
         matches = Matches(folder, sizes, focals, usual, (), ())
         with pycolmap.Database.open(matches.database) as store:
@@ -105,10 +99,36 @@ def matched(
             features = tuple(store.num_keypoints_for_image(i + 1) for i in range(len(photos)))
             chosen = choose_pairs(store, photos)
         progress("matching", 0.3)
-        match_pairs(matches.database, folder, chosen, effort, Verification.of(sizes, effort, seed))
+        verification = Verification.of(sizes, effort, seed)
+
+        def told(share: float) -> None:
+            progress("matching", 0.3 + 0.3 * share)
+
+        match_pairs(matches.database, folder, chosen, effort, verification, told)
+        if not known and len(photos) > CAMERA_POLICY.exhaustive_photos:
+            calibrate_start(matches.database, folder, seed=seed)
         with pycolmap.Database.open(matches.database) as store:
             pairs = read_pairs(store, len(photos))
         yield replace(matches, features=features, pairs=pairs)
+
+
+def _usual_effort(photos: Sequence[Photo]) -> MatchEffort:
+    policy = CAMERA_POLICY
+    effort = policy.ordinary_large if are_large(photos) else policy.ordinary
+    return replace(effort, most_features=policy.many_features) if len(photos) > policy.many_photos else effort
+
+
+def _focals(
+    photos: Sequence[Photo], sizes: Sequence[tuple[int, int]]
+) -> tuple[tuple[float | None, ...], tuple[float, ...]]:
+    """EXIF's focal length of each photo or None, and the usual one, in pixels of the photos at these sizes."""
+    scales = [size[1] / photo.width for photo, size in zip(photos, sizes, strict=True)]
+    stated = tuple(photo.focal * scale if photo.focal else None for photo, scale in zip(photos, scales, strict=True))
+    usual = tuple(
+        usual_focal(*(photo.cut_from or (photo.height, photo.width))) * scale
+        for photo, scale in zip(photos, scales, strict=True)
+    )
+    return stated, usual
 
 
 @contextmanager

@@ -77,6 +77,13 @@ class CameraPolicy:
     """Focal length, in longer sides of the photo, where nothing is stated: 45° of view (COLMAP's choice)."""
     exhaustive_photos: int = 40
     """Up to this many photos, every pair is matched."""
+    many_photos: int = 100
+    """More photos have features in plenty together, and take their time in adjustments of all cameras. So each has
+    `many_features` at most, and the mapper adjusts all when the model has grown by `many_growth` (COLMAP: 1.1), until
+    the error falls by less than `many_tolerance` of itself (COLMAP: 0). The final adjustment is the usual one."""
+    many_features: int = 2000
+    many_growth: float = 1.3
+    many_tolerance: float = 1e-5
     most_partners: int = 20
     """With more photos, each is matched with this many of the most similar ones."""
     film_steps: tuple[int, ...] = (1, 2, 3, 4, 8, 16)

@@ -1,8 +1,13 @@
 """Pairs of photos in COLMAP's database: matched, verified by a two-view geometry, and read as arrays of pixels."""
 
-from collections.abc import Iterable, Sequence
+import os
+import shutil
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
+from queue import SimpleQueue
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pycolmap
@@ -15,6 +20,9 @@ UNRELATED = {
     pycolmap.TwoViewGeometryConfiguration.DEGENERATE,
     pycolmap.TwoViewGeometryConfiguration.WATERMARK,
 }
+
+PAIR_BLOCK = 25
+"""Pairs that are matched at once. Ctrl-C waits for them."""
 
 
 @dataclass(frozen=True)
@@ -65,21 +73,66 @@ class Verification:
 def match_pairs(
     database: Path,
     folder: Path,
-    pairs: Iterable[tuple[int, int]],
+    pairs: Sequence[tuple[int, int]],
     effort: MatchEffort,
     verification: Verification | None,
+    done: Callable[[float], None] = lambda share: None,
 ) -> None:
-    """Match the features of these pairs of photos; without `verification`, matches are kept as they are found."""
-    pairing = pycolmap.ImportedPairingOptions()
-    pairing.match_list_path = _listing(folder, pairs)
-    # COLMAP notices Ctrl-C between blocks only.
-    pairing.block_size = 100
+    """Match the features of these pairs of photos; without `verification`, matches are kept as they are found.
+
+    Each core works on a copy of the database, because COLMAP's own threads lose matches (`matching_options`). `done`
+    is told the share of the pairs that are matched.
+    """
+    blocks = [pairs[start : start + PAIR_BLOCK] for start in range(0, len(pairs), PAIR_BLOCK)]
+    cores = min(os.cpu_count() or 1, len(blocks))
+    if not cores:
+        return
+    with TemporaryDirectory(dir=folder) as scratch, ThreadPoolExecutor(cores) as pool:
+        copies = [Path(shutil.copy(database, Path(scratch, f"{core}.db"))) for core in range(cores)]
+        idle: SimpleQueue[Path] = SimpleQueue()
+        for copy in copies:
+            idle.put(copy)
+
+        def match(number: int, block: Sequence[tuple[int, int]]) -> None:
+            own = idle.get()
+            try:
+                _match_block(own, _listing(Path(scratch, f"{number}.txt"), block), effort, verification)
+            finally:
+                idle.put(own)
+
+        jobs = [pool.submit(match, number, block) for number, block in enumerate(blocks)]
+        try:
+            for number, job in enumerate(as_completed(jobs), 1):
+                job.result()
+                done(number / len(jobs))
+        finally:
+            pool.shutdown(cancel_futures=True)  # after Ctrl-C, only blocks under way are finished
+        for copy in copies:
+            _gather(database, copy)
+
+
+def _match_block(database: Path, listing: Path, effort: MatchEffort, verification: Verification | None) -> None:
     matching = matching_options(effort)
     matching.skip_geometric_verification = verification is None
+    pairing = pycolmap.ImportedPairingOptions()
+    pairing.match_list_path = listing
     options = verification.options() if verification else pycolmap.TwoViewGeometryOptions()
     pycolmap.match_image_pairs(
         database, matching_options=matching, pairing_options=pairing, verification_options=options
     )
+
+
+def _gather(database: Path, copy: Path) -> None:
+    """Put into the database what its copy has in addition: matches of pairs, and their two-view geometries."""
+    with pycolmap.Database.open(database) as store, pycolmap.Database.open(copy) as other:
+        for pair_id, rows in zip(*other.read_all_matches(), strict=True):
+            numbers = pycolmap.pair_id_to_image_pair(pair_id)
+            if not store.exists_matches(*numbers):
+                store.write_matches(*numbers, rows)
+        for pair_id, geometry in zip(*other.read_two_view_geometries(), strict=True):
+            numbers = pycolmap.pair_id_to_image_pair(pair_id)
+            if not store.exists_two_view_geometry(*numbers):
+                store.write_two_view_geometry(*numbers, geometry)
 
 
 def matching_options(effort: MatchEffort) -> pycolmap.FeatureMatchingOptions:
@@ -98,7 +151,8 @@ def matching_options(effort: MatchEffort) -> pycolmap.FeatureMatchingOptions:
 
 def verify_pairs(database: Path, folder: Path, pairs: Iterable[tuple[int, int]], verification: Verification) -> None:
     """Find a two-view geometry for the matches of these pairs of photos, which must have none yet."""
-    pycolmap.verify_matches(database, _listing(folder, pairs), options=verification.options())
+    listing = _listing(folder / "pairs.txt", pairs)
+    pycolmap.verify_matches(database, listing, options=verification.options())
 
 
 def read_candidates(store: pycolmap.Database, first: int, second: int) -> Pair:
@@ -124,7 +178,6 @@ def read_pairs(store: pycolmap.Database, photos: int) -> tuple[Pair, ...]:
     return tuple(sorted(pairs, key=lambda pair: (pair.first, pair.second)))
 
 
-def _listing(folder: Path, pairs: Iterable[tuple[int, int]]) -> Path:
-    listing = folder / "pairs.txt"
-    listing.write_text("".join(f"{image_name(first)} {image_name(second)}\n" for first, second in pairs))
-    return listing
+def _listing(path: Path, pairs: Iterable[tuple[int, int]]) -> Path:
+    path.write_text("".join(f"{image_name(first)} {image_name(second)}\n" for first, second in pairs))
+    return path

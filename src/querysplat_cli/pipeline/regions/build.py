@@ -32,6 +32,7 @@ def region_count(settings: ReconstructSettings, photos: int, encoder: Encoder) -
     wanted, asked = settings.regions, f"--regions {settings.regions}"
     alone = encoder.own_frame or settings.budget is not None or bool(settings.refine_cameras)
     if wanted is None:
+        alone = alone or photos <= PIPELINE_POLICY.undivided_photos
         return 1 if alone else -(-photos // PIPELINE_POLICY.region_photos)
     if wanted == 1:
         return 1
