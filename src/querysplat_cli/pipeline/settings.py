@@ -134,7 +134,7 @@ class ReconstructSettings:
         Ge(1),
         Option(
             "Divide the photos into N overlapping groups, make a scene of each, and join the scenes. auto divides more "
-            "than 100 photos.",
+            "than 100 photos, into regions of at most 60.",
             metavar="N|auto",
             auto=True,
         ),
