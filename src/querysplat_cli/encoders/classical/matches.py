@@ -105,7 +105,7 @@ def matched(
             progress("matching", 0.3 + 0.3 * share)
 
         match_pairs(matches.database, folder, chosen, effort, verification, told)
-        if not known and len(photos) > CAMERA_POLICY.exhaustive_photos:
+        if not known and len(photos) > CAMERA_POLICY.measured_focal_photos:
             calibrate_start(matches.database, folder, seed=seed)
         with pycolmap.Database.open(matches.database) as store:
             pairs = read_pairs(store, len(photos))

@@ -75,15 +75,19 @@ class CameraPolicy:
     """A photo with less than this share of the median number of features counts as blurred, dark or plain."""
     assumed_focal: float = 1.2
     """Focal length, in longer sides of the photo, where nothing is stated: 45° of view (COLMAP's choice)."""
+    measured_focal_photos: int = 40
+    """The mapping of more photos starts with the focal length that their pairs measure, where nothing is stated."""
+    many_photos: int = 100
+    """More photos have features in plenty together, and adjustments of all cameras take most of their time. The next
+    three count for these. The final adjustment is the usual one."""
+    many_features: int = 2000
+    """So many features of a photo are matched at most."""
+    many_growth: float = 1.3
+    """The mapper adjusts all cameras when the model has grown by this factor (COLMAP: 1.1),"""
+    many_tolerance: float = 1e-5
+    """until the error falls by less than this share of itself (COLMAP: 0)."""
     exhaustive_photos: int = 40
     """Up to this many photos, every pair is matched."""
-    many_photos: int = 100
-    """More photos have features in plenty together, and take their time in adjustments of all cameras. So each has
-    `many_features` at most, and the mapper adjusts all when the model has grown by `many_growth` (COLMAP: 1.1), until
-    the error falls by less than `many_tolerance` of itself (COLMAP: 0). The final adjustment is the usual one."""
-    many_features: int = 2000
-    many_growth: float = 1.3
-    many_tolerance: float = 1e-5
     most_partners: int = 20
     """With more photos, each is matched with this many of the most similar ones."""
     film_steps: tuple[int, ...] = (1, 2, 3, 4, 8, 16)
