@@ -6,28 +6,27 @@ import weakref
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 import torch
 
-from querysplat_cli.encoders.base import Encoder, PosedViews
-from querysplat_cli.encoders.registry import find_encoder
+from querysplat_cli.encoders.base import PosedViews
 from querysplat_cli.model.memories import Memories
 from querysplat_cli.pipeline.full_size import LargePhotos
 from querysplat_cli.pipeline.kept_parts import read_part, write_part
 from querysplat_cli.pipeline.parts import with_absolute_parts
 from querysplat_cli.pipeline.policy import PIPELINE_POLICY
-from querysplat_cli.pipeline.regions.build import region_count
 from querysplat_cli.pipeline.regions.colours import common_exposures, recoloured
 from querysplat_cli.pipeline.regions.groups import Group, divide
-from querysplat_cli.pipeline.regions.join import _optimised, join
+from querysplat_cli.pipeline.regions.join import _optimised, join, worse_joined
 from querysplat_cli.pipeline.regions.owners import CoreViews, depth_maps, owners, small_cameras
 from querysplat_cli.pipeline.regions.scene import KeptRegions, RegionScene
 from querysplat_cli.pipeline.regions.seams import Seam, disagreement, find_seams, parts_needed, verdict
 from querysplat_cli.pipeline.regions.task import region_task
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.queries.prepare import MemoryMap, PreparedQueries
-from querysplat_cli.runtime.errors import ImpossibleScene, QuerySplatError
+from querysplat_cli.runtime.errors import ImpossibleScene
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.exposures import Exposures
 from querysplat_cli.scene.filed_views import FiledViews
@@ -224,35 +223,6 @@ def test_ctrl_c_in_the_last_optimisation_ends_the_run(street: PosedViews, monkey
     assert len(taken) == 1
 
 
-def some_encoder(*, own_frame: bool) -> Encoder:
-    encoder = find_encoder("classical")
-    encoder.own_frame = own_frame
-    return encoder
-
-
-@pytest.mark.parametrize(("photos", "count"), [(1, 1), (100, 1), (101, 2), (300, 5), (1000, 17)])
-def test_auto_divides_many_photos(photos: int, count: int) -> None:
-    settings = ReconstructSettings((), Path())
-    assert region_count(settings, photos, some_encoder(own_frame=False)) == count
-    assert region_count(settings, photos, some_encoder(own_frame=True)) == 1
-    assert region_count(replace(settings, budget=9.0), photos, some_encoder(own_frame=False)) == 1  # type: ignore[arg-type]
-
-
-@pytest.mark.parametrize(
-    ("changes", "own_frame", "words"),
-    [
-        ({}, True, "takes all photos at once"),
-        ({"budget": 60.0}, False, "--budget"),
-        ({"refine_cameras": True}, False, "--refine-cameras"),
-        ({"regions": 6}, False, "too few"),
-    ],
-)
-def test_regions_that_cannot_be_had(changes: dict[str, object], own_frame: bool, words: str) -> None:
-    settings = replace(ReconstructSettings((), Path(), regions=2), **changes)  # type: ignore[arg-type]
-    with pytest.raises(QuerySplatError, match=words):
-        region_count(settings, 20, some_encoder(own_frame=own_frame))  # type: ignore[arg-type]
-
-
 def test_parts_are_kept_and_damaged_ones_are_made_again(street: PosedViews, tmp_path: Path) -> None:
     file = tmp_path / "part.pt"
     assert read_part(file) is None
@@ -264,6 +234,18 @@ def test_parts_are_kept_and_damaged_ones_are_made_again(street: PosedViews, tmp_
     assert read_part(file) is None
     torch.save({"code": print}, file)
     assert read_part(file) is None
+
+
+def test_regions_that_the_whole_shows_much_worse_have_a_warning() -> None:
+    def entry(alone: float, joined: float) -> dict[str, Any]:
+        return {"quality": {"psnr": alone}, "joined": {"psnr": joined}}
+
+    fine = entry(28.0, 25.5)
+    assert worse_joined([fine, fine]) == []
+    (one,) = worse_joined([fine, entry(28.0, 18.0)])
+    assert "photos of region 2 up to 10.0 dB worse" in one
+    (two,) = worse_joined([entry(28.0, 24.0), fine, entry(28.0, 18.0)])
+    assert "photos of regions 1, 3 up to 10.0 dB worse" in two
 
 
 def test_two_regions_are_in_memory_at_a_time(street: PosedViews, tmp_path: Path) -> None:
@@ -292,6 +274,7 @@ def test_two_regions_are_in_memory_at_a_time(street: PosedViews, tmp_path: Path)
     assert built.peak_gib == 3
     assert len(built.scene.gaussians) == len(means)
     assert sum(entry["gaussians"] for entry in built.regions) == len(means)
+    assert sorted(name for names in built.own for name in names) == sorted(street.views.names)
     assert len(built.seams) == 3
     assert all(entry["psnr"] == pytest.approx(100) for entry in built.seams)
     assert built.scene.full_size

@@ -66,6 +66,8 @@ class PipelinePolicy:
     """Where the pictures of two regions differ by more (a lower PSNR, in dB), a warning says so."""
     refused_seam_psnr: float = 10.0
     """Where they differ by more than this, no scene is made of them: pictures of unrelated things differ as much."""
+    lost_by_joining: float = 3.0
+    """Where the joined scene shows the photos of a region by more dB worse than the region alone, a warning says so."""
     joint_passes: int = 4
     """How often the last optimisation of joined regions takes each photo."""
     joint_rate: float = 0.25

@@ -152,7 +152,7 @@ def _made(inputs: _Inputs, settings: ReconstructSettings, stages: Stages, work: 
     with stages("write"):
         report = _report(inputs, passes, scene, scores, settings, stages)
         report = replace(report, resumed=list(work.notes) if work else [])
-        report = built.added_to(report) if built else report
+        report = built.added_to(report, scores.inputs) if built else report
         stored = _stored(inputs, passes, scene, settings)
         if metres:
             stored, report = in_metres(stored, report, metres)

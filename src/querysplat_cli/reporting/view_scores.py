@@ -1,6 +1,6 @@
 """PSNR and SSIM of renders against photos."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -51,6 +51,10 @@ class Quality:
     def together(cls, parts: Sequence["Quality"]) -> "Quality":
         """The scores of all views of `parts`, which have one background."""
         return cls.of_views({name: row for part in parts for name, row in part.views.items()}, parts[0].background)
+
+    def of(self, names: Iterable[str]) -> "Quality":
+        """The scores of the views with these names alone."""
+        return Quality.of_views({name: self.views[name] for name in names}, self.background)
 
     def summary(self) -> dict[str, float]:
         return {name: round(getattr(self, name), digits) for name, digits in DIGITS.items()}

@@ -7,9 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pycolmap
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
+from querysplat_cli.encoders.classical.chance_pairs import remove_chance_pairs
 from querysplat_cli.encoders.classical.features import (
     are_large,
     extract_features,
@@ -21,7 +20,13 @@ from querysplat_cli.encoders.classical.lens_prior import usual_focal
 from querysplat_cli.encoders.classical.photo_pairs import choose_pairs
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY, MatchEffort
 from querysplat_cli.encoders.classical.start_focals import calibrate_start
-from querysplat_cli.encoders.classical.verified_pairs import Pair, Verification, match_pairs, read_pairs
+from querysplat_cli.encoders.classical.verified_pairs import (
+    Pair,
+    Verification,
+    connected_groups,
+    match_pairs,
+    read_pairs,
+)
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.cameras import PhotoCamera, rescaled
@@ -60,9 +65,7 @@ class Matches:
 
     def largest_group(self) -> list[int]:
         """Numbers of the largest group of photos that pairs connect, directly or through others."""
-        count, ends = len(self.sizes), [(pair.first, pair.second) for pair in self.pairs]
-        first, second = np.array(ends, np.int64).reshape(-1, 2).T
-        _, group = connected_components(coo_array((np.ones(len(ends)), (first, second)), shape=(count, count)))
+        group = connected_groups([(pair.first, pair.second) for pair in self.pairs], len(self.sizes))
         found: list[int] = np.flatnonzero(group == np.bincount(group).argmax()).tolist()
         return found
 
@@ -105,10 +108,12 @@ def matched(
             progress("matching", 0.3 + 0.3 * share)
 
         match_pairs(matches.database, folder, chosen, effort, verification, told)
-        if not known and len(photos) > CAMERA_POLICY.measured_focal_photos:
-            calibrate_start(matches.database, folder, seed=seed)
         with pycolmap.Database.open(matches.database) as store:
             pairs = read_pairs(store, len(photos))
+            if not known and len(photos) > CAMERA_POLICY.exhaustive_photos:
+                pairs = remove_chance_pairs(store, pairs, len(photos), effort.fewest_inliers)
+        if not known and len(photos) > CAMERA_POLICY.measured_focal_photos:
+            calibrate_start(matches.database, folder, seed=seed)
         yield replace(matches, features=features, pairs=pairs)
 
 

@@ -102,6 +102,11 @@ class CameraPolicy:
     """Similarity is judged by so many of each photo's largest features (preemptive matching, Wu 2013)."""
     compared_ratio: float = 0.8
     """Two of these features correspond below this ratio of the distances to the nearest and the second nearest."""
+    chance_inliers: float = 2.0
+    """Of more than `exhaustive_photos`, a pair with less than so many times the fewest inliers may agree by chance,"""
+    chance_support: float = 1.5
+    """where no third photo has so many times as many matches with both. Of 1,000 photos of a procedural street, 72 of
+    73 pairs of different places are such, and 13 of 8,330 others."""
 
     # Mapping.
     attempts: tuple[Attempt, ...] = (

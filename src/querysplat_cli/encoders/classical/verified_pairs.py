@@ -11,6 +11,8 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 import pycolmap
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from querysplat_cli.encoders.classical.features import image_name
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY, MatchEffort
@@ -176,6 +178,13 @@ def read_pairs(store: pycolmap.Database, photos: int) -> tuple[Pair, ...]:
         first, second = min(one, two), max(one, two)
         pairs.append(Pair(first, second, pixels[first], pixels[second]))
     return tuple(sorted(pairs, key=lambda pair: (pair.first, pair.second)))
+
+
+def connected_groups(ends: Sequence[tuple[int, int]], photos: int) -> np.ndarray:
+    """The number of each photo's group [photos]: pairs with these ends connect them, directly or not."""
+    first, second = np.array(ends, np.int64).reshape(-1, 2).T
+    _, group = connected_components(coo_array((np.ones(len(ends)), (first, second)), shape=(photos, photos)))
+    return np.asarray(group)
 
 
 def _listing(path: Path, pairs: Iterable[tuple[int, int]]) -> Path:

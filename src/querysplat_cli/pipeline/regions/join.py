@@ -11,6 +11,7 @@ from querysplat_cli.encoders.base import Geometry, PosedViews
 from querysplat_cli.model.memories import Memories
 from querysplat_cli.pipeline.build import BuiltScene
 from querysplat_cli.pipeline.full_size import FullSize, LargePhotos
+from querysplat_cli.pipeline.policy import PIPELINE_POLICY
 from querysplat_cli.pipeline.regions.colours import common_exposures, recoloured
 from querysplat_cli.pipeline.regions.groups import Group, divide
 from querysplat_cli.pipeline.regions.owners import CoreViews, owners, small_cameras
@@ -19,7 +20,7 @@ from querysplat_cli.pipeline.regions.seams import Seam, disagreement, find_seams
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.queries.backdrop import shows_background
 from querysplat_cli.reporting.report import Report, tto_entries
-from querysplat_cli.reporting.view_scores import score
+from querysplat_cli.reporting.view_scores import Quality
 from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.exposures import Exposures
 from querysplat_cli.scene.gaussians import Gaussians, joined
@@ -28,29 +29,53 @@ from querysplat_cli.scene.views import PhotoSource
 from querysplat_cli.tto.adapt import Adapted
 from querysplat_cli.tto.exposure_fit import PhotoColours
 
+IN_THE_WHOLE = ("tto", "full_size", "warnings")
+"""Entries of regions that the report has for all of them together."""
+
 
 @dataclass(frozen=True)
 class BuiltRegions:
     """A scene of several regions, and its entries in the report.
 
-    regions, seams: one entry each. peak_gib: the most memory of any process that made a region.
+    regions, seams: one entry each. own: the names of each region's own photos. peak_gib: the most memory of any process
+    that made a region.
     """
 
     scene: BuiltScene
     regions: list[dict[str, Any]]
+    own: list[tuple[str, ...]]
     seams: list[dict[str, Any]]
     warnings: tuple[str, ...]
     peak_gib: float
 
-    def added_to(self, report: Report) -> Report:
-        """The report of the scene with these entries."""
+    def added_to(self, report: Report, inputs: Quality) -> Report:
+        """The report of the scene with these entries. `inputs` is the quality of the whole scene on all photos."""
+        joined = [inputs.of(names).summary() for names in self.own]
+        regions = [{**entry, "joined": scores} for entry, scores in zip(self.regions, joined, strict=True)]
         return replace(
             report,
-            regions=self.regions,
+            regions=regions,
             seams=self.seams,
-            warnings=[*report.warnings, *self.warnings],
+            warnings=[*report.warnings, *self.warnings, *worse_joined(regions)],
             peak_memory_gib=round(max(self.peak_gib, report.peak_memory_gib), 2),
         )
+
+
+def worse_joined(regions: Sequence[dict[str, Any]]) -> list[str]:
+    """A warning where the whole scene shows photos of regions much worse than these regions alone did.
+
+    Something of another region stands there then, as where cameras of different places lie on top of each other.
+    """
+    lost = {n: each["quality"]["psnr"] - each["joined"]["psnr"] for n, each in enumerate(regions, 1)}
+    bad = [str(number) for number, decibels in lost.items() if decibels > PIPELINE_POLICY.lost_by_joining]
+    if not bad:
+        return []
+    which = f"region {bad[0]}" if len(bad) == 1 else f"regions {', '.join(bad)}"
+    most = max(lost.values())
+    return [
+        f"the joined scene shows photos of {which} up to {most:.1f} dB worse than the region alone: "
+        "cameras of different places may lie on top of each other"
+    ]
 
 
 def join(
@@ -87,11 +112,12 @@ def join(
             "photos": len(group.core),
             "overlap": len(group.overlap),
             "gaussians": own,
-            **_brief(each, posed, group, gaussians),
+            **{name: value for name, value in each.entries.items() if name not in IN_THE_WHOLE},
         }
         for group, own, each in zip(groups, joint.own, scenes, strict=True)
     ]
-    return BuiltRegions(scene, regions, entries, warnings, peak)
+    names = [tuple(posed.views.names[row] for row in group.core) for group in groups]
+    return BuiltRegions(scene, regions, names, entries, warnings, peak)
 
 
 @dataclass(frozen=True)
@@ -182,14 +208,6 @@ def _scene(posed: PosedViews, joint: _Joint) -> BuiltScene:
     same = joint.exposures or Exposures.identity(len(posed.views))
     colours = PhotoColours(same, max(measured)) if measured else None
     return BuiltScene(posed, Geometry(None, None, (), 1, warnings), prepared, adapted, colours=colours)
-
-
-def _brief(each: RegionScene, posed: PosedViews, group: Group, gaussians: Gaussians) -> dict[str, Any]:
-    """The rest of a region's entry; `joined` is the quality of the whole scene on the region's own photos."""
-    core = list(group.core)
-    joined = score(gaussians, posed.views[core], posed.cameras[core]).summary()
-    entries = {name: value for name, value in each.entries.items() if name not in ("tto", "full_size", "warnings")}
-    return {**entries, "joined": joined}
 
 
 def _part(progress: Any, start: float, share: float, text: str, fraction: float) -> None:
