@@ -2,8 +2,9 @@
 
     python benchmarks/eval_table.py evaluation/ [--rows NAME ...] [--csv DIR]
 
-Figures are PSNR in dB / SSIM, as `querysplat eval` summarises them, of the cases of one set alone. The paper's figures
-stand in the last table; they are its means over small, medium and large splits. --csv writes every split of every set.
+Figures are PSNR in dB / SSIM, as `querysplat eval` summarises them, of the cases of one set alone. Targets *apart*
+share nothing with the inputs: they have no verified matches with any of them. The paper's figures stand in the last
+table; they are its means over small, medium and large splits. --csv writes every split of every set.
 """
 
 import argparse
@@ -20,7 +21,7 @@ from querysplat_cli.evaluation.results import row_folders
 from querysplat_cli.evaluation.summary import summarise
 
 GROUPS = {"input": "input", "interp": "interpolation", "extrap": "extrapolation"}
-HEAD = ("views", "row", *GROUPS.values(), "views scored", "cases failed", "Gaussians", "GiB")
+HEAD = ("views", "row", *GROUPS.values(), "views scored", "targets apart", "cases failed", "Gaussians", "GiB")
 Cell = dict[str, Any]
 
 
@@ -59,13 +60,16 @@ def score(cell: Cell | None) -> str:
 
 def cells_of(views: int, row: str, cells: dict[str, Cell]) -> list[str]:
     some = next(iter(cells.values()))
+    targets = [cell for group, cell in cells.items() if group != "input"]
     scored, asked = (sum(cell[key] for cell in cells.values()) for key in ("scored", "asked"))
+    apart, of_targets = (sum(cell[key] for cell in targets) for key in ("apart", "asked"))
     costs = zip(("gaussians_median", "peak_memory_gib"), (",.0f", ".2f"), strict=True)
     return [
         str(views),
         row,
         *(score(cells.get(group)) for group in GROUPS),
         f"{scored} of {asked}",
+        f"{apart} of {of_targets}",
         f"{some['failed']} of {some['failed'] + some['cases']}",
         *("" if some[key] is None else format(some[key], form) for key, form in costs),
     ]

@@ -4,11 +4,14 @@
     python benchmarks/pareto.py --json pareto.json --figure docs/images/pareto.svg --sets
 
 DATA is the folder of the photo sets, by default $QUERYSPLAT_DATA. Every 4th photo is held out, with joint cameras. Each
-scene is one run of the command in a process of its own. Scores are of held-out photos: at the working size over black
-and over mid-grey (a scene that is see-through scores less), and over grey at 1,600 pixels or the photos' own size.
-Scenes that --json has already are not made again, so that a run can be stopped and repeated. Where photos are smaller
-than the pictures of two settings, one scene stands for both. At the end come the means of the sets that were tuned on,
-and of the others. Without a set there is nothing else.
+scene is one run of the command in a process of its own. Scores are of held-out photos, over black and over mid-grey (a
+scene that is see-through scores less): at the working size, and at 1,600 pixels or the photos' own size. Scenes that
+--json has already are not made again, so that a run can be stopped and repeated. Where photos are smaller than the
+pictures of two settings, one scene stands for both. At the end come the means of the sets that were tuned on, and of
+the others. Without a set there is nothing else.
+
+Where `opensplat` is on the path, it has a row after the default's: it is trained on the same input photos with the
+cameras of the default scene, and scored as that scene is. Its seconds are those of its own process, without cameras.
 """
 
 import argparse
@@ -25,16 +28,21 @@ from matplotlib.axes import Axes
 from matplotlib.transforms import Bbox
 
 import fullscreen
+from common import opensplat
 from common.arguments import PhotoParser, folder_or_scratch
 from common.output import Table, write_json
-from common.photo_sets import PHOTO_SETS
+from common.photo_sets import PHOTO_SETS, PhotoSet
+from querysplat_cli.pipeline.full_size import files_of
+from querysplat_cli.pipeline.read_scene import read_scene, read_scene_gaussians
 from querysplat_cli.runtime.figures import new_figure, save_figure
 from querysplat_cli.scene.decoding import longer_side
+from querysplat_cli.scene.photo_files import large_views
 
 PIXELS = (224, 896, 1600)
 """Longer sides of the working pictures beside the default's 448."""
+DEFAULT = "default"
 SETTINGS: dict[str, tuple[str, ...]] = {
-    "default": (),
+    DEFAULT: (),
     "feed-forward": ("--quality", "draft", "--tto", "0"),
     "20 steps": ("--quality", "draft", "--tto", "20"),
     "50 steps": ("--quality", "draft", "--tto", "50"),
@@ -43,13 +51,14 @@ SETTINGS: dict[str, tuple[str, ...]] = {
     **{f"budget {seconds} s": ("--budget", str(seconds)) for seconds in (15, 30, 60, 120, 300)},
 }
 """Options of `querysplat reconstruct` by the name of the point. `draft` with `auto` steps is "quality draft"."""
-SIZES = {"default": 448, **{f"{size} px": size for size in PIXELS}}
+SIZES = {DEFAULT: 448, **{f"{size} px": size for size in PIXELS}}
 """The longer side of working pictures at most, where photos have the pixels."""
 Row = dict[str, Any]
 SCORE, COST = "grey, full screen, dB", "CPU s"
 COLUMNS: dict[str, tuple[Callable[[Row], float], str]] = {
     "black, dB": (lambda row: row["working"]["black"], ".2f"),
     "grey, dB": (lambda row: row["working"]["grey"], ".2f"),
+    "black, full screen, dB": (lambda row: row["full"]["black"], ".2f"),
     SCORE: (lambda row: row["full"]["grey"], ".2f"),
     "cc there, dB": (lambda row: row["full"]["corrected"], ".2f"),
     "SSIM there": (lambda row: row["full"]["ssim"], ".3f"),
@@ -59,7 +68,7 @@ COLUMNS: dict[str, tuple[Callable[[Row], float], str]] = {
     "Gaussians": (lambda row: row["gaussians"], ",.0f"),
 }
 """What means are taken of, and how it is printed. The first two are at the size of the working pictures, which some
-settings change, so the picture shows the third."""
+settings change, so the picture shows `SCORE`."""
 TICKS = (20, 50, 100, 200)
 COLOURS = {"tuned on": "#0072b2", "only reported": "#d55e00"}
 
@@ -159,23 +168,73 @@ def measure(options: argparse.Namespace, rows: list[Row]) -> None:
     done = {(row["set"], row["quality"]): row for row in rows}
     table = Table({"set": "", "use": "", "setting": ""} | {what: form for what, (_, form) in COLUMNS.items()})
     with folder_or_scratch(options.keep) as folder:
-        for setting, name in product(options.settings, options.sets):
-            photo_set = PHOTO_SETS[name]
+        for setting, name in product(with_peer(options.settings), options.sets):
             if (name, setting) in done:
                 continue
-            same = same_scene(setting, longer_side(photo_set.files(options.data)[0], default=0))
-            if (name, same) in done:
-                row = done[name, same] | {"quality": setting}
-            else:
-                found = fullscreen.measure(photo_set, setting, options.data, folder, None, SETTINGS[setting])
-                if found is None:
-                    print(f"{name}, {setting}: no scene, so no score", file=sys.stderr)
-                    continue
-                row = asdict(found)
+            row = row_of(PHOTO_SETS[name], setting, options.data, folder, done)
+            if row is None:
+                print(f"{name}, {setting}: no scene, so no score", file=sys.stderr)
+                continue
             rows.append(row)
             done[name, setting] = row
             table.add(name, row["use"], setting, *(read(row) for read, _ in COLUMNS.values()))
             write_json(options.json, rows=rows)
+
+
+def with_peer(settings: Sequence[str]) -> list[str]:
+    """The settings, and OpenSplat's row after the default's. Where the program is not there, a line says so."""
+    if DEFAULT not in settings:
+        return list(settings)
+    if opensplat.program() is None:
+        print("opensplat is not on the path, so it has no row", file=sys.stderr)
+        return list(settings)
+    return [each for name in settings for each in ((name, opensplat.ROW) if name == DEFAULT else (name,))]
+
+
+def row_of(
+    photo_set: PhotoSet, setting: str, data: Path, folder: Path, done: Mapping[tuple[str, str], Row]
+) -> Row | None:
+    """The row of one set and setting, from a scene in `folder`; None where there is no scene."""
+    if setting == opensplat.ROW:
+        found = peer(photo_set, data, folder)
+    else:
+        same = same_scene(setting, longer_side(photo_set.files(data)[0], default=0))
+        if same and (photo_set.name, same) in done:
+            return done[photo_set.name, same] | {"quality": setting}
+        found = fullscreen.measure(photo_set, setting, data, folder, None, SETTINGS[setting])
+    return found and asdict(found)
+
+
+def peer(photo_set: PhotoSet, data: Path, folder: Path) -> fullscreen.Row | None:
+    """OpenSplat's row beside our default scene of a set, which is made again where `folder` no longer has it."""
+    ply = default_scene(photo_set, folder)
+    if not ply.is_file() and not fullscreen.measure(photo_set, DEFAULT, data, folder, None, SETTINGS[DEFAULT]):
+        return None
+    scene, _ = read_scene(ply)
+    assert scene.heldout
+    trained = ply.with_name(f"{ply.stem}-opensplat.ply")
+    took = opensplat.train(ply.with_suffix(""), files_of(scene, scene.views), trained)
+    if took is None:
+        return None
+    gaussians = read_scene_gaussians(trained, scene)
+    screen = large_views(files_of(scene, scene.heldout[0]), *scene.heldout, fullscreen.FULL_SCREEN)
+    return fullscreen.Row(
+        photo_set.name,
+        photo_set.use,
+        opensplat.ROW,
+        fullscreen.scored(gaussians, scene.heldout),
+        fullscreen.scored(gaussians, screen),
+        took.seconds,
+        took.cpu_seconds,
+        {"opensplat": took.seconds},
+        took.gib,
+        len(gaussians),
+    )
+
+
+def default_scene(photo_set: PhotoSet, folder: Path) -> Path:
+    """Where `fullscreen.measure` writes our default scene of a set."""
+    return folder / f"{photo_set.name.replace('/', '-')}-{DEFAULT}.ply"
 
 
 def main() -> None:

@@ -6,7 +6,8 @@
 The box is in the units of the .ply. Pictures are taken from the scene's input cameras, or from those of --cameras. A
 pixel belongs to the region where the render changes when the Gaussians in the box are left out. OpenCV's inpainting
 restores by default; --restore runs a command for each picture instead. The last table has the PSNR of each stage
-against renders of the whole scene, inside the region and outside.
+against renders of the whole scene, inside the region and outside. --figure shows the stages side by side, in the view
+with the largest hole.
 """
 
 import argparse
@@ -27,6 +28,7 @@ from querysplat_cli.commands.edits import inside_box
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.formats.ply import read_ply, write_ply
 from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.pictures import write_picture
 
 CHANGED = 6 / 255
 """A pixel that changes by more than this when the region is left out belongs to it."""
@@ -34,6 +36,12 @@ BORDER = 3
 """Pixels by which masks are enlarged: splats fade out, and restoration continues from pixels that are whole."""
 REACH = 5
 """Radius in pixels that OpenCV's inpainting looks at."""
+SHOWN = ("whole", "damaged", "restored", "repaired-renders")
+"""Folders of the stages' pictures, in the order of the figure from left to right."""
+HOLES = "holes"
+"""The folder of masks. Not "masks": `reconstruct` takes a folder of this name for masks of the photos beside it."""
+FIGURE_QUALITY = 85
+"""Quality in percent of the figure's JPEG."""
 
 Restore = Callable[[Path, Path, Path], None]
 """Reads a picture and its mask (white: to be restored), and writes the restored picture."""
@@ -118,8 +126,8 @@ def repair(
 ) -> list[Stage]:
     """All stages. `options` are further ones of `querysplat reconstruct`. Raises QuerySplatError where one fails."""
     out.mkdir(parents=True, exist_ok=True)
-    # Not "masks": `reconstruct` takes a folder of this name for masks of the photos beside it.
-    whole, damaged, masks, restored = (out / name for name in ("whole", "damaged", "holes", "restored"))
+    whole, damaged, restored, renders = (out / stage for stage in SHOWN)
+    masks = out / HOLES
     write_ply(out / "damaged.ply", cut(read_ply(scene), box))
     _querysplat("render", str(scene), "-o", str(whole), "--cameras", cameras)
     path = ("--cameras", str(whole / "cameras.json"))
@@ -128,9 +136,16 @@ def repair(
     restore_all(damaged, masks, restored, restore)
     poses = ("--poses", str(restored / "cameras.json"))
     _querysplat("reconstruct", str(restored), "-o", str(out / "repaired.ply"), *poses, *shlex.split(options))
-    _querysplat("render", str(out / "repaired.ply"), "-o", str(out / "repaired-renders"), *path)
-    stages = {"damaged": damaged, "restored pictures": restored, "repaired scene": out / "repaired-renders"}
+    _querysplat("render", str(out / "repaired.ply"), "-o", str(renders), *path)
+    stages = {"damaged": damaged, "restored pictures": restored, "repaired scene": renders}
     return [score(name, folder, whole, masks) for name, folder in stages.items()]
+
+
+def write_figure(file: Path, out: Path) -> None:
+    """The stages of `repair` in `out` side by side: the view of which the hole covers the most pixels."""
+    view = max(sorted((out / HOLES).glob("*.png")), key=lambda mask: cv2.countNonZero(cv2.imread(str(mask), 0))).name
+    strip = cv2.hconcat([cv2.imread(str(out / stage / view)) for stage in SHOWN])
+    write_picture(file, strip[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, FIGURE_QUALITY])
 
 
 def _querysplat(*arguments: str) -> None:
@@ -156,6 +171,7 @@ def main() -> None:
     )
     parser.add_argument("--cameras", default="inputs", help="as for `querysplat render`")
     parser.add_argument("--options", default="", help="further options for `querysplat reconstruct`")
+    parser.add_argument("--figure", type=Path, help="a JPEG: whole, damaged, restored, repaired in one view")
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     box = tuple(float(part) for part in options.box.split(","))
@@ -166,6 +182,8 @@ def main() -> None:
         stages = repair(options.scene, box, options.out, restore, options.cameras, options.options)
     except QuerySplatError as error:
         parser.error(f"{error.message} {error.hint}")
+    if options.figure:
+        write_figure(options.figure, options.out)
     rows = [(stage.name, f"{stage.inside:.2f}", f"{stage.outside:.2f}") for stage in stages]
     print(markdown(("stage", "PSNR in the region, dB", "PSNR outside, dB"), rows))
     write_json(options.json, scene=str(options.scene), box=box, stages=stages)

@@ -17,15 +17,15 @@ def reconstructed(inputs: Iterable[Path], ply: Path, *options: str) -> dict[str,
     and system; other work on the machine does not stretch them as it does seconds by the clock.
     """
     command = [sys.executable, "-m", "querysplat_cli", "reconstruct", *map(str, inputs), "-o", str(ply)]
-    before, start = _children_cpu_seconds(), time.perf_counter()
+    before, start = children_cpu_seconds(), time.perf_counter()
     done = subprocess.run([*command, *options, "--json", "--quiet", "--force"], capture_output=True, text=True)
-    took = {"wall": time.perf_counter() - start, "cpu_seconds": _children_cpu_seconds() - before}
+    took = {"wall": time.perf_counter() - start, "cpu_seconds": children_cpu_seconds() - before}
     if done.returncode:
         return {"error": next(iter(done.stderr.strip().splitlines()), "no message"), "code": done.returncode}
     return {**json.loads(done.stdout), **took}
 
 
-def _children_cpu_seconds() -> float:
+def children_cpu_seconds() -> float:
     """Of all processes that this one started and that have ended."""
     times = os.times()
     return times.children_user + times.children_system

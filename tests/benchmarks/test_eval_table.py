@@ -5,20 +5,21 @@ from pathlib import Path
 
 import eval_table
 
-COMMON = {"views": 4, "scored": 3, "asked": 4, "cases": 1, "failed": 1, "gaussians_median": 12345.0}
+COMMON = {"views": 4, "scored": 3, "apart": 0, "asked": 4, "cases": 1, "failed": 1, "gaussians_median": 12345.0}
 COMMON |= {"peak_memory_gib": None}
 
 
 def test_every_row_has_a_line() -> None:
     averages = [
         {**COMMON, "row": "free_tto=0", "group": "input", "psnr": 20.126, "ssim": 0.5},
-        {**COMMON, "row": "free_tto=0", "group": "interp", "psnr": None, "ssim": None},
+        {**COMMON, "row": "free_tto=0", "group": "interp", "psnr": None, "ssim": None, "apart": 2},
+        {**COMMON, "row": "free_tto=0", "group": "extrap", "psnr": 9.0, "ssim": None, "apart": 1, "asked": 5},
         {**COMMON, "row": "free_depth", "group": "input", "psnr": 1.0, "ssim": 0.1},
     ]
     lines = eval_table.table(averages, ["tto=0"]).splitlines()
-    assert lines[2:] == ["| 4 | free_tto=0 | 20.13 / 0.500 |  |  | 6 of 8 | 1 of 2 | 12,345 |  |"]
+    assert lines[2:] == ["| 4 | free_tto=0 | 20.13 / 0.500 |  | 9.00 | 9 of 13 | 3 of 9 | 1 of 2 | 12,345 |  |"]
     assert len(eval_table.table(averages).splitlines()) == 4
-    assert {line.count("|") for line in lines} == {10}
+    assert {line.count("|") for line in lines} == {11}
 
 
 def test_only_the_papers_own_method_is_quoted() -> None:

@@ -12,7 +12,7 @@ from querysplat_cli.evaluation.axes import axes
 
 
 def row(name: str, use: str, setting: str, seconds: float, grey: float) -> dict[str, Any]:
-    working, full = {"black": 0, "grey": 0}, {"grey": grey, "corrected": 0, "ssim": 0}
+    working, full = {"black": 0, "grey": 0}, {"black": grey + 1, "grey": grey, "corrected": 0, "ssim": 0}
     costs = {"cpu_seconds": seconds, "seconds": 0, "gib": 0, "gaussians": 0}
     return {"set": name, "use": use, "quality": setting, "working": working, "full": full, **costs}
 
@@ -34,7 +34,7 @@ def test_means_are_over_sets_that_have_every_setting(tmp_path: Path, capsys: pyt
     assert pareto.best(found) == ["20 steps", "default"]
     pareto.summarise(rows)
     printed = capsys.readouterr().out
-    assert "| **20 steps** | 0.00 | 0.00 | 18.00 |" in printed
+    assert "| **20 steps** | 0.00 | 0.00 | 19.00 | 18.00 |" in printed
     assert "tuned on, 1 sets" in printed  # the other one lacks a setting
     pareto.draw(rows, tmp_path / "front.svg")
     assert "feed-forward" not in (tmp_path / "front.svg").read_text()

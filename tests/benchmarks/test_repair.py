@@ -1,5 +1,6 @@
 """Scene repair: a region is taken out, restored in pictures, and lifted back."""
 
+import json
 import sys
 from pathlib import Path
 
@@ -85,6 +86,32 @@ def test_the_region_goes_and_comes_back(scene: Path, tmp_path: Path, monkeypatch
     assert repaired.outside > 20
     names = [file.name for file in sorted((tmp_path / "out" / "restored").iterdir())]
     assert names == ["a.png", "b.png", "c.png", "cameras.json"]
+
+
+def test_the_figure_shows_the_stages_where_the_hole_is_largest(
+    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Through the program's own options. The hole of the last view is then made larger than the others."""
+    rebuilt(monkeypatch)
+    out, figure, results = (tmp_path / name for name in ("out", "figures/repair.jpg", "repair.json"))
+    given = [str(scene), f"--box={','.join(map(str, BOX))}", "-o", str(out)]
+    monkeypatch.setattr(sys, "argv", ["repair.py", *given, "--figure", str(figure), "--json", str(results)])
+    repair.main()
+    assert figure.read_bytes().startswith(b"\xff\xd8")
+    stages = json.loads(results.read_text())["stages"]
+    assert [stage["name"] for stage in stages] == ["damaged", "restored pictures", "repaired scene"]
+    cv2.imwrite(str(out / "holes" / "c.png"), np.full(SIZE, 255, np.uint8))
+    repair.write_figure(figure, out)
+    strip = cv2.imread(str(figure)).astype(float)
+    assert strip.shape == (SIZE[0], 4 * SIZE[1], 3)
+    folders = ("whole", "damaged", "restored", "repaired-renders")
+    for panel, folder in zip(np.split(strip, 4, axis=1), folders, strict=True):
+        differences = {
+            (stage, name): np.abs(panel - cv2.imread(str(out / stage / name))).mean()
+            for stage in folders
+            for name in ("a.png", "b.png", "c.png")
+        }
+        assert min(differences, key=lambda key: differences[key]) == (folder, "c.png")
 
 
 def test_the_restored_pictures_become_a_scene(scene: Path, tmp_path: Path) -> None:

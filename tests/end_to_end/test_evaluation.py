@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+import cv2
 import pytest
 
 from querysplat_cli.cli import run
@@ -37,7 +38,8 @@ def room(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def evaluated(room: Path) -> tuple[Path, dict[str, Any]]:
     out = room.parent / "out"
     command = [sys.executable, "-m", "querysplat_cli", "eval", str(room), "-o", str(out), "--json", *OPTIONS]
-    done = subprocess.run([*command, "--save-pictures"], capture_output=True, text=True, check=False)
+    kept = ["--save-pictures", "--nerfbaselines"]
+    done = subprocess.run([*command, *kept], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
     return out, json.loads(done.stdout)
@@ -63,13 +65,43 @@ def test_every_row_has_every_view(evaluated: tuple[Path, dict[str, Any]]) -> Non
         assert psnr[f"{cameras}_tto=4", "input"] > psnr[f"{cameras}_tto=4", "interp"] > 19
         assert psnr[f"{cameras}_tto=4", "extrap"] > 14
     case = out / "posed_tto=4" / "4views_small" / "room1_000"
-    assert {path.name for path in case.iterdir()} == {"metrics.json", "timing.json", "cameras.npz", "rendered"}
+    assert {path.name for path in case.iterdir()} == {
+        "metrics.json",
+        "timing.json",
+        "cameras.npz",
+        "rendered",
+        "nerfbaselines",
+    }
     config = json.loads((case.parent / "run_config.json").read_text())
     assert len(config["settings"]["checkpoint_sha256"]) == 64
     assert json.loads((out / "splits" / "4views_small.json").read_text())["total_samples"] == 1
     timing = json.loads((case / "timing.json").read_text())
     assert {"cameras", "depth", "queries", "tto", "total"} == timing["seconds"].keys()
     assert 0.1 < timing["peak_memory_gib"] < 4
+
+
+def test_every_case_is_kept_in_nerfbaselines_layout(evaluated: tuple[Path, dict[str, Any]]) -> None:
+    """As docs/evaluation.md says: info.json, color/ and gt-color/, with the scores of the rounded pictures."""
+    out, _ = evaluated
+    cases = [(out / name).parent for name in files(out)]
+    assert len(cases) == len(ROWS)
+    for case in cases:
+        folder = case / "nerfbaselines"
+        assert {path.name for path in folder.iterdir()} == {"info.json", "color", "gt-color"}
+        renders, photos, rendered = (
+            {path.relative_to(place): path for path in place.rglob("*.png")}
+            for place in (folder / "color", folder / "gt-color", case / "rendered")
+        )
+        assert renders.keys() == photos.keys() == rendered.keys()
+        scores = json.loads((folder / "info.json").read_text())["querysplat"]["scores"]
+        frames = json.loads((case / "metrics.json").read_text())["frames"]
+        names = {f"{group}/{view['name']}" for group, views in frames.items() for view in views}
+        assert {str(name) for name in renders} == scores.keys() == names
+        assert len(names) == 12
+        for name, file in renders.items():
+            assert file.read_bytes() == rendered[name].read_bytes()
+            psnr = cv2.PSNR(cv2.imread(str(file)), cv2.imread(str(photos[name])))
+            assert scores[str(name)]["psnr"] == pytest.approx(psnr, abs=1e-3)
 
 
 def test_a_second_run_does_only_what_is_missing(evaluated: tuple[Path, dict[str, Any]], room: Path) -> None:
