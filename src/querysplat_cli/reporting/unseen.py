@@ -50,7 +50,10 @@ def unseen(gaussians: Gaussians, cameras: Cameras) -> Unseen | None:
         film = orbit(inputs, scene_middle(gaussians), FRAMES)
     except QuerySplatError:
         return None
-    depths = [render(gaussians, inputs[[view]]).depth[0] for view in range(len(inputs))]
+    # In one block: small pictures among the freed tensors of renders would keep these from being used again.
+    depths = torch.empty(len(inputs), inputs.height, inputs.width)
+    for view in range(len(inputs)):
+        depths[view] = render(gaussians, inputs[[view]]).depth[0]
     empty, hidden = [], []
     for frame in range(len(film)):
         camera = film[[frame]]
@@ -63,7 +66,7 @@ def unseen(gaussians: Gaussians, cameras: Cameras) -> Unseen | None:
     return Unseen(float(torch.stack(empty).mean()), float(torch.stack(hidden).mean()))
 
 
-def _seen(points: Float[Tensor, "n 3"], cameras: Cameras, depths: list[Tensor]) -> Bool[Tensor, "n"]:
+def _seen(points: Float[Tensor, "n 3"], cameras: Cameras, depths: Float[Tensor, "views height width"]) -> Bool[Tensor, "n"]:
     """Whether any photo shows the points: inside its picture, and with nothing nearer in front of them."""
     seen = torch.zeros(len(points), dtype=torch.bool)
     fx, fy, cx, cy = cameras.intrinsics
