@@ -66,7 +66,9 @@ def unseen(gaussians: Gaussians, cameras: Cameras) -> Unseen | None:
     return Unseen(float(torch.stack(empty).mean()), float(torch.stack(hidden).mean()))
 
 
-def _seen(points: Float[Tensor, "n 3"], cameras: Cameras, depths: Float[Tensor, "views height width"]) -> Bool[Tensor, "n"]:
+def _seen(
+    points: Float[Tensor, "n 3"], cameras: Cameras, depths: Float[Tensor, "views height width"]
+) -> Bool[Tensor, "n"]:
     """Whether any photo shows the points: inside its picture, and with nothing nearer in front of them."""
     seen = torch.zeros(len(points), dtype=torch.bool)
     fx, fy, cx, cy = cameras.intrinsics
