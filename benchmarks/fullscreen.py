@@ -24,6 +24,7 @@ from common.photo_sets import PHOTO_SETS, PhotoSet, Use
 from common.samples import HOLDOUT_EVERY
 from querysplat_cli.pipeline.full_size import files_of
 from querysplat_cli.pipeline.read_scene import read_scene, read_scene_gaussians
+from querysplat_cli.pipeline.scene_folder import StoredScene
 from querysplat_cli.reporting.view_scores import score
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
@@ -79,7 +80,7 @@ def measure(
 
     `asked` are the options of the scene, by default `--quality`; the row then has `quality` for a name.
     """
-    ply = folder / f"{photo_set.name.replace('/', '-')}-{quality.replace(' ', '_')}.ply"
+    ply = scene_file(photo_set, quality, folder)
     options = ["--quality", quality] if asked is None else asked
     held = ["--holdout-every", str(HOLDOUT_EVERY), "--holdout-cameras", "joint"]
     report = reconstructed(photo_set.photos(data), ply, *options, *held)
@@ -88,8 +89,7 @@ def measure(
         return None
     scene, _ = read_scene(ply)
     assert scene.heldout
-    gaussians, files = read_scene_gaussians(ply, scene), files_of(scene, scene.heldout[0])
-    screen = large_views(files, *scene.heldout, FULL_SCREEN)
+    gaussians, screen = read_scene_gaussians(ply, scene), at_full_screen(scene)
     if pictures:
         beside(pictures / f"{ply.stem}.jpg", gaussians, screen)
     return Row(
@@ -104,6 +104,17 @@ def measure(
         report["peak_memory_gib"],
         report["gaussians"],
     )
+
+
+def scene_file(photo_set: PhotoSet, quality: str, folder: Path) -> Path:
+    """Where `measure` writes the scene of a set."""
+    return folder / f"{photo_set.name.replace('/', '-')}-{quality.replace(' ', '_')}.ply"
+
+
+def at_full_screen(scene: StoredScene) -> Held:
+    """The held-out photos of a scene that has some, at `FULL_SCREEN` or their own size, and their cameras."""
+    assert scene.heldout
+    return large_views(files_of(scene, scene.heldout[0]), *scene.heldout, FULL_SCREEN)
 
 
 def scored(gaussians: Gaussians, held: Held) -> Scores:

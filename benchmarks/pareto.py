@@ -36,7 +36,6 @@ from querysplat_cli.pipeline.full_size import files_of
 from querysplat_cli.pipeline.read_scene import read_scene, read_scene_gaussians
 from querysplat_cli.runtime.figures import new_figure, save_figure
 from querysplat_cli.scene.decoding import longer_side
-from querysplat_cli.scene.photo_files import large_views
 
 PIXELS = (224, 896, 1600)
 """Longer sides of the working pictures beside the default's 448."""
@@ -207,7 +206,7 @@ def row_of(
 
 def peer(photo_set: PhotoSet, data: Path, folder: Path) -> fullscreen.Row | None:
     """OpenSplat's row beside our default scene of a set, which is made again where `folder` no longer has it."""
-    ply = default_scene(photo_set, folder)
+    ply = fullscreen.scene_file(photo_set, DEFAULT, folder)
     if not ply.is_file() and not fullscreen.measure(photo_set, DEFAULT, data, folder, None, SETTINGS[DEFAULT]):
         return None
     scene, _ = read_scene(ply)
@@ -217,24 +216,18 @@ def peer(photo_set: PhotoSet, data: Path, folder: Path) -> fullscreen.Row | None
     if took is None:
         return None
     gaussians = read_scene_gaussians(trained, scene)
-    screen = large_views(files_of(scene, scene.heldout[0]), *scene.heldout, fullscreen.FULL_SCREEN)
     return fullscreen.Row(
         photo_set.name,
         photo_set.use,
         opensplat.ROW,
         fullscreen.scored(gaussians, scene.heldout),
-        fullscreen.scored(gaussians, screen),
+        fullscreen.scored(gaussians, fullscreen.at_full_screen(scene)),
         took.seconds,
         took.cpu_seconds,
         {"opensplat": took.seconds},
         took.gib,
         len(gaussians),
     )
-
-
-def default_scene(photo_set: PhotoSet, folder: Path) -> Path:
-    """Where `fullscreen.measure` writes our default scene of a set."""
-    return folder / f"{photo_set.name.replace('/', '-')}-{DEFAULT}.ply"
 
 
 def main() -> None:

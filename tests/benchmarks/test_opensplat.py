@@ -88,7 +88,7 @@ def folder(tmp_path: Path) -> Path:
         peak_memory_gib=0.5, machine="a machine",
     )  # fmt: skip
     (tmp_path / "scenes").mkdir()
-    ply = pareto.default_scene(PHOTO_SETS["fox"], tmp_path / "scenes")
+    ply = fullscreen.scene_file(PHOTO_SETS["fox"], pareto.DEFAULT, tmp_path / "scenes")
     write_scene(ply, scene, some_gaussians(9), report.as_dict())
     return tmp_path / "scenes"
 
@@ -162,4 +162,4 @@ def test_the_default_scene_lies_where_it_is_looked_for(
 
     monkeypatch.setattr(fullscreen, "reconstructed", fake)
     assert pareto.peer(PHOTO_SETS[name], tmp_path, tmp_path) is None
-    assert made == [pareto.default_scene(PHOTO_SETS[name], tmp_path)]
+    assert made == [fullscreen.scene_file(PHOTO_SETS[name], pareto.DEFAULT, tmp_path)]

@@ -28,14 +28,14 @@ def kept(folder: Path, photos: int, counts: Mapping[tuple[int, int], int]) -> se
             geometry.config, geometry.inlier_matches = pycolmap.TwoViewGeometryConfiguration.CALIBRATED, rows
             store.write_two_view_geometry(first + 1, second + 1, geometry)
         pairs = read_pairs(store, photos)
-        assert {(pair.first, pair.second): len(pair) for pair in pairs} == dict(counts)
+        assert {pair.ends: len(pair) for pair in pairs} == dict(counts)
         found = ends(remove_chance_pairs(store, pairs, photos, FEWEST))
         assert found == ends(read_pairs(store, photos))
     return found
 
 
 def ends(pairs: tuple[Pair, ...]) -> set[tuple[int, int]]:
-    return {(pair.first, pair.second) for pair in pairs}
+    return {pair.ends for pair in pairs}
 
 
 WALK = {(i, i + step): count for step, count in ((1, 200), (2, 60), (3, 20)) for i in range(20 - step)}

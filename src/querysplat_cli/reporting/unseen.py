@@ -50,7 +50,7 @@ def unseen(gaussians: Gaussians, cameras: Cameras) -> Unseen | None:
         film = orbit(inputs, scene_middle(gaussians), FRAMES)
     except QuerySplatError:
         return None
-    # In one block: small pictures among the freed tensors of renders would keep these from being used again.
+    # In one block: small pictures among the freed tensors of renders may keep these from being used again.
     depths = torch.empty(len(inputs), inputs.height, inputs.width)
     for view in range(len(inputs)):
         depths[view] = render(gaussians, inputs[[view]]).depth[0]

@@ -19,7 +19,7 @@ def remove_chance_pairs(
     less than `chance_inliers` times `fewest_inliers` matches, and no third photo has `chance_support` times as many
     with both. A pair stays that alone connects two groups of photos.
     """
-    matches = {(pair.first, pair.second): len(pair) for pair in pairs}
+    matches = {pair.ends: len(pair) for pair in pairs}
     most = CAMERA_POLICY.chance_inliers * fewest_inliers
     support = _support(matches)
     doubtful = {
@@ -31,7 +31,7 @@ def remove_chance_pairs(
     removed = {(first, second) for first, second in doubtful if group[first] == group[second]}
     for first, second in sorted(removed):
         store.delete_two_view_geometry(first + 1, second + 1)
-    return tuple(pair for pair in pairs if (pair.first, pair.second) not in removed)
+    return tuple(pair for pair in pairs if pair.ends not in removed)
 
 
 def _support(matches: Mapping[tuple[int, int], int]) -> dict[tuple[int, int], int]:

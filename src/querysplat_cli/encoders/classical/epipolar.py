@@ -50,7 +50,7 @@ def epipolar_support(model: SparseModel, matches: Matches) -> Support:
             cameras = model.cameras[pair.first], model.cameras[pair.second]
             explained += int((epipolar_error(pair, *cameras) < CAMERA_POLICY.epipolar_tolerance).sum())
             total += len(pair)
-            for photo in (pair.first, pair.second):
+            for photo in pair.ends:
                 matched[photo] = max(matched[photo], len(pair))
     coverage = sum(len(seen) for seen in model.seen.values()) / sum(matched.values())
     return Support(explained, total, coverage)

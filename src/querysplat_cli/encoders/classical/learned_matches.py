@@ -56,7 +56,7 @@ def weak_pairs(matches: Matches, weak: Sequence[int]) -> list[tuple[int, int]]:
     if not weak:
         return []
     policy, doubtful, raw = LEARNED_POLICY, set(weak), _match_counts(matches)
-    inliers = {(pair.first, pair.second): len(pair) for pair in matches.pairs}
+    inliers = {pair.ends: len(pair) for pair in matches.pairs}
     wanted = [
         pair for pair in all_pairs(matches) if doubtful & set(pair) and inliers.get(pair, 0) < policy.enough_inliers
     ]

@@ -61,11 +61,11 @@ class Matches:
 
     def partners(self, photo: int) -> list[int]:
         """Numbers of the photos that have matches with this one."""
-        return [pair.first + pair.second - photo for pair in self.pairs if photo in (pair.first, pair.second)]
+        return [pair.first + pair.second - photo for pair in self.pairs if photo in pair.ends]
 
     def largest_group(self) -> list[int]:
         """Numbers of the largest group of photos that pairs connect, directly or through others."""
-        group = connected_groups([(pair.first, pair.second) for pair in self.pairs], len(self.sizes))
+        group = connected_groups([pair.ends for pair in self.pairs], len(self.sizes))
         found: list[int] = np.flatnonzero(group == np.bincount(group).argmax()).tolist()
         return found
 

@@ -165,7 +165,7 @@ def _with_network(
 
 def _agreeing(matches: Matches, pairs: Sequence[tuple[int, int]]) -> int:
     wanted = set(pairs)
-    return sum(len(pair) for pair in matches.pairs if (pair.first, pair.second) in wanted)
+    return sum(len(pair) for pair in matches.pairs if pair.ends in wanted)
 
 
 def _wanting(trial: _Trial) -> list[int]:

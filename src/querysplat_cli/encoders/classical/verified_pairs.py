@@ -36,6 +36,11 @@ class Pair:
     first_pixels: np.ndarray
     second_pixels: np.ndarray
 
+    @property
+    def ends(self) -> tuple[int, int]:
+        """The numbers of both photos, the smaller one first."""
+        return self.first, self.second
+
     def __len__(self) -> int:
         return len(self.first_pixels)
 
@@ -177,7 +182,7 @@ def read_pairs(store: pycolmap.Database, photos: int) -> tuple[Pair, ...]:
         pixels = {one: keypoints[one][matches[:, 0]], two: keypoints[two][matches[:, 1]]}
         first, second = min(one, two), max(one, two)
         pairs.append(Pair(first, second, pixels[first], pixels[second]))
-    return tuple(sorted(pairs, key=lambda pair: (pair.first, pair.second)))
+    return tuple(sorted(pairs, key=lambda pair: pair.ends))
 
 
 def connected_groups(ends: Sequence[tuple[int, int]], photos: int) -> np.ndarray:
