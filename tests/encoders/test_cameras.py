@@ -12,8 +12,11 @@ import torch
 from synthetic import FOCAL, WIDTH, arc, camera, photograph, photographs, room, wall
 
 from querysplat_cli.encoders.base import CameraRequest, PosedViews
+from querysplat_cli.encoders.classical import matches as matches_module
 from querysplat_cli.encoders.classical import photo_pairs
 from querysplat_cli.encoders.classical.cameras import estimate_cameras
+from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
+from querysplat_cli.reporting import omissions
 from querysplat_cli.runtime.errors import ExitCode, ImpossibleScene
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.sim3 import align_cameras
@@ -287,3 +290,10 @@ def test_many_photos_are_matched_with_the_most_similar(
     degrees, _ = pose_error(found, six, arc(6))
     assert len(found.views) == 6
     assert degrees < 0.2
+
+
+def test_pairs_that_match_by_chance_are_counted(six: list[Photo], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(matches_module, "CAMERA_POLICY", replace(CAMERA_POLICY, exhaustive_photos=3))
+    monkeypatch.setattr(matches_module, "remove_chance_pairs", lambda store, pairs, *_: pairs[:-2])
+    assert place(six).chance_pairs == 2
+    assert "2" in omissions.chance_pairs(2).saved

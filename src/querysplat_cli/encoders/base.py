@@ -88,7 +88,7 @@ class PosedViews:
     `photo_cameras` are the cameras of the photos before undistortion, in the same frame; None where the views show
     the photos without resampling. `epipolar_error_px` is the median distance of the matches from their epipolar
     lines, in pixels of the views; None where it was not measured. `matching` says how photos were matched again, if any
-    was.
+    was. `chance_pairs` of photos matched by chance and were left out.
     """
 
     views: Views
@@ -101,6 +101,7 @@ class PosedViews:
     epipolar_error_px: float | None = None
     matching: Matching | None = None
     keypoints: tuple[Tensor, ...] | None = None
+    chance_pairs: int = 0
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,8 @@ def omissions_of(settings: ReconstructSettings, scene: BuiltScene, finest: Blurr
         found.append(omissions.UNUSED_DEPTH)
     if finest:
         found.append(omissions.resolution(finest))
+    if scene.posed.chance_pairs:
+        found.append(omissions.chance_pairs(scene.posed.chance_pairs))
     if settings.poses:
         found.append(omissions.sfm(settings.poses))
     return found

@@ -56,6 +56,11 @@ def sfm(poses: object) -> Omission:
     return Omission("structure from motion", f"the poses are those in {poses}", "matching and mapping")
 
 
+def chance_pairs(count: int) -> Omission:
+    why = "they have few matches, and no third photo confirms them: photos of different places that look alike"
+    return Omission("pairs of photos", why, f"{count:,} from structure from motion")
+
+
 def resolution(finest: Blurred) -> Omission:
     return Omission(
         "resolution",

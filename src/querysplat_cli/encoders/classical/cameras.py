@@ -35,6 +35,7 @@ class Placement:
     warnings: tuple[str, ...] = ()
     epipolar_error: float | None = None
     matching: Matching | None = None
+    chance_pairs: int = 0
 
 
 def estimate_cameras(
@@ -64,6 +65,7 @@ def estimate_cameras(
         warnings=placement.warnings,
         epipolar_error_px=placement.epipolar_error and placement.epipolar_error * longer_side,
         matching=placement.matching,
+        chance_pairs=placement.chance_pairs,
     )
 
 
@@ -97,6 +99,7 @@ def _place(photos: Sequence[Photo], choice: MatcherChoice, *, seed: int, progres
         camera_warnings(model, matches),
         median_epipolar_error(model, matches),
         found.matching,
+        matches.chance_pairs,
     )
 
 

@@ -41,7 +41,7 @@ class Matches:
     By photo number: `sizes` are the (height, width) at which features were searched, `focals` the focal lengths in
     pixels of that size (from EXIF, or None), `usual_focals` those that photos without EXIF have as a rule, and
     `features` the numbers of features found. Pixels are of that size, centres at +0.5. `folder` holds the same for
-    COLMAP, whose image numbers are ours plus one.
+    COLMAP, whose image numbers are ours plus one. `chance_pairs` were removed (`chance_pairs.py`).
     """
 
     folder: Path
@@ -50,6 +50,7 @@ class Matches:
     usual_focals: tuple[float, ...]
     features: tuple[int, ...]
     pairs: tuple[Pair, ...]
+    chance_pairs: int = 0
 
     @property
     def database(self) -> Path:
@@ -109,12 +110,12 @@ def matched(
 
         match_pairs(matches.database, folder, chosen, effort, verification, told)
         with pycolmap.Database.open(matches.database) as store:
-            pairs = read_pairs(store, len(photos))
+            pairs = every = read_pairs(store, len(photos))
             if not known and len(photos) > CAMERA_POLICY.exhaustive_photos:
                 pairs = remove_chance_pairs(store, pairs, len(photos), effort.fewest_inliers)
         if not known and len(photos) > CAMERA_POLICY.measured_focal_photos:
             calibrate_start(matches.database, folder, seed=seed)
-        yield replace(matches, features=features, pairs=pairs)
+        yield replace(matches, features=features, pairs=pairs, chance_pairs=len(every) - len(pairs))
 
 
 def _usual_effort(photos: Sequence[Photo]) -> MatchEffort:
