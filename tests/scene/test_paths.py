@@ -120,7 +120,7 @@ def test_halfway_places_are_between_neighbours_in_any_order() -> None:
     """Photos of both sides of an object: the middle between the sides lies in it."""
     degrees = np.array([0.0, 10, 25, 180, 192])
     places = halfway(ring(degrees)).centres
-    assert azimuths(halfway(ring(degrees))).round().tolist() == [5, 18, -174]
+    np.testing.assert_allclose(azimuths(halfway(ring(degrees))), [5, 17.5, -174], atol=1e-3)
     shuffled = halfway(ring(degrees[[3, 0, 4, 2, 1]])).centres
     assert torch.cdist(places, shuffled).min(1).values.max() < 1e-3
     assert len(halfway(ring(degrees[:1]))) == 1
