@@ -7,9 +7,6 @@ from dataclasses import dataclass, field
 from querysplat_cli.runtime.choices import FullSizeLevel
 from querysplat_cli.scene.photos import WHOLE
 
-MANY_PHOTOS = 24
-"""Photos beyond this number have more seconds each (`LevelPolicy.seconds_per_further_photo`)."""
-
 
 @dataclass(frozen=True)
 class LevelPolicy:
@@ -35,8 +32,6 @@ class LevelPolicy:
     """However many pixels there are."""
     seconds_per_photo: float = 0.0
     """The plan may take so long for each photo, where that is more than all of the above."""
-    seconds_per_further_photo: float = 0.0
-    """The same for each photo beyond `MANY_PHOTOS`: steps take longer, because more photos make more Gaussians."""
     halved: float = 0.0
     """Share of the steps that see their photo at half of its size, too, where photos are larger than the working
     pictures (`RenderingLoss.halved`)."""
@@ -46,9 +41,7 @@ class LevelPolicy:
     def planned_seconds(self, photos: int, megapixels: float) -> float:
         """For so many photos, which have so many million pixels together at the size of this level."""
         base, each_megapixel = self.seconds
-        further = max(0, photos - MANY_PHOTOS)
-        shared = self.seconds_per_photo * (photos - further) + self.seconds_per_further_photo * further
-        return max(min(base + each_megapixel * megapixels, self.most_seconds), shared)
+        return max(min(base + each_megapixel * megapixels, self.most_seconds), self.seconds_per_photo * photos)
 
     def sure_gaussians(self, photos: int) -> int:
         """What splitting may reach for so many photos, however few pixels they have."""
@@ -73,7 +66,6 @@ class FullSizePolicy:
                 shared_gaussians=70_000,
                 pixels_each=60.0,
                 seconds_per_photo=1.7,
-                seconds_per_further_photo=2.8,
                 gaussians_per_photo=2_800.0,
             ),
             "high": LevelPolicy(
