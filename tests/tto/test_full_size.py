@@ -116,6 +116,12 @@ def test_gradients_are_over_changing_backgrounds_and_losses_over_grey() -> None:
     assert [step.loss for step in steps] == pytest.approx([target.value(faint, [0])] * 6, rel=1e-5)
 
 
+def test_the_rate_falls_with_the_square_root_of_many_photos() -> None:
+    rates = {count: plan_full_size("max", replace(LARGE, count=count), 10_000) for count in (5, 12, 48)}
+    assert [plan.stages[0].settings.lr / FULL_SIZE_POLICY.learning_rate for plan in rates.values()] == [1, 1, 0.5]
+    assert all(plan.round and plan.round.settings.lr == plan.stages[0].settings.lr / 2 for plan in rates.values())
+
+
 def test_halved_views_add_half_of_their_gradient() -> None:
     """As a loss of its own has it, on pictures that are halved already, over the same background."""
     views, some = views_at(SIZE)

@@ -89,7 +89,7 @@ def plan_full_size(
         steps = in_time if seconds is None else most_steps
         settings = TtoSettings(
             steps,
-            policy.learning_rate,
+            policy.rate(photos.count),
             views_per_step=1,
             seconds=None if seconds is None else seconds * part,
             keep_cover=1 < photos.count <= TTO_POLICY.few_views,
@@ -103,7 +103,7 @@ def plan_full_size(
     if not limits.most_rounds or seconds is not None:
         return FullSizePlan(tuple(stages), expected if seconds is None else seconds, level=level)
     last = stages[-1].settings
-    again = replace(last, steps=policy.round_passes * photos.count, lr=policy.learning_rate / 2)
+    again = replace(last, steps=policy.round_passes * photos.count, lr=last.lr / 2)
     return FullSizePlan(tuple(stages), expected, replace(stages[-1], settings=again), limits.most_rounds, level)
 
 

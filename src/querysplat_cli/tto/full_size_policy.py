@@ -102,6 +102,10 @@ class FullSizePolicy:
     learning_rate: float = 0.025
     """In Gaussian space, at the start of a stage. Held out, `standard` has 0.03 dB more with 0.03, and `high` 0.05 dB
     more with 0.02 (means of the sets that are tuned on; of fox and kermit)."""
+    rate_photos: int = 12
+    """Of more photos, the rate falls with the square root of their number. The more there are, the fewer of them show
+    a Gaussian. Adam divides by the root mean square of all its gradients, the zeros of other photos included, so it
+    would move the farther each time that it is shown (docs/tried.md)."""
     stages: tuple[tuple[float, float], ...] = ((0.5, 0.35), (1.0, 0.65))
     """Coarse to fine: the share of the photos' size, and the share of the planned seconds, of each stage."""
     least_enlargement: float = 1.3
@@ -129,6 +133,10 @@ class FullSizePolicy:
     """`max` goes on in rounds that show each photo so often."""
     least_gain: float = 0.01
     """`max` ends after a round that lowers the loss on the input photos by a smaller share."""
+
+    def rate(self, photos: int) -> float:
+        """The learning rate at the start of a stage, for so many photos."""
+        return self.learning_rate * min(1.0, math.sqrt(self.rate_photos / photos))
 
 
 FULL_SIZE_POLICY = FullSizePolicy()
