@@ -71,7 +71,7 @@ class PipelinePolicy:
     joint_passes: int = 4
     """How often the last optimisation of joined regions takes each photo."""
     joint_rate: float = 0.25
-    """Its learning rate as a share of the usual one."""
+    """Its learning rate as a share of `FullSizePolicy.learning_rate`, however many photos there are."""
     joint_pixels: float = 1e8
     """Pixels of all photos up to which it takes them together: at most 1.3 GB. More are taken part by part."""
     joint_photos: int = 120
