@@ -15,7 +15,7 @@ from querysplat_cli.model.config import preset
 from querysplat_cli.model.memories import Memories
 from querysplat_cli.pipeline.read_scene import check_model, read_scene
 from querysplat_cli.pipeline.scene_folder import StoredScene, write_scene
-from querysplat_cli.queries.prepare import MemoryMap
+from querysplat_cli.queries.prepare import NOT_KNOWN, MemoryMap
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.gaussians import Gaussians
 
@@ -77,7 +77,9 @@ def test_a_map_that_names_rows_that_are_not_there_is_refused(
 ) -> None:
     scene, gaussians = stored
     counts = len(scene.memories.geometry_keys), len(scene.memories.appearance_keys)
-    where = MemoryMap(*(torch.arange(n).int() for n in counts), torch.tensor([0, 4, 6]).int(), torch.zeros(0, 0, 0))
+    where = MemoryMap(
+        *(torch.arange(n).int() for n in counts), torch.tensor([0, 4, 6]).int(), torch.zeros(0, 0, 0), NOT_KNOWN
+    )
     write_scene(tmp_path / "s.ply", replace(scene, map=where), gaussians, a_report())
     assert read_scene(tmp_path / "s")[0].map is not None
     for wrong in (

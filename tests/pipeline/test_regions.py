@@ -25,7 +25,7 @@ from querysplat_cli.pipeline.regions.scene import KeptRegions, RegionScene
 from querysplat_cli.pipeline.regions.seams import Seam, disagreement, find_seams, parts_needed, verdict
 from querysplat_cli.pipeline.regions.task import region_task
 from querysplat_cli.pipeline.settings import ReconstructSettings
-from querysplat_cli.queries.prepare import MemoryMap, PreparedQueries
+from querysplat_cli.queries.prepare import NOT_KNOWN, MemoryMap, PreparedQueries
 from querysplat_cli.runtime.errors import ImpossibleScene
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.exposures import Exposures
@@ -144,7 +144,7 @@ def region(matrices: torch.Tensor | None) -> RegionScene:
     nothing = torch.zeros(0, 1, 1)
     memories = Memories(nothing, nothing, nothing, nothing)
     exposures = None if matrices is None else Exposures(matrices)
-    where = MemoryMap(torch.zeros(0).int(), torch.zeros(0).int(), torch.ones(3).int(), torch.zeros(0, 0, 0))
+    where = MemoryMap(torch.zeros(0).int(), torch.zeros(0).int(), torch.ones(3).int(), torch.zeros(0, 0, 0), NOT_KNOWN)
     prepared = PreparedQueries(memories, None, None, where)
     return RegionScene(grey(), torch.zeros(1, 1, 1), prepared, exposures, None, 1, {})
 

@@ -13,7 +13,7 @@ from querysplat_cli.scene.exposures import Exposures
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.render import render
-from querysplat_cli.tto.full_size import FullSizeResult, optimise_full_size
+from querysplat_cli.tto.full_size import FullSizeResult, PhotoFacts, optimise_full_size
 from querysplat_cli.tto.full_size_plan import FullSizePlan, FullSizeStage, Photos, plan_full_size
 from querysplat_cli.tto.full_size_policy import FULL_SIZE_POLICY
 from querysplat_cli.tto.options import TtoSettings, TtoStep
@@ -275,7 +275,7 @@ def test_colour_transforms_go_through_all_stages() -> None:
         return replace(views, images=(views.images * gains[:, None, None, None]).to(torch.uint8)), where
 
     start = Exposures.identity(4)
-    found = optimise_full_size(coarse(), dimmed, TWO_STAGES, seed=0, exposures=start).exposures
+    found = optimise_full_size(coarse(), dimmed, TWO_STAGES, seed=0, facts=PhotoFacts(start)).exposures
     assert found
     torch.testing.assert_close(found.matrices.mean(0), start.matrices[0])
     brightness = found.matrices[:, :, :3].sum(2).mean(1) + 2 * found.matrices[:, :, 3].mean(1)

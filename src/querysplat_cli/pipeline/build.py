@@ -78,7 +78,8 @@ class BuiltScene:
     @property
     def inputs(self) -> LargePhotos:
         """The photos that the scene was made from, with their cameras after optimisation."""
-        return LargePhotos(self.posed.views, self.adapted.cameras, self.files, self.adapted.exposures)
+        theirs = self.posed.views, self.adapted.cameras, self.files, self.adapted.exposures
+        return LargePhotos(*theirs, self.prepared.map.confirmed)
 
     def heldout(self, cameras: PosedSplit) -> tuple[Views, Cameras] | None:
         """The held-out views of the pass that the scene was made from, with cameras corrected as the inputs' were."""

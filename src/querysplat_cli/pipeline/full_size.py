@@ -6,10 +6,13 @@ from functools import partial
 from typing import Any
 
 import torch
+from jaxtyping import Bool
+from torch import Tensor
 
 from querysplat_cli.pipeline.scene_folder import StoredScene
 from querysplat_cli.prune.hiding import hiding
 from querysplat_cli.queries.backdrop import backdrop
+from querysplat_cli.queries.prepare import NOT_KNOWN
 from querysplat_cli.reporting.report import quality_entry, tto_entries
 from querysplat_cli.reporting.view_scores import Quality, score
 from querysplat_cli.runtime.device import to_device
@@ -21,7 +24,7 @@ from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.photo_files import PhotoFile, check_photo_files, large_views
 from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.conventions import MID_GREY
-from querysplat_cli.tto.full_size import FullSizeResult, optimise_full_size
+from querysplat_cli.tto.full_size import FullSizeResult, PhotoFacts, optimise_full_size
 from querysplat_cli.tto.full_size_plan import FullSizePlan, FullSizeStage, Photos
 from querysplat_cli.tto.options import TtoStep
 from querysplat_cli.tto.plan import TtoRun
@@ -35,13 +38,15 @@ class LargePhotos:
     """Views of a scene at the sizes that their photos have.
 
     `files` are the photos of `views`; without them, the pictures are as large as `views`. `exposures` are the colour
-    transforms of the photos, where the scene has any.
+    transforms of the photos, where the scene has any. `confirmed` marks the pixels of `views` whose depth was measured
+    (empty: that is not known).
     """
 
     views: Views
     cameras: Cameras
     files: Sequence[PhotoFile] = ()
     exposures: Exposures | None = None
+    confirmed: Bool[Tensor, "confirmed height width"] = NOT_KNOWN
 
     @property
     def working(self) -> int:
@@ -69,7 +74,7 @@ class LargePhotos:
         """Those of these rows."""
         return LargePhotos(
             self.views[rows], self.cameras[rows], [self.files[row] for row in rows] if self.files else (),
-            self.exposures and self.exposures[rows],
+            self.exposures and self.exposures[rows], self.confirmed[rows] if len(self.confirmed) else self.confirmed,
         )  # fmt: skip
 
 
@@ -120,9 +125,8 @@ def take_to_full_size(
     start = to_device(gaussians, device)
     hidden = hiding(start, to_device(photos.cameras, device))
     look = partial(progress.look, views=photos.views, cameras=photos.cameras)
-    result = optimise_full_size(
-        start[~hidden], views_at, plan, seed=seed, exposures=photos.exposures, progress=show, look=look
-    )
+    facts = PhotoFacts(photos.exposures, to_device(photos.confirmed, device) if len(photos.confirmed) else None)
+    result = optimise_full_size(start[~hidden], views_at, plan, seed=seed, facts=facts, progress=show, look=look)
     return FullSize(
         to_device(result.gaussians, torch.device("cpu")),
         result.runs[-1][0].max_size,
@@ -152,7 +156,8 @@ def _scored(gaussians: Gaussians, size: int, photos: LargePhotos) -> Quality:
 
 def stored_photos(scene: StoredScene) -> tuple[LargePhotos, LargePhotos | None]:
     """Input and held-out photos of a stored scene. Raises QuerySplatError when photos are gone."""
-    inputs = LargePhotos(scene.views, scene.cameras, files_of(scene, scene.views), scene.exposures)
+    confirmed = NOT_KNOWN if scene.map is None else scene.map.confirmed
+    inputs = LargePhotos(scene.views, scene.cameras, files_of(scene, scene.views), scene.exposures, confirmed)
     heldout = scene.heldout and LargePhotos(*scene.heldout, files_of(scene, scene.heldout[0]))
     check_photo_files([*inputs.files, *(heldout.files if heldout else ())])
     return inputs, heldout

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from querysplat_cli.model.anchors import Anchors, Neighbours
 from querysplat_cli.model.memories import Memories
-from querysplat_cli.queries.prepare import MemoryMap
+from querysplat_cli.queries.prepare import NOT_KNOWN, MemoryMap
 
 
 class DamagedTensors(ValueError):
@@ -58,6 +58,7 @@ def checked(tensors: dict[str, Tensor], inputs: int, views: int, canvas: tuple[i
     kept = _read("kept", Bool[Tensor, "n"], tensors, {}) if "kept" in tensors else None
     if kept is not None and anchors is not None and len(kept) != anchors.opacities.numel():
         raise DamagedTensors(f"kept marks {len(kept)} Gaussians, and the anchors have {anchors.opacities.numel()}")
+    tensors = {"map.confirmed": NOT_KNOWN, **tensors}  # scenes of earlier versions have none
     where: MemoryMap | None = _part(MemoryMap, "map", tensors) if "map.grid" in tensors else None
     if where is not None:
         _check_map(where, memories, inputs, canvas)
@@ -137,8 +138,10 @@ def _check_map(where: MemoryMap, memories: Memories, inputs: int, canvas: tuple[
     for name, keys in (("geometry", memories.geometry_keys), ("appearance", memories.appearance_keys)):
         if len(getattr(where, f"{name}_rows")) != len(keys):
             raise DamagedTensors(f"the tensor map.{name}_rows has not one row for each of {len(keys)} memory rows")
-    if where.depth.numel() and tuple(where.depth.shape) != (inputs, *canvas):
-        raise DamagedTensors(f"the tensor map.depth has the shape {list(where.depth.shape)}")
+    for name in ("depth", "confirmed"):
+        part = getattr(where, name)
+        if part.numel() and tuple(part.shape) != (inputs, *canvas):
+            raise DamagedTensors(f"the tensor map.{name} has the shape {list(part.shape)}")
 
 
 def _check_rows(name: str, index: Tensor, count: int) -> None:

@@ -4,7 +4,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from querysplat_cli.encoders.base import Geometry, PosedViews
@@ -13,11 +13,14 @@ from querysplat_cli.model.memories import Features, Memories, attended_rows
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.queries.build import build_anchors
 from querysplat_cli.queries.coverage import AnchorReport
+from querysplat_cli.queries.policy import QUERY_POLICY
 from querysplat_cli.queries.rendering_error import with_rendering_error
 from querysplat_cli.runtime.choices import Target
 from querysplat_cli.runtime.device import to_device
 
 CPU = torch.device("cpu")
+NOT_KNOWN = torch.zeros(0, 0, 0, dtype=torch.bool)
+"""`MemoryMap.confirmed` where the encoder has no confidence."""
 FARTHEST = 6e4
 """Depth is stored in half precision, whose largest number is a little larger."""
 
@@ -27,12 +30,14 @@ class MemoryMap:
     """Where in the photos the rows of the memories come from, and the VGM's depth (empty if there is none).
 
     Rows are counted among all tokens of all views; `grid` is (special tokens, rows, columns) of a view's tokens.
+    `confirmed` marks the depth that other views agree with (empty if that is not known).
     """
 
     geometry_rows: Int[Tensor, "geometry"]
     appearance_rows: Int[Tensor, "appearance"]
     grid: Int[Tensor, "3"]
     depth: Float[Tensor, "views height width"]
+    confirmed: Bool[Tensor, "confirmed rows columns"]
 
     @property
     def layout(self) -> tuple[int, int, int]:
@@ -54,7 +59,7 @@ def without_rows(prepared: PreparedQueries, memories: Memories) -> PreparedQueri
     """Queries of the same model that have no row at all, with no memory to read."""
     where = prepared.map
     nothing = _no_rows(where.geometry_rows), _no_rows(where.appearance_rows)
-    layout = MemoryMap(*nothing, where.grid.clone(), torch.zeros(0, 0, 0))
+    layout = MemoryMap(*nothing, where.grid.clone(), torch.zeros(0, 0, 0), NOT_KNOWN.clone())
     return PreparedQueries(_no_rows(memories), _no_rows(prepared.anchors), None, layout)
 
 
@@ -114,6 +119,11 @@ def _memory_map(
     grid = height // geometry.patch, width // geometry.patch
     special = geometry.features[-1].shape[1] - grid[0] * grid[1]
     depth = torch.zeros(0, 0, 0) if geometry.depth is None else geometry.depth
+    sure = geometry.confidence
     return MemoryMap(
-        rows[0].int(), rows[1].int(), torch.tensor([special, *grid]).int(), depth.clamp_max(FARTHEST).half()
+        rows[0].int(),
+        rows[1].int(),
+        torch.tensor([special, *grid]).int(),
+        depth.clamp_max(FARTHEST).half(),
+        NOT_KNOWN.clone() if sure is None else sure > QUERY_POLICY.confident,
     )

@@ -4,6 +4,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import torch
+from jaxtyping import Bool
+from torch import Tensor
 
 from querysplat_cli.prune.far import drawn_in
 from querysplat_cli.scene.cameras import Cameras
@@ -18,6 +20,18 @@ from querysplat_cli.tto.gaussians import Changes, optimise_gaussians
 from querysplat_cli.tto.optimise import TtoResult
 from querysplat_cli.tto.options import Callbacks, Look, TtoStep
 from querysplat_cli.tto.rendering_loss import RenderingLoss
+
+
+@dataclass(frozen=True)
+class PhotoFacts:
+    """What is known of the photos beside their pictures and cameras.
+
+    exposures: the colour transforms to start with (None: photos show the scene's own colours).
+    confirmed: where other views agree with the depth of the working pictures (None: that is not known).
+    """
+
+    exposures: Exposures | None = None
+    confirmed: Bool[Tensor, "views height width"] | None = None
 
 
 @dataclass(frozen=True)
@@ -43,18 +57,17 @@ def optimise_full_size(
     plan: FullSizePlan,
     *,
     seed: int,
-    exposures: Exposures | None = None,
+    facts: PhotoFacts = PhotoFacts(),
     progress: Callable[[FullSizeStage, TtoStep], None] = lambda stage, step: None,
     look: Look = lambda gaussians: None,
 ) -> FullSizeResult:
     """Carry out `plan`. Each step renders one view over a background of random colour.
 
     `views_at(max_size)` gives the input views at a longer side of at most so many pixels. Only those of one size are
-    held at a time. `exposures` are the colour transforms to start with. No Gaussian of the result is thinner than a
-    pixel of the last pictures (`splat/smoothing.py`).
+    held at a time. No Gaussian of the result is thinner than a pixel of the last pictures (`splat/smoothing.py`).
     """
     generator = torch.Generator().manual_seed(seed)
-    refitted = RefittedExposures(exposures) if exposures else None
+    refitted = RefittedExposures(facts.exposures) if facts.exposures else None
     runs: list[tuple[FullSizeStage, TtoResult[Changes]]] = []
     target: RenderingLoss | None = None
     size = 0
@@ -65,7 +78,7 @@ def optimise_full_size(
             target = None  # the smaller pictures make room for the larger ones
             views, cameras = views_at(stage.max_size)
             target, size = RenderingLoss.for_solid_scenes(views, cameras, generator, refitted), stage.max_size
-        target = replace(target, halved=stage.halved)
+        target = replace(target, halved=stage.halved, confirmed=facts.confirmed)
         start = runs[-1][1].gaussians if runs else gaussians
         result = optimise_gaussians(
             start,

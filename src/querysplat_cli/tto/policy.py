@@ -28,6 +28,9 @@ class TtoPolicy:
     """Weight of LPIPS in the loss, where it takes part (the paper and the release)."""
     half: float = 0.5
     """Weight in the loss of views at half of their size, where they take part (docs/quality.md)."""
+    smoothness: float = 2 / 448
+    """In Gaussian space, weight in the loss of how rough the depth is that no other view confirms
+    (`tto/smooth_depth.py`). Chosen on fortress, dtu106, kermit and fox (docs/tried.md)."""
     views_per_step: int = 3
     """Views that one step renders, where there are more."""
     few_views: int = 4

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import torch
+from jaxtyping import Bool
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -17,6 +18,7 @@ from querysplat_cli.splat.render import Rendering, RenderSettings, render
 from querysplat_cli.splat.similarity import photometric_loss, photometric_value
 from querysplat_cli.tto.exposure_refit import RefittedExposures
 from querysplat_cli.tto.policy import TTO_POLICY
+from querysplat_cli.tto.smooth_depth import depth_roughness
 
 
 @dataclass(frozen=True)
@@ -63,6 +65,8 @@ class RenderingLoss:
     halved: share of the gradients that have, beside the views, the same ones at half of the size, by `TtoPolicy.half`;
         `backgrounds` draws them. Gaussians smaller than a pixel are drawn larger than they are, so that a scene of many
         has other colours from farther away.
+    confirmed: where the depth of the working pictures agrees with another view. Elsewhere gradients keep the depth
+        of the scene smooth (`tto/smooth_depth.py`; None: nothing does).
     """
 
     views: Views
@@ -74,6 +78,7 @@ class RenderingLoss:
     finest: Cameras | None = None
     perceptual: Perceptual | None = None
     halved: float = 0.0
+    confirmed: Bool[Tensor, "views height width"] | None = None
 
     @classmethod
     def for_solid_scenes(
@@ -116,13 +121,14 @@ class RenderingLoss:
         for view in chosen:
             rendering = self._render(leaves, cameras, view)
             photo = self._photo(view)
+            rough = self._roughness(rendering, photo, view)
             if self.exposures:
                 self.exposures.refit(view, rendering, photo[0][0], photo[1][0])
                 rendering = self._exposed(rendering, view)
             picture = self._picture(rendering, behind, view)
             distance = self._distance(picture, photo)
             smaller = TTO_POLICY.half * self._half_loss(leaves, cameras, behind, view, photo) if halve else 0.0
-            ((photometric_loss(picture, *photo) + distance + smaller) / len(chosen)).backward()
+            ((photometric_loss(picture, *photo) + distance + smaller + rough) / len(chosen)).backward()
             # Over changing backgrounds the distance is another one than that of the value.
             value, error = self._compared(rendering, photo, view, None if self.backgrounds else distance.detach())
             losses.append(value)
@@ -142,6 +148,13 @@ class RenderingLoss:
         mask = F.interpolate(photo[1][:, None].float(), size, mode="area")[:, 0] == 1
         picture = self._exposed(self._render(gaussians, cameras.resized(*size), view), view).over(behind)
         return photometric_loss(picture * mask[:, None], smaller * mask[:, None], mask)
+
+    def _roughness(self, rendering: Rendering, photo: tuple[Tensor, Tensor], view: int) -> Tensor | float:
+        """How rough the depth is that no other view confirms, by its weight; 0 where this takes no part."""
+        if self.confirmed is None:
+            return 0.0
+        guessed = F.interpolate((~self.confirmed[[view]])[:, None].float(), photo[1].shape[1:])[:, 0] == 1
+        return TTO_POLICY.smoothness * depth_roughness(rendering, *photo, guessed)
 
     def _exposed(self, rendering: Rendering, view: int) -> Rendering:
         return self.exposures.exposed(rendering, view) if self.exposures else rendering
