@@ -63,17 +63,16 @@ def test_an_edge_of_the_photo_makes_a_step_cheap_and_a_large_step_costs_no_more(
     assert rough_of(depth, photo) == pytest.approx(8 * LARGEST_STEP / 7)
 
 
-def test_only_steps_from_or_to_guessed_depth_count() -> None:
+def test_only_steps_between_guessed_pixels_count() -> None:
     depth = torch.full((4, 8), 2.0, dtype=torch.float64)
     depth[:, 2:] = 2 / 0.95
     depth[:, 6:] = 2 / 0.9
-    guessed = ~every(4, 8)
-    assert float(depth_roughness(rendered(depth), plain(4, 8), every(4, 8), guessed)) == 0
-    guessed[:, :, 2] = True  # the first step leads here, the second one does not
     middle = 2 / 0.95
-    first = middle * 0.5 * 0.05
-    rough = float(depth_roughness(rendered(depth), plain(4, 8), every(4, 8), guessed))
-    assert rough == pytest.approx(8 * first / 7)
+    for guessed_from, rough in ((6, 0.0), (5, 1.0), (2, 1.0), (1, 2.0)):  # how many of the two steps count
+        guessed = every(4, 8)
+        guessed[:, :, :guessed_from] = False
+        found = float(depth_roughness(rendered(depth), plain(4, 8), every(4, 8), guessed))
+        assert found == pytest.approx(rough * 8 * middle / 2 * 0.05 / 7)
 
 
 def test_masked_and_faint_pixels_do_not_count_and_send_back_no_nan() -> None:

@@ -26,7 +26,7 @@ def depth_roughness(
     mask: Bool[Tensor, "1 height width"],
     guessed: Bool[Tensor, "1 height width"],
 ) -> Float[Tensor, ""]:
-    """How rough the depth of one rendered view is from or to `guessed` pixels, where its photo is plain.
+    """How rough the depth of one rendered view is among `guessed` pixels, where its photo is plain.
 
     The mean over all pixels of min(|Δ(m/z)|, `LARGEST_STEP`)·exp(−|ΔY|/`EDGE`), added up over both directions and
     multiplied by the longer side, so that the size of the pictures does not matter. z is the depth, m its median, and
@@ -38,12 +38,12 @@ def depth_roughness(
         return depth.new_zeros(())
     middle = depth.detach()[solid].median()
     nearness = middle / torch.where(solid, depth, middle)
+    rough = solid & guessed[0]
     total = depth.new_zeros(())
     for across in (0, 1):
         step = nearness.diff(dim=across).abs().clamp_max(LARGEST_STEP)
         plain = torch.exp(-grey.diff(dim=across).abs() / EDGE)
         count = solid.shape[across] - 1
-        both = solid.narrow(across, 0, count) & solid.narrow(across, 1, count)
-        either = guessed[0].narrow(across, 0, count) | guessed[0].narrow(across, 1, count)
-        total = total + (step * plain * (both & either)).mean()
+        both = rough.narrow(across, 0, count) & rough.narrow(across, 1, count)
+        total = total + (step * plain * both).mean()
     return max(depth.shape) * total
