@@ -15,7 +15,7 @@ from querysplat_cli.model.config import preset
 from querysplat_cli.model.memories import Memories
 from querysplat_cli.pipeline.read_scene import check_model, read_scene
 from querysplat_cli.pipeline.scene_folder import StoredScene, write_scene
-from querysplat_cli.queries.prepare import NOT_KNOWN, MemoryMap
+from querysplat_cli.queries.prepare import MemoryMap
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.gaussians import Gaussians
 
@@ -72,14 +72,20 @@ def test_a_scene_with_colours_above_white_by_rounding_is_read(
     assert read_scene(tmp_path / "s")[0].anchors.colours.equal(white.colours)
 
 
+def a_map(scene: StoredScene) -> MemoryMap:
+    """A map of the right rows, with confirmed depth in one pixel."""
+    counts = len(scene.memories.geometry_keys), len(scene.memories.appearance_keys)
+    confirmed = torch.zeros_like(scene.views.masks)
+    confirmed[0, 1, 2] = True
+    rows = (torch.arange(n).int() for n in counts)
+    return MemoryMap(*rows, torch.tensor([0, 4, 6]).int(), torch.zeros(0, 0, 0), confirmed)
+
+
 def test_a_map_that_names_rows_that_are_not_there_is_refused(
     stored: tuple[StoredScene, Gaussians], tmp_path: Path
 ) -> None:
     scene, gaussians = stored
-    counts = len(scene.memories.geometry_keys), len(scene.memories.appearance_keys)
-    where = MemoryMap(
-        *(torch.arange(n).int() for n in counts), torch.tensor([0, 4, 6]).int(), torch.zeros(0, 0, 0), NOT_KNOWN
-    )
+    where = a_map(scene)
     write_scene(tmp_path / "s.ply", replace(scene, map=where), gaussians, a_report())
     assert read_scene(tmp_path / "s")[0].map is not None
     for wrong in (
@@ -87,10 +93,29 @@ def test_a_map_that_names_rows_that_are_not_there_is_refused(
         replace(where, appearance_rows=where.appearance_rows[:-1]),
         replace(where, grid=torch.tensor([-1, 4, 6]).int()),
         replace(where, depth=torch.zeros(1, 2, 3)),
+        replace(where, confirmed=torch.zeros(1, 2, 3, dtype=torch.bool)),
     ):
         write_scene(tmp_path / "s.ply", replace(scene, map=wrong), gaussians, a_report())
         with pytest.raises(QuerySplatError, match=r"map\."):
             read_scene(tmp_path / "s")
+
+
+def test_a_scene_of_an_earlier_version_does_not_say_which_depth_is_confirmed(
+    stored: tuple[StoredScene, Gaussians], tmp_path: Path
+) -> None:
+    scene, gaussians = stored
+    where = a_map(scene)
+    write_scene(tmp_path / "s.ply", replace(scene, map=where), gaussians, a_report())
+    now = read_scene(tmp_path / "s")[0].map
+    assert now is not None
+    assert now.confirmed.equal(where.confirmed)
+    file = tmp_path / "s" / "memories.safetensors"
+    tensors = load_file(file)
+    del tensors["map.confirmed"]
+    save_file(tensors, file, metadata={"model": "compact"})
+    before = read_scene(tmp_path / "s")[0].map
+    assert before is not None
+    assert not len(before.confirmed)
 
 
 @pytest.mark.parametrize(

@@ -266,6 +266,18 @@ def test_a_given_time_ends_the_stages_by_the_clock() -> None:
     assert optimised(FullSizePlan((stage(36, 20, 10_000, seconds=0.2),), 0.2)).ended == "the time was over"
 
 
+def test_depth_is_kept_smooth_in_all_stages_where_no_view_confirms_it() -> None:
+    def means(confirmed: torch.Tensor | None) -> torch.Tensor:
+        facts = PhotoFacts(confirmed=confirmed)
+        return optimise_full_size(coarse(), views_at, TWO_STAGES, seed=0, facts=facts).gaussians.means
+
+    everywhere = torch.ones(4, 36, 36, dtype=torch.bool)
+    plain = means(None)
+    assert means(everywhere).equal(plain)
+    depths = [float((each[:, 2] - 2).abs().mean()) for each in (plain, means(~everywhere))]
+    assert depths[1] < depths[0]
+
+
 def test_colour_transforms_go_through_all_stages() -> None:
     """Photos 1 and 3 are darker. Transforms find that out, and the scene keeps the colours of the mean photo."""
     gains = torch.tensor([1.0, 0.7, 1.0, 0.7])
