@@ -42,6 +42,7 @@ def anchors(config: ModelConfig, queries: int = 20, seed: int = 0) -> Anchors:
         geometry=neighbours(seed + 1, queries, ROWS),
         appearance=neighbours(seed + 2, queries, ROWS),
         queries=neighbours(seed + 3, queries, queries),
+        refinement=torch.zeros(queries, count, 0),
     )
 
 

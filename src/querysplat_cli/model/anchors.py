@@ -24,7 +24,8 @@ class Anchors:
     The prior (`means`, `scales`, `quats` w x y z, `opacities`, `colours` in [0, 1]) is the scene without any
     decoder. Heads predict changes to it, lengths in units of `spacing`, which is in scene units. `features` are the
     input of the query embedding and do not depend on the scene's frame. `geometry`, `appearance` and `queries` are
-    the rows of the two memories, and the other queries, that each query attends to.
+    the rows of the two memories, and the other queries, that each query attends to. `refinement` holds what rounds of
+    feedback add to the raw numbers of both heads, those of the geometry first; it is 0 wide where there were none.
     """
 
     means: Float[Tensor, "queries gaussians 3"]
@@ -37,6 +38,7 @@ class Anchors:
     geometry: Neighbours
     appearance: Neighbours
     queries: Neighbours
+    refinement: Float[Tensor, "queries gaussians refined"]
 
     def __len__(self) -> int:
         return len(self.means)

@@ -20,6 +20,7 @@ class ModelConfig:
     decoder reads both memories. That, and `appearance_blocks` 0, are the paper's ablations. `special_tokens` are the
     camera and register tokens in front of a view's patches; `vgm_width` is the width of the VGM's tokens. `frame` is
     that of a learned VGM's cameras: as it predicts them (the release), or relative to the first view (the paper).
+    `refinement_rounds` of feedback follow the decoders of an anchored model (`model/refiner.py`).
     """
 
     __pydantic_config__ = STRICT
@@ -43,11 +44,12 @@ class ModelConfig:
     z_offset: float = 1.0
     sh_rest_scale: float = 0.1
     frame: Frame = "predicted"
+    refinement_rounds: int = 0
 
     def __post_init__(self) -> None:
         """Raises QuerySplatError when a size is not positive, or the heads do not share the width evenly."""
         sizes = {field.name: getattr(self, field.name) for field in fields(self) if field.type is int}
-        may_be_zero = {"appearance_blocks", "anchor_features", "special_tokens", "sh_degree"}
+        may_be_zero = {"appearance_blocks", "anchor_features", "special_tokens", "sh_degree", "refinement_rounds"}
         wrong = [
             name
             for name, size in sizes.items()
@@ -59,6 +61,8 @@ class ModelConfig:
             raise QuerySplatError(f"{self.heads} heads cannot share a width of {self.width}", "Choose a divisor.")
         if self.branches == "one" and self.appearance_blocks:
             raise QuerySplatError("one branch has no appearance_blocks", "Give them to geometry_blocks.")
+        if self.refinement_rounds and self.queries != "anchored":
+            raise QuerySplatError("refinement_rounds need anchored queries", 'Set queries = "anchored".')
         choices = {
             "queries": ("learned", "anchored"),
             "branches": ("two", "one"),

@@ -18,6 +18,7 @@ from querysplat_cli.model.config import ModelConfig
 from querysplat_cli.model.decoders import Decoder
 from querysplat_cli.model.heads import GEOMETRY_CHANNELS, assemble, assemble_anchored
 from querysplat_cli.model.memories import Features, KeyValue, LayerMixer, Memories, Memory, PhotoEmbedding
+from querysplat_cli.model.refiner import Refiner
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
@@ -44,6 +45,8 @@ class QuerySplat(nn.Module):
         self.appearance_queries = nn.Parameter(torch.zeros(tokens, width))
         if config.queries == "anchored":
             self.anchor_embedding = nn.Linear(config.anchor_features, width)
+        if config.refinement_rounds:
+            self.refiner = Refiner(config)
 
     @property
     def layer_weights(self) -> tuple[float, ...] | None:
@@ -149,13 +152,23 @@ class QuerySplat(nn.Module):
             tokens = self.geometry_tokens(memories)
             after = self.appearance_tokens(tokens, memories)
             return assemble(*self._raw(tokens, after), self.config)
+        return assemble_anchored(*self.anchored_raw(memories, anchors), anchors, self.config)
+
+    def anchored_raw(
+        self, memories: Memories, anchors: Anchors
+    ) -> tuple[Float[Tensor, "n geometry"], Float[Tensor, "n appearance"]]:
+        """Raw numbers of both heads for anchored queries, with what rounds of feedback added to them."""
         embedded = self.geometry_queries + self.anchor_embedding(anchors.features)
         tokens = self.geometry_decoder(embedded, self.first_memory(memories, anchors), anchors.queries)
         start = tokens + self.appearance_queries
         after = self.appearance_decoder(start, memories.appearance(anchors.appearance), anchors.queries)
         # The anchor's prior already holds what the embedding holds, so the heads read only what the decoders added.
         added = after - start if self.config.appearance_blocks else tokens - embedded
-        return assemble_anchored(*self._raw(tokens - embedded, added), anchors, self.config)
+        geometry, appearance = self._raw(tokens - embedded, added)
+        if not anchors.refinement.shape[2]:
+            return geometry, appearance
+        refinement = anchors.refinement.flatten(0, 1)
+        return geometry + refinement[:, :GEOMETRY_CHANNELS], appearance + refinement[:, GEOMETRY_CHANNELS:]
 
     def geometry_tokens(self, memories: Memories) -> Float[Tensor, "queries width"]:
         """Learned queries after the geometry decoder. The eye token takes part as one more query."""

@@ -52,7 +52,10 @@ def checked(tensors: dict[str, Tensor], inputs: int, views: int, canvas: tuple[i
     sizes = {"views": views, "height": canvas[0], "width": canvas[1]}
     masks = _read("masks", Bool[Tensor, "views height width"], tensors, sizes)
     memories: Memories = _part(Memories, "memories", tensors)
-    anchors: Anchors | None = _part(Anchors, "anchors", tensors) if "anchors.means" in tensors else None
+    anchors: Anchors | None = None
+    if "anchors.means" in tensors:
+        none = torch.zeros(*tensors["anchors.means"].shape[:2], 0)  # scenes of earlier versions have none
+        anchors = _part(Anchors, "anchors", {"anchors.refinement": none, **tensors})
     if anchors is not None:
         _check_anchors(anchors, memories)
     kept = _read("kept", Bool[Tensor, "n"], tensors, {}) if "kept" in tensors else None

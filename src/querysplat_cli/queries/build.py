@@ -134,6 +134,7 @@ def _anchors(cells: Cells, features: Float[Tensor, "queries channels"], patches:
         geometry=memory,
         appearance=memory,
         queries=_neighbours(centres, spacing, centres),
+        refinement=means.new_zeros(*means.shape[:2], 0),
     )
 
 

@@ -81,6 +81,16 @@ class QueryPolicy:
     """Factor of the parts for centres and sizes."""
     largest_error: float = 4.0
     """Rendering errors are clamped to ± this after the gains."""
+    refining_grey: float = 0.5
+    """Rounds of refinement compare the scene with the photos over this grey. The bundled checkpoint was trained with
+    this field and the next two."""
+    refining_views: int = 12
+    """A query reads at most so many views in a round."""
+    refining_neighbours: int = 8
+    """How many other queries a query reads in a round."""
+    refined_views: int = 24
+    """Scenes of more photos are not refined: a round renders all of them, and optimisation takes longer for them
+    anyway."""
 
 
 QUERY_POLICY = QueryPolicy()

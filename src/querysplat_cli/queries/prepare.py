@@ -14,6 +14,7 @@ from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.queries.build import build_anchors
 from querysplat_cli.queries.coverage import AnchorReport
 from querysplat_cli.queries.policy import QUERY_POLICY
+from querysplat_cli.queries.refine import refined
 from querysplat_cli.queries.rendering_error import with_rendering_error
 from querysplat_cli.runtime.choices import Target
 from querysplat_cli.runtime.device import to_device
@@ -107,6 +108,8 @@ def prepare(
         anchors = with_rendering_error(anchors, views, cameras)
         rows = anchors.geometry.index.unique(), anchors.appearance.index.unique()
         memories, anchors = attended_rows(memories, anchors)
+        if len(views) <= QUERY_POLICY.refined_views:
+            anchors = refined(model, memories, anchors, views, cameras, geometry)
     variables: Memories | Features = memories
     if target == "features":
         variables = Features(features.geometry.cpu()[rows[0]], features.appearance.cpu()[rows[1]])

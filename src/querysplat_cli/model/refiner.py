@@ -1,0 +1,127 @@
+"""Rounds of refinement: both decoders read where the scene that they made differs from the photos and the depth maps.
+
+In each round a query reads one row of each memory for every view that sees it. The rows belong to the pair of query and
+view: what the view's maps hold at the query's projection, in the query's own frame (`queries/evidence.py`). Geometry
+and appearance have a decoder each, with shared weights in all rounds. Their heads start at zero, and what they give is
+added to the raw numbers of the round before (ReSplat repeats the feedback of rendering errors in the same sense).
+"""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor, nn
+from torch.nn import functional as F
+
+from querysplat_cli.model.config import ModelConfig
+from querysplat_cli.model.heads import GEOMETRY_CHANNELS
+
+ERROR_CHANNELS = 11
+"""Rendering errors of each Gaussian: colour 3, opacity, centre along its own axes 3, size along them 3, pixels."""
+STENCIL = 9
+"""Depths that a query reads in each view: at its projection and around it, a block apart."""
+GEOMETRY_ROW = 2 * STENCIL + 18
+"""Numbers of a row of the geometry memory."""
+APPEARANCE_ROW_OF_GAUSSIAN, APPEARANCE_ROW_OF_QUERY = 6, 6
+"""Numbers of a row of the appearance memory for each Gaussian of the query, and for the query itself."""
+PAIR_WIDTH = 64
+"""Width of what a pair of query and view, or of two queries, is embedded in before it becomes a key and a value."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What one round reads of Q queries, V views each, and K other queries each.
+
+    own: the query's features, rendering errors and raw numbers.
+    geometry, appearance: the rows of both memories; `seen` marks those that count.
+    near, offsets: other queries, and their places along the query's axes in units of its spacing.
+    """
+
+    own: Float[Tensor, "queries own"]
+    geometry: Float[Tensor, "queries views geometry"]
+    appearance: Float[Tensor, "queries views appearance"]
+    seen: Bool[Tensor, "queries views"]
+    near: Int[Tensor, "queries near"]
+    offsets: Float[Tensor, "queries near 3"]
+
+
+class PairAttention(nn.Module):
+    """Queries read rows of their own: softmax(q·k) v over the rows that count, and a row of zeros with logit 0.
+
+    A row becomes a key and a value by a small MLP. A query without a row reads zeros.
+    """
+
+    def __init__(self, width: int, heads: int) -> None:
+        super().__init__()
+        self.heads = heads
+        self.norm = nn.LayerNorm(width)
+        self.q_proj = nn.Linear(width, PAIR_WIDTH)
+        self.keys_and_values = nn.Linear(PAIR_WIDTH, 2 * PAIR_WIDTH)
+        self.out_proj = nn.Linear(PAIR_WIDTH, width)
+
+    def forward(
+        self,
+        tokens: Float[Tensor, "queries width"],
+        rows: Float[Tensor, "queries rows pair"],
+        counts: Bool[Tensor, "queries rows"] | None = None,
+    ) -> Float[Tensor, "queries width"]:
+        query = self.q_proj(self.norm(tokens)).unflatten(-1, (self.heads, -1))
+        keys, values = self.keys_and_values(F.gelu(rows)).unflatten(-1, (2, self.heads, -1)).unbind(2)
+        logits = torch.einsum("qhc,qrhc->qrh", query, keys) / query.shape[-1] ** 0.5
+        if counts is not None:
+            logits = logits.masked_fill(~counts[..., None], -torch.inf)
+        weights = F.pad(logits, (0, 0, 0, 1)).softmax(1)[:, :-1]
+        return self.out_proj(torch.einsum("qrh,qrhc->qhc", weights, values).flatten(1))
+
+
+class RefinerBlock(nn.Module):
+    """A query reads its rows, then its neighbours, then passes an MLP; each is pre-normed and added."""
+
+    def __init__(self, width: int, heads: int, mlp_ratio: float, row_channels: int) -> None:
+        super().__init__()
+        hidden = int(width * mlp_ratio)
+        self.row_embedding = nn.Linear(row_channels, PAIR_WIDTH)
+        self.cross = PairAttention(width, heads)
+        self.token_embedding = nn.Linear(width, PAIR_WIDTH)
+        self.offset_embedding = nn.Linear(3, PAIR_WIDTH)
+        self.self_attention = PairAttention(width, heads)
+        self.mlp = nn.Sequential(nn.LayerNorm(width), nn.Linear(width, hidden), nn.GELU(), nn.Linear(hidden, width))
+
+    def forward(
+        self, tokens: Float[Tensor, "queries width"], rows: Float[Tensor, "queries rows channels"], evidence: Evidence
+    ) -> Float[Tensor, "queries width"]:
+        tokens = tokens + self.cross(tokens, self.row_embedding(rows), evidence.seen)
+        others = F.embedding(evidence.near, self.token_embedding(tokens)) + self.offset_embedding(evidence.offsets)
+        tokens = tokens + self.self_attention(tokens, others)
+        return tokens + self.mlp(tokens)
+
+
+class Refiner(nn.Module):
+    """One round: evidence to changes of the raw numbers, and the tokens that the next round goes on from."""
+
+    def __init__(self, config: ModelConfig) -> None:
+        super().__init__()
+        width, heads, ratio = config.width, config.heads, config.mlp_ratio
+        per_query = config.gaussians_per_query
+        each = ERROR_CHANNELS + GEOMETRY_CHANNELS + config.appearance_channels
+        appearance = APPEARANCE_ROW_OF_GAUSSIAN * per_query + APPEARANCE_ROW_OF_QUERY
+        self.embedding = nn.Linear(config.anchor_features + each * per_query, width)
+        self.geometry_blocks = nn.ModuleList(RefinerBlock(width, heads, ratio, GEOMETRY_ROW) for _ in range(2))
+        self.geometry_head = nn.Linear(width, per_query * GEOMETRY_CHANNELS)
+        self.appearance_block = RefinerBlock(width, heads, ratio, appearance)
+        self.appearance_head = nn.Linear(width, per_query * config.appearance_channels)
+        for head in (self.geometry_head, self.appearance_head):
+            nn.init.zeros_(head.weight)
+            nn.init.zeros_(head.bias)
+
+    def forward(
+        self, evidence: Evidence, memory: Float[Tensor, "queries width"] | None
+    ) -> tuple[Float[Tensor, "queries geometry"], Float[Tensor, "queries appearance"], Float[Tensor, "queries width"]]:
+        """Changes of the raw numbers of both heads, and the tokens. `memory` are the tokens of the round before."""
+        tokens = self.embedding(evidence.own)
+        if memory is not None:
+            tokens = tokens + memory
+        for block in self.geometry_blocks:
+            tokens = block(tokens, evidence.geometry, evidence)
+        after = self.appearance_block(tokens, evidence.appearance, evidence)
+        return self.geometry_head(tokens), self.appearance_head(after), after

@@ -1,0 +1,81 @@
+"""Rounds of feedback: the scene is rendered, compared with the photos, and corrected by the model's refiner."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import torch
+from jaxtyping import Float, Int
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from querysplat_cli.encoders.base import Geometry
+from querysplat_cli.model.anchors import Anchors
+from querysplat_cli.model.heads import GEOMETRY_CHANNELS, assemble_anchored
+from querysplat_cli.model.memories import Memories
+from querysplat_cli.model.querysplat import QuerySplat
+from querysplat_cli.queries.evidence import Surroundings, gather_evidence
+from querysplat_cli.queries.policy import QUERY_POLICY
+from querysplat_cli.queries.rendering_error import compare
+from querysplat_cli.runtime.device import to_device
+from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.views import Views
+
+
+def refined(
+    model: QuerySplat, memories: Memories, anchors: Anchors, views: Views, cameras: Cameras, geometry: Geometry
+) -> Anchors:
+    """The same anchors with the sum of all rounds as their `refinement`, on the CPU.
+
+    A model without rounds leaves them as they are.
+    """
+    device = next(model.parameters()).device
+    moved = to_device((memories, anchors, views, cameras, replace(geometry, features=())), device)
+    with torch.no_grad():
+        rounds = [total for total, _ in refinements(model, *moved)]
+    return replace(anchors, refinement=rounds[-1].cpu()) if rounds else anchors
+
+
+def refinements(
+    model: QuerySplat, memories: Memories, anchors: Anchors, views: Views, cameras: Cameras, geometry: Geometry
+) -> Iterator[tuple[Float[Tensor, "queries gaussians raw"], Gaussians]]:
+    """What the rounds add up to, and the scene, after each round of the model.
+
+    Gradients reach the weights through the last round alone: each reads the scene of the one before as it is.
+    """
+    if not model.config.refinement_rounds:
+        return
+    assert geometry.depth is not None
+    assert geometry.confidence is not None
+    queries, per_query = anchors.opacities.shape
+    around = Surroundings(views.images, cameras, geometry.depth, geometry.confidence, _nearest_queries(anchors))
+    with torch.no_grad():
+        start = torch.cat(model.anchored_raw(memories, anchors), 1).unflatten(0, (queries, per_query))
+    total, tokens = torch.zeros_like(start), None
+    for _ in range(model.config.refinement_rounds):
+        before = start + total
+        with torch.no_grad():
+            scene = _scene(before, anchors, model)
+            comparison = compare(scene, views, cameras, QUERY_POLICY.refining_grey)
+            # Each head's numbers follow one another, query by query.
+            halves = before[..., :GEOMETRY_CHANNELS].flatten(1), before[..., GEOMETRY_CHANNELS:].flatten(1)
+            evidence = gather_evidence(anchors, scene, torch.cat(halves, 1), comparison, around)
+        geometry_change, appearance_change, tokens = model.refiner(evidence, tokens)
+        changes = (part.unflatten(1, (per_query, -1)) for part in (geometry_change, appearance_change))
+        after = total + torch.cat(list(changes), 2)
+        yield after, _scene(start + after, anchors, model)
+        total, tokens = after.detach(), tokens.detach()
+
+
+def _scene(raw: Float[Tensor, "queries gaussians raw"], anchors: Anchors, model: QuerySplat) -> Gaussians:
+    flat = raw.flatten(0, 1)
+    return assemble_anchored(flat[:, :GEOMETRY_CHANNELS], flat[:, GEOMETRY_CHANNELS:], anchors, model.config)
+
+
+def _nearest_queries(anchors: Anchors) -> Int[Tensor, "queries near"]:
+    """The nearest other queries of each; itself where there are too few."""
+    centres = anchors.means[:, anchors.means.shape[1] // 2].double().cpu().numpy()
+    near = cKDTree(centres).query(centres, k=QUERY_POLICY.refining_neighbours + 1)[1][:, 1:]
+    found = torch.from_numpy(near)
+    itself = torch.arange(len(found))[:, None]
+    return found.where(found < len(found), itself).to(anchors.means.device)
