@@ -24,6 +24,7 @@ from common.samples import SIZE, real_samples
 from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.evaluation.baseline import back_project
 from querysplat_cli.model.checkpoints import load
+from querysplat_cli.pipeline.build import BuiltScene
 from querysplat_cli.reporting.view_scores import score
 from querysplat_cli.runtime.progress import silent
 from querysplat_cli.scene.gaussians import Gaussians
@@ -66,7 +67,16 @@ def scenes(sample: Sample, models: list[str], steps: list[int]) -> Iterator[tupl
         model = load(name).requires_grad_(False)
         scene = build(model, sample, tto=0, prune="off", queries=UNLIMITED)
         for count in steps:
-            yield name, count, optimised_again(model, scene, "off", steps=count, keep_cover=False).gaussians
+            start = unrefined(scene) if count else scene
+            yield name, count, optimised_again(model, start, "off", steps=count, keep_cover=False).gaussians
+
+
+def unrefined(scene: BuiltScene) -> BuiltScene:
+    """The scene without rounds of feedback, from which `reconstruct` starts its optimisation."""
+    anchors = scene.prepared.anchors
+    assert anchors is not None
+    without = replace(anchors, refinement=anchors.refinement[..., :0])
+    return replace(scene, prepared=replace(scene.prepared, anchors=without))
 
 
 def show_means(table: Table, found: list[Row]) -> None:

@@ -22,7 +22,7 @@ from querysplat_cli.training.passes import Sample, write_sample
 from querysplat_cli.training.photographer import cast, walk
 from querysplat_cli.training.rooms import make_room
 
-TINY = replace(preset("compact"), width=120, mlp_ratio=1.0)
+TINY = replace(preset("compact"), width=120, mlp_ratio=1.0, refinement_rounds=0)
 
 
 def sample(seed: int, inputs: int = 2, targets: int = 2) -> Sample:

@@ -105,6 +105,15 @@ def test_a_scene_needs_no_encoder(model: QuerySplat) -> None:
     assert all(one.equal(other) for one, other in pairs)
 
 
+def test_only_a_scene_that_is_not_optimised_is_refined(model: QuerySplat) -> None:
+    posed, geometry = wall(model, (-0.1, 0.0, 0.1))
+    found = [build_scene(posed, geometry, model, replace(SETTINGS, tto=steps)).prepared.anchors for steps in (0, 3)]
+    assert found[0] is not None
+    assert found[1] is not None
+    assert found[0].refinement.any()
+    assert not found[1].refinement.numel()
+
+
 @dataclass
 class Recorder:
     """A watcher that records what it sees."""

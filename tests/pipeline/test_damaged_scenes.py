@@ -118,6 +118,17 @@ def test_a_scene_of_an_earlier_version_does_not_say_which_depth_is_confirmed(
     assert not len(before.confirmed)
 
 
+def test_a_scene_of_an_earlier_version_has_no_refinement(stored: tuple[StoredScene, Gaussians], tmp_path: Path) -> None:
+    write_scene(tmp_path / "s.ply", *stored, a_report())
+    file = tmp_path / "s" / "memories.safetensors"
+    tensors = load_file(file)
+    del tensors["anchors.refinement"]
+    save_file(tensors, file, metadata={"model": "compact"})
+    anchors = read_scene(tmp_path / "s")[0].anchors
+    assert anchors is not None
+    assert anchors.refinement.shape == (*anchors.opacities.shape, 0)
+
+
 @pytest.mark.parametrize(
     "changes",
     [

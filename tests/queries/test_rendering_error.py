@@ -4,8 +4,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional as F
 
+from querysplat_cli.model.refiner import ERROR_CHANNELS
 from querysplat_cli.queries.policy import QUERY_POLICY
-from querysplat_cli.queries.rendering_error import ERROR_CHANNELS, error_gains, rendering_error
+from querysplat_cli.queries.rendering_error import compare, error_gains
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
 from querysplat_cli.scene.rotations import quaternion_to_matrix
@@ -40,7 +41,7 @@ def photos(images: Tensor) -> Views:
 
 def test_a_scene_that_looks_like_its_photos_has_no_error() -> None:
     gaussians, cameras = scene()
-    found = rendering_error(gaussians, photos(render(gaussians, cameras).colour), cameras)
+    found = compare(gaussians, photos(render(gaussians, cameras).colour), cameras).errors
     assert found.shape == (30, ERROR_CHANNELS)
     assert found[:, :-1].abs().max() < 1e-3
     torch.testing.assert_close(found[:, -1], (blending_weights(gaussians, cameras) + 1).log() / 4)
@@ -50,7 +51,7 @@ def test_it_is_the_descent_of_the_squared_error_by_the_reference_renderer() -> N
     gaussians, cameras = scene()
     noise = torch.randn(2, 3, 30, 40, generator=torch.Generator().manual_seed(1))
     images = render(gaussians, cameras).colour + 0.05 * noise
-    found = rendering_error(gaussians, photos(images), cameras)
+    found = compare(gaussians, photos(images), cameras).errors
     exact = gaussians.map(Tensor.double)
     sizes = {"c": 3, "o": 1, "f": 3, "s": 3}
     change = {name: torch.zeros(30, n, dtype=torch.float64).requires_grad_() for name, n in sizes.items()}
@@ -76,4 +77,4 @@ def test_masked_pixels_do_not_count() -> None:
     gaussians, cameras = scene()
     views = photos(torch.rand(2, 3, 30, 40))
     nothing = Views(views.images, torch.zeros_like(views.masks), views.names, views.sizes)
-    assert rendering_error(gaussians, nothing, cameras)[:, :-1].abs().max() == 0
+    assert compare(gaussians, nothing, cameras).errors[:, :-1].abs().max() == 0

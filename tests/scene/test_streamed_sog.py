@@ -203,18 +203,23 @@ def test_a_damaged_index_is_refused(written: Path, damage: str) -> None:
     assert "\n" not in str(raised.value)
 
 
-def test_many_names_and_runs_are_refused_at_once(written: Path) -> None:
-    """Runs were once searched through for every name: 20,000 of both took a quarter of a minute."""
+def test_ten_times_the_names_and_runs_take_ten_times_as_long(written: Path) -> None:
+    """Runs were once searched through for every name, which takes a hundred times as long."""
     meta = json.loads((written / "lod-meta.json").read_text())
-    bound, count = meta["tree"]["bound"], 20_000
-    runs = [{"bound": bound, "lods": {"0": {"file": i, "offset": 0, "count": 0}}} for i in range(count)]
-    tree = {"bound": bound, "children": runs}
-    copy = written / "many.json"
-    copy.write_text(json.dumps({"lodLevels": 1, "filenames": list(map(str, range(count))), "tree": tree}))
-    began = time.process_time()
-    with pytest.raises(QuerySplatError, match="No such file"):
-        read_streamed(copy)
-    assert time.process_time() - began < 5
+
+    def seconds(count: int) -> float:
+        runs = [
+            {"bound": meta["tree"]["bound"], "lods": {"0": {"file": i, "offset": 0, "count": 0}}} for i in range(count)
+        ]
+        tree = {"bound": meta["tree"]["bound"], "children": runs}
+        copy = written / "many.json"
+        copy.write_text(json.dumps({"lodLevels": 1, "filenames": list(map(str, range(count))), "tree": tree}))
+        began = time.process_time()
+        with pytest.raises(QuerySplatError, match="No such file"):
+            read_streamed(copy)
+        return time.process_time() - began
+
+    assert seconds(20_000) < 40 * seconds(2_000)
 
 
 def test_what_is_no_index_and_what_is_cut_is_refused(written: Path, tmp_path: Path) -> None:

@@ -25,7 +25,8 @@ def test_presets_load_and_survive_json(name: str) -> None:
 
 def test_the_compact_training_is_of_the_compact_model_and_trains_something() -> None:
     config = load_config("compact")
-    assert config.model == preset("compact")
+    assert config.model == replace(preset("compact"), refinement_rounds=0)
+    assert load_config("compact-refined").model == preset("compact")
     names = [name for name, _ in initial_model(config.model, 0).named_parameters()]
     frozen = [name for name in names if name.startswith(config.optimiser.frozen)]
     assert frozen

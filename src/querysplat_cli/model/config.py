@@ -9,6 +9,9 @@ from querysplat_cli.runtime.choices import Frame
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.tables import STRICT, from_tables
 
+GEOMETRY_CHANNELS = 10
+"""Raw numbers of the geometry head for each Gaussian: centre 3, scale 3, quaternion 4."""
+
 
 @dataclass(frozen=True)
 class ModelConfig:
@@ -87,6 +90,11 @@ class ModelConfig:
     def appearance_channels(self) -> int:
         """Raw numbers of the appearance head for each Gaussian: SH for three colours, and opacity."""
         return 3 * self.sh_bands + 1
+
+    @property
+    def raw_channels(self) -> int:
+        """Raw numbers of both heads for each Gaussian."""
+        return GEOMETRY_CHANNELS + self.appearance_channels
 
     @staticmethod
     def from_dict(values: dict[str, Any]) -> "ModelConfig":

@@ -12,8 +12,6 @@ from querysplat_cli.model.config import ModelConfig
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
 from querysplat_cli.scene.rotations import quaternion_product, rotate_vectors
 
-GEOMETRY_CHANNELS = 10
-"""Centre 3, scale 3, quaternion 4."""
 OPACITY_BIAS = 2.0
 LARGEST_EXPONENT = 40.0
 """Beyond this exp continues as its tangent: for a raw number of 1e4, it and its squared gradient stay finite."""

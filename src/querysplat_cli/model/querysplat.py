@@ -14,9 +14,9 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from querysplat_cli.model.anchors import Anchors, Neighbours
-from querysplat_cli.model.config import ModelConfig
+from querysplat_cli.model.config import GEOMETRY_CHANNELS, ModelConfig
 from querysplat_cli.model.decoders import Decoder
-from querysplat_cli.model.heads import GEOMETRY_CHANNELS, assemble, assemble_anchored
+from querysplat_cli.model.heads import assemble, assemble_anchored
 from querysplat_cli.model.memories import Features, KeyValue, LayerMixer, Memories, Memory, PhotoEmbedding
 from querysplat_cli.model.refiner import Refiner
 from querysplat_cli.runtime.errors import QuerySplatError

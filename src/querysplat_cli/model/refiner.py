@@ -13,8 +13,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 from torch.nn import functional as F
 
-from querysplat_cli.model.config import ModelConfig
-from querysplat_cli.model.heads import GEOMETRY_CHANNELS
+from querysplat_cli.model.config import GEOMETRY_CHANNELS, ModelConfig
 
 ERROR_CHANNELS = 11
 """Rendering errors of each Gaussian: colour 3, opacity, centre along its own axes 3, size along them 3, pixels."""
@@ -103,7 +102,7 @@ class Refiner(nn.Module):
         super().__init__()
         width, heads, ratio = config.width, config.heads, config.mlp_ratio
         per_query = config.gaussians_per_query
-        each = ERROR_CHANNELS + GEOMETRY_CHANNELS + config.appearance_channels
+        each = ERROR_CHANNELS + config.raw_channels
         appearance = APPEARANCE_ROW_OF_GAUSSIAN * per_query + APPEARANCE_ROW_OF_QUERY
         self.embedding = nn.Linear(config.anchor_features + each * per_query, width)
         self.geometry_blocks = nn.ModuleList(RefinerBlock(width, heads, ratio, GEOMETRY_ROW) for _ in range(2))

@@ -152,7 +152,11 @@ def build_scene(
 def _prepared(
     posed: PosedViews, geometry: Geometry, model: QuerySplat, settings: ReconstructSettings, stages: Stages
 ) -> tuple[PreparedQueries, PhotoColours | None]:
-    """Where photos disagree in colour, queries are made of their colours without the differences."""
+    """Where photos disagree in colour, queries are made of their colours without the differences.
+
+    Rounds of feedback refine scenes that are not optimised. Optimisation does without: it starts no better from them
+    (docs/tried.md).
+    """
     with stages("queries") as progress:
         wait_until_compiled(*SCENE_KERNELS, progress=progress)
         colours = _compared(posed, geometry, model, settings)
@@ -166,6 +170,7 @@ def _prepared(
             soft_query_limit=None if settings.keep_everything or settings.tto == 0 else TTO_POLICY.queries,
             target=settings.tto_target,
             keep_all=settings.keep_everything,
+            refine=settings.tto == 0,
         )
     return prepared, colours
 

@@ -87,6 +87,7 @@ def check_model(scene: StoredScene, config: ModelConfig) -> None:
         "anchors": (anchors is None) == (config.queries == "learned"),
         "anchors.features": anchors is None or anchors.features.shape[1] == config.anchor_features,
         "anchors.means": anchors is None or anchors.means.shape[1] == each,
+        "anchors.refinement": anchors is None or anchors.refinement.shape[2] in (0, config.raw_channels),
         "kept": scene.kept is None or len(scene.kept) == count * each,
         "map.appearance_rows": rows is None or rows < len(scene.views) * patches,
     }

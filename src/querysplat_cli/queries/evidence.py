@@ -162,14 +162,14 @@ def _appearance_rows(
     return torch.cat([photo.flatten(2), residual.flatten(2), places.ray, alone], -1)
 
 
-def _nearest(maps: Tensor, views: Int[Tensor, "*n"], pixels: Float[Tensor, "*n 2"]) -> Tensor:
+def _nearest(maps: Tensor, views: Int[Tensor, "..."], pixels: Float[Tensor, "*n 2"]) -> Tensor:
     """Maps [views, height, width, …] at the pixels that points fall in, or the nearest of the picture."""
     x, y = (pixels[..., axis].long().clamp(0, maps.shape[2 - axis] - 1) for axis in (0, 1))
     return maps[views, y, x]
 
 
 def _bilinear(
-    maps: Float[Tensor, "views height width channels"], views: Int[Tensor, "*n"], pixels: Float[Tensor, "*n 2"]
+    maps: Float[Tensor, "views height width channels"], views: Int[Tensor, "..."], pixels: Float[Tensor, "*n 2"]
 ) -> Float[Tensor, "*n channels"]:
     """Maps between the centres of the four nearest pixels; beyond the picture, those of its border."""
     size = pixels.new_tensor([maps.shape[2] - 1, maps.shape[1] - 1])
@@ -194,7 +194,7 @@ def _normals(places: _Places, around: Surroundings) -> Float[Tensor, "queries ro
         depth = _nearest(around.depth, places.views, beside)
         return _unprojected(places.views, beside + 0.5, depth, around.cameras)
 
-    across, down = surface(1, 0) - surface(-1, 0), surface(0, 1) - surface(0, -1)
+    across, down = surface(1.0, 0.0) - surface(-1.0, 0.0), surface(0.0, 1.0) - surface(0.0, -1.0)
     return F.normalize(torch.linalg.cross(down, across), dim=-1)
 
 

@@ -89,8 +89,7 @@ class QueryPolicy:
     refining_neighbours: int = 8
     """How many other queries a query reads in a round."""
     refined_views: int = 24
-    """Scenes of more photos are not refined: a round renders all of them, and optimisation takes longer for them
-    anyway."""
+    """Scenes of more photos are not refined: each round renders all of them."""
 
 
 QUERY_POLICY = QueryPolicy()

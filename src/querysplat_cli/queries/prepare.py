@@ -83,11 +83,13 @@ def prepare(
     soft_query_limit: int | None = None,
     target: Target,
     keep_all: bool = False,
+    refine: bool = False,
 ) -> PreparedQueries:
     """Memories or features on the CPU; with anchors, only the rows that some anchor attends to.
 
-    `queries`, `soft_query_limit` and `keep_all` are those of `build_anchors`. Raises QuerySplatError when the model
-    cannot read such features.
+    `queries`, `soft_query_limit` and `keep_all` are those of `build_anchors`. With `refine`, the anchors have what the
+    model's rounds of feedback add, unless there are more photos than the policy allows. Raises QuerySplatError when
+    the model cannot read such features.
     """
     views, cameras = posed.views, posed.cameras
     model.check_features(geometry.features, cameras.height, cameras.width)
@@ -108,7 +110,7 @@ def prepare(
         anchors = with_rendering_error(anchors, views, cameras)
         rows = anchors.geometry.index.unique(), anchors.appearance.index.unique()
         memories, anchors = attended_rows(memories, anchors)
-        if len(views) <= QUERY_POLICY.refined_views:
+        if refine and len(views) <= QUERY_POLICY.refined_views:
             anchors = refined(model, memories, anchors, views, cameras, geometry)
     variables: Memories | Features = memories
     if target == "features":

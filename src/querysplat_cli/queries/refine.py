@@ -10,7 +10,8 @@ from torch import Tensor
 
 from querysplat_cli.encoders.base import Geometry
 from querysplat_cli.model.anchors import Anchors
-from querysplat_cli.model.heads import GEOMETRY_CHANNELS, assemble_anchored
+from querysplat_cli.model.config import GEOMETRY_CHANNELS
+from querysplat_cli.model.heads import assemble_anchored
 from querysplat_cli.model.memories import Memories
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.queries.evidence import Surroundings, gather_evidence

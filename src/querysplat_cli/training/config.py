@@ -66,7 +66,8 @@ class LossSettings:
     A centre that no view sees costs at most `visibility_limit`, and beyond that it gets no gradient, as in TokenGS;
     0 sets no limit. LPIPS comes in after `lpips_start` steps and reaches its weight `lpips_ramp` steps later; the
     Chamfer loss and the opacity floor fall to zero, linearly, over the first `anneal` steps. `chamfer_points` bounds
-    the points of either side, drawn anew in each step. `background` is a grey value.
+    the points of either side, drawn anew in each step. `background` is a grey value, or "random": another
+    colour in each step.
     """
 
     lpips: Annotated[float, Ge(0)] = 0.05
@@ -79,7 +80,7 @@ class LossSettings:
     opacity_floor: float = 0.1
     alpha_min: float = 0.1
     anneal: Annotated[int, Ge(1)] = 20_000
-    background: float = 0.5
+    background: Annotated[float, Interval(ge=0, le=1)] | Literal["random"] = 0.5
 
 
 @dataclass(frozen=True)
@@ -274,6 +275,8 @@ def _check(config: TrainConfig) -> None:
                 )
     if not config.stages or not config.data.sources:
         raise QuerySplatError("a training needs stages and data.sources", "See docs/training.md.")
+    if config.model.refinement_rounds and "refiner".startswith(config.optimiser.frozen):
+        raise QuerySplatError("optimiser.frozen names the refiner", "With refinement_rounds, it alone learns.")
     learned = [stage.queries for stage in config.stages]
     if config.model.queries == "anchored" and any(learned):
         raise QuerySplatError("stages.queries is for learned queries", "Anchored ones are as many as a scene needs.")

@@ -1,5 +1,8 @@
 """What a training starts from: the model, which of its tensors learn, and their optimiser."""
 
+from dataclasses import replace
+
+import torch
 from torch import Tensor, nn
 from torch.optim import AdamW
 
@@ -24,16 +27,31 @@ def starting_model(config: TrainConfig) -> QuerySplat:
     if config.start == "scratch":
         return scratch_model(wanted, config.seed)
     model = load(config.start)
+    if config.model.refinement_rounds and not model.config.refinement_rounds:
+        model = _with_refiner(model, config)
     if with_queries(model.config, wanted.query_count) != wanted:
         raise QuerySplatError(f"{config.start}: a model of another configuration", "Give its own [model] table.")
     return model
 
 
+def _with_refiner(model: QuerySplat, config: TrainConfig) -> QuerySplat:
+    """The model with rounds of refinement that change nothing yet; the same for the same seed."""
+    with torch.random.fork_rng():
+        torch.manual_seed(config.seed)
+        wider = QuerySplat(replace(model.config, refinement_rounds=config.model.refinement_rounds))
+    wider.load_state_dict({**wider.state_dict(), **model.state_dict()})
+    return wider
+
+
 def freeze(model: QuerySplat, config: TrainConfig) -> None:
-    """Train all tensors but those whose names begin with one of `optimiser.frozen`."""
+    """Train all tensors but those whose names begin with one of `optimiser.frozen`.
+
+    A model with rounds of refinement trains only their tensors.
+    """
     model.train()
+    learning = "refiner." if config.model.refinement_rounds else ""
     for name, parameter in model.named_parameters():
-        parameter.requires_grad_(not name.startswith(config.optimiser.frozen))
+        parameter.requires_grad_(name.startswith(learning) and not name.startswith(config.optimiser.frozen))
 
 
 def new_optimiser(model: QuerySplat, settings: OptimiserSettings) -> AdamW:

@@ -1,7 +1,7 @@
 """The gradient of one sample, computed in the memory of a few rendered views."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import torch
@@ -11,6 +11,7 @@ from querysplat_cli.model.anchors import Anchors
 from querysplat_cli.model.memories import attended_rows
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.queries.build import build_anchors
+from querysplat_cli.queries.refine import refinements
 from querysplat_cli.queries.rendering_error import with_rendering_error
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.splat.lpips import Perceptual
@@ -66,14 +67,21 @@ def anchored(sample: Sample) -> Anchors:
     return with_rendering_error(anchors, sample.views, sample.cameras)
 
 
-def decoded(model: QuerySplat, sample: Sample, anchors: Anchors | None, precision: str) -> Gaussians:
-    """Gaussians of the inputs alone, in float32, with a graph back to the weights."""
+def decoded(model: QuerySplat, sample: Sample, anchors: Anchors | None, precision: str) -> Iterator[Gaussians]:
+    """Gaussians of the inputs alone, in float32, with a graph back to the weights.
+
+    There is one scene, or, with rounds of refinement, that of each round.
+    """
     geometry, device = sample.geometry, sample.views.images.device
     with torch.autocast(device.type, torch.bfloat16, enabled=precision == "bf16"):
         memories = model.encode(geometry.features, sample.views.images, sample.cameras)
         if anchors is not None:
             memories, anchors = attended_rows(memories, anchors)
-        return model.decode(memories, anchors).map(Tensor.float)
+        if anchors is None or not model.config.refinement_rounds:
+            yield model.decode(memories, anchors).map(Tensor.float)
+            return
+        for _, scene in refinements(model, memories, anchors, sample.views, sample.cameras, geometry):
+            yield scene.map(Tensor.float)
 
 
 def add_gradient(
@@ -87,29 +95,45 @@ def add_gradient(
 
     Views are rendered a few at once. Their gradients with respect to the Gaussians are summed first, and go through
     the model once. Nothing is added where a Gaussian, the loss or a gradient is not finite, or where
-    `step.counts(picture loss)` is False.
+    `step.counts(picture loss)` is False. The loss of rounds of refinement is the mean of theirs; the result is that of
+    the last round.
     """
-    gaussians = decoded(model, sample, anchors, step.config.optimiser.precision)
-    leaves = gaussians.map(lambda field: field.detach().requires_grad_())
-    if not all(bool(field.isfinite().all()) for field in tensors(leaves)):
-        return SampleLoss(math.nan, {}, math.nan, len(gaussians), "Gaussians are not finite")
-    pictures, psnr = _pictures(leaves, sample, step)
-    parts = {"pictures": pictures, **_regularise(leaves, sample, step, generator)}
-    total = sum(getattr(step.weights, name, 1.0) * value for name, value in parts.items())
-    gradients = [torch.zeros_like(leaf) if leaf.grad is None else leaf.grad for leaf in tensors(leaves)]
-    result = SampleLoss(total, parts, psnr, len(gaussians))
-    if not math.isfinite(total) or not all(bool(gradient.isfinite().all()) for gradient in gradients):
-        return SampleLoss(total, parts, psnr, len(gaussians), "the loss or its gradient is not finite")
-    if not step.counts(pictures):
-        return SampleLoss(total, parts, psnr, len(gaussians), "its loss ranks too high")
-    torch.autograd.backward(tensors(gaussians), [step.share * gradient for gradient in gradients])
+    found: list[tuple[Gaussians, list[Tensor]]] = []
+    for gaussians in decoded(model, sample, anchors, step.config.optimiser.precision):
+        result, gradients = _graded(gaussians, sample, step, generator)
+        if result.skipped:
+            return result
+        found.append((gaussians, gradients))
+    for gaussians, gradients in found:
+        share = step.share / len(found)
+        torch.autograd.backward(tensors(gaussians), [share * gradient for gradient in gradients])
     return result
 
 
-def _pictures(leaves: Gaussians, sample: Sample, step: StepSettings) -> tuple[float, float]:
+def _graded(
+    gaussians: Gaussians, sample: Sample, step: StepSettings, generator: torch.Generator
+) -> tuple[SampleLoss, list[Tensor]]:
+    """The loss of a scene, and its gradient with respect to the Gaussians."""
+    leaves = gaussians.map(lambda field: field.detach().requires_grad_())
+    if not all(bool(field.isfinite().all()) for field in tensors(leaves)):
+        return SampleLoss(math.nan, {}, math.nan, len(gaussians), "Gaussians are not finite"), []
+    pictures, psnr = _pictures(leaves, sample, step, generator)
+    parts = {"pictures": pictures, **_regularise(leaves, sample, step, generator)}
+    total = sum(getattr(step.weights, name, 1.0) * value for name, value in parts.items())
+    gradients = [torch.zeros_like(leaf) if leaf.grad is None else leaf.grad for leaf in tensors(leaves)]
+    skipped = ""
+    if not math.isfinite(total) or not all(bool(gradient.isfinite().all()) for gradient in gradients):
+        skipped = "the loss or its gradient is not finite"
+    elif not step.counts(pictures):
+        skipped = "its loss ranks too high"
+    return SampleLoss(total, parts, psnr, len(gaussians), skipped), gradients
+
+
+def _pictures(leaves: Gaussians, sample: Sample, step: StepSettings, generator: torch.Generator) -> tuple[float, float]:
     """Mean picture loss and PSNR (dB) of the targets; the gradient is added to that of `leaves`."""
     count, at_once = len(sample.targets), step.config.optimiser.views_at_once
-    background = torch.full((3,), step.config.losses.background)
+    given = step.config.losses.background
+    background = torch.rand(3, generator=generator) if given == "random" else torch.full((3,), given)
     total, decibels = 0.0, 0.0
     for start in range(0, count, at_once):
         rows = list(range(start, min(start + at_once, count)))
