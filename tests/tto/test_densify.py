@@ -16,6 +16,7 @@ from querysplat_cli.tto.densify import densify, disagreement, split
 from querysplat_cli.tto.gaussians import optimise_gaussians
 from querysplat_cli.tto.optimise import TtoResult
 from querysplat_cli.tto.options import Callbacks, TtoSettings
+from querysplat_cli.tto.policy import TTO_POLICY
 from querysplat_cli.tto.rendering_loss import RenderingLoss, tensors
 
 SIZE = 48
@@ -100,9 +101,13 @@ def test_disagreement_is_the_error_under_each_gaussian() -> None:
         sh=torch.full((1, 1, 3), -0.5 / SH_0),  # black
     )
     photos = torch.rand(2, 3, SIZE, SIZE, generator=torch.Generator().manual_seed(0))
-    target = RenderingLoss(views(photos), cameras(2))
-    expected = (render(one, cameras(2)).alpha * photos.mean(1)).sum()
-    torch.testing.assert_close(disagreement(one, target), expected[None], rtol=1e-4, atol=0)
+    confirmed = torch.rand(2, SIZE // 2, SIZE // 2, generator=torch.Generator().manual_seed(1)) < 0.3
+    target = RenderingLoss(views(photos), cameras(2), confirmed=confirmed)
+    alpha = render(one, cameras(2)).alpha
+    error, guessed = disagreement(one, target)
+    torch.testing.assert_close(error, (alpha * photos.mean(1)).sum()[None], rtol=1e-4, atol=0)
+    inside = (~confirmed).repeat_interleave(2, 1).repeat_interleave(2, 2)
+    torch.testing.assert_close(guessed, ((alpha * inside).sum() / alpha.sum())[None], rtol=1e-4, atol=0)
 
 
 def test_gaussians_of_a_wrong_colour_are_split() -> None:
@@ -121,9 +126,31 @@ def test_gaussians_of_a_wrong_colour_are_split() -> None:
     assert len(densify(some, target, 5).gaussians) == 36
 
 
-def optimised(densify_to: int | None, steps: int = 90, lr: float = 0.1, **options: object) -> TtoResult:
+def test_faint_gaussians_of_guessed_pixels_go_and_others_are_split_instead() -> None:
+    some = wall(6, size=0.8, opacity=0.8)
+    faint = torch.tensor([0, 5, 30])  # corners of the wall: left, right, left
+    opacities = some.opacities.clone()
+    opacities[faint] = 0.03
+    photos, right = views(render(some, cameras(3)).colour), torch.zeros(3, SIZE, SIZE, dtype=torch.bool)
+    right[:, :, SIZE // 2 :] = True
+    for confirmed, gone in ((right, [0, 30]), (~right, [5]), (None, [])):
+        more = densify(replace(some, opacities=opacities), RenderingLoss(photos, cameras(3), confirmed=confirmed), 40)
+        assert len(more.gaussians) == 40
+        assert sorted(set(range(36)) - set(more.origin.tolist())) == gone
+    nothing = RenderingLoss(photos, cameras(3), confirmed=torch.zeros_like(right))
+    assert len(densify(replace(some, opacities=opacities.clamp_max(0.05)), nothing, 40).gaussians) == 40
+
+
+def optimised(
+    densify_to: int | None,
+    steps: int = 90,
+    lr: float = 0.1,
+    confirmed: torch.Tensor | None = None,
+    **options: object,
+) -> TtoResult:
     """Sixteen Gaussians, of one grey, on photos of 144 colours."""
-    target = RenderingLoss(views(render(wall(12, size=0.8, opacity=0.8), cameras(4)).colour.clamp(0, 1)), cameras(4))
+    photos = views(render(wall(12, size=0.8, opacity=0.8), cameras(4)).colour.clamp(0, 1))
+    target = RenderingLoss(photos, cameras(4), confirmed=confirmed)
     grey = wall(4, size=0.8, opacity=0.8)
     return optimise_gaussians(
         replace(grey, sh=torch.zeros_like(grey.sh)),
@@ -144,6 +171,24 @@ def test_a_coarse_scene_gains_in_views_that_were_not_optimised() -> None:
     assert errors[1] < 0.7 * errors[0]
     assert (plain.added, split_up.added) == (0, 84)
     assert [step.gaussians for step in split_up.history if step.gaussians > 16][-1] == 100 == len(split_up.gaussians)
+
+
+def test_opacity_has_a_price_in_guessed_pixels_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The price rises to a weight at which it shows; depth is never smoothed."""
+    policy = "querysplat_cli.tto.{}.TTO_POLICY"
+    monkeypatch.setattr(policy.format("rendering_loss"), replace(TTO_POLICY, smoothness=0.0))
+    monkeypatch.setattr(policy.format("gaussians"), replace(TTO_POLICY, guessed_opacity=2.0))
+    monkeypatch.setattr(policy.format("densify"), replace(TTO_POLICY, faint=0.0))
+    left = torch.zeros(4, SIZE, SIZE, dtype=torch.bool)
+    left[:, :, : SIZE // 2] = True
+    free, all_confirmed, priced = (optimised(100, confirmed=each) for each in (None, torch.ones_like(left), left))
+    assert all(a.equal(b) for a, b in zip(tensors(all_confirmed.gaussians), tensors(free.gaussians), strict=True))
+
+    def opacity(result: TtoResult, side: int) -> float:
+        return float(result.gaussians.opacities[result.gaussians.means[:, 0] * side > 0.2].mean())
+
+    assert opacity(free, 1) > 0.9 * opacity(free, -1)
+    assert opacity(priced, 1) < 0.3 * opacity(priced, -1)
 
 
 def test_splitting_is_repeatable() -> None:

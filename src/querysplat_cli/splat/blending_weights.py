@@ -32,12 +32,15 @@ def blending_weights(
 
 
 def three_blending_weights(
-    gaussians: Gaussians, camera: Cameras, pixel_weights: Float[Tensor, "3 height width"]
+    gaussians: Gaussians,
+    camera: Cameras,
+    pixel_weights: Float[Tensor, "3 height width"],
+    settings: RenderSettings | None = None,
 ) -> Float[Tensor, "3 n"]:
     """`blending_weights` of one view with each of three pixel weights, by one rendering."""
     flat = _flat(gaussians)
     with torch.enable_grad():
-        weighted = render(flat, camera).colour[0] * pixel_weights
+        weighted = render(flat, camera, settings=settings).colour[0] * pixel_weights
         (gradient,) = torch.autograd.grad(weighted.sum(), flat.sh)
     return gradient[:, 0].T / SH_0
 

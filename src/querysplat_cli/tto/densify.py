@@ -9,7 +9,8 @@ from torch import Tensor
 
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.rotations import quaternion_to_matrix
-from querysplat_cli.splat.blending_weights import blending_weights
+from querysplat_cli.splat.blending_weights import three_blending_weights
+from querysplat_cli.tto.policy import TTO_POLICY
 from querysplat_cli.tto.rendering_loss import RenderingLoss
 
 SPLIT_DISTANCE = 0.5
@@ -18,20 +19,31 @@ SPLIT_DISTANCE = 0.5
 
 @dataclass(frozen=True)
 class Densified:
-    """More Gaussians. `origin` is for each the row that it was made of; a Gaussian that was split has two."""
+    """More Gaussians. `origin` is for each the row that it was made of; one that was split has two, one that went none.
+
+    `guessed` is the share of the blending weight of each that lies in guessed pixels (`RenderingLoss.guessed`).
+    """
 
     gaussians: Gaussians
     origin: Int[Tensor, "n"]
+    guessed: Float[Tensor, "n"]
 
 
 def densify(gaussians: Gaussians, target: RenderingLoss, count: int) -> Densified:
-    """Split the Gaussians of the largest `disagreement`, each once, until there are `count` or all were split."""
-    order = disagreement(gaussians, target).argsort(descending=True, stable=True)
-    chosen, others = order.tensor_split([max(0, count - len(gaussians))])
+    """Split the Gaussians of the largest `disagreement`, each once, until there are `count` or all were split.
+
+    Those fainter than `TtoPolicy.faint` go first, where most of what they colour is guessed pixels, unless all are so.
+    """
+    error, guessed = disagreement(gaussians, target)
+    faint = (gaussians.opacities < TTO_POLICY.faint) & (guessed > 0.5)
+    left = (~faint | faint.all()).nonzero()[:, 0]
+    order = left[error[left].argsort(descending=True, stable=True)]
+    chosen, others = order.tensor_split([max(0, count - len(left))])
     others = others.sort().values
     parts = gaussians[others], *split(gaussians[chosen])
     whole = {field.name: torch.cat([getattr(part, field.name) for part in parts]) for field in fields(gaussians)}
-    return Densified(Gaussians(**whole), torch.cat([others, chosen, chosen]))
+    origin = torch.cat([others, chosen, chosen])
+    return Densified(Gaussians(**whole), origin, guessed[origin])
 
 
 def split(gaussians: Gaussians) -> tuple[Gaussians, Gaussians]:
@@ -55,13 +67,17 @@ def split(gaussians: Gaussians) -> tuple[Gaussians, Gaussians]:
     return replace(half, means=half.means + aside), replace(half, means=half.means - aside)
 
 
-def disagreement(gaussians: Gaussians, target: RenderingLoss) -> Float[Tensor, "n"]:
-    """The absolute error of every pixel of every view, times each Gaussian's blending weight in it, added up."""
-    total = torch.zeros_like(gaussians.opacities)
+def disagreement(gaussians: Gaussians, target: RenderingLoss) -> tuple[Float[Tensor, "n"], Float[Tensor, "n"]]:
+    """The error that each Gaussian has a part in, and the share of its blending weight in guessed pixels.
+
+    The error is the absolute one of every pixel of every view, times the Gaussian's blending weight in it, added up.
+    """
+    total = gaussians.opacities.new_zeros(3, len(gaussians))
     for view in range(len(target.views)):
         camera, photo = target.cameras[[view]], target.views.picture(view)
         with torch.no_grad():
             picture = target.render(gaussians, view).over(target.background)[0]
             error = (picture - photo).abs().mean(0) * target.views.masks[view]
-        total += blending_weights(gaussians, camera, error[None], target.settings)
-    return total
+        pixels = torch.stack([error, target.guessed(view)[0].to(error), torch.ones_like(error)])
+        total += three_blending_weights(gaussians, camera, pixels, target.settings)
+    return total[0], total[1] / total[2].clamp_min(1e-12)

@@ -81,7 +81,10 @@ def optimise_gaussians(
         assert densify_to
         more = densify(some, target, round(len(some) * (densify_to / len(some)) ** (1 / rounds)))
         return Denser(
-            Changes.none(more.gaussians), bounding(partial(changed, more.gaussians), target.finest), more.origin
+            Changes.none(more.gaussians),
+            bounding(partial(changed, more.gaussians), target.finest),
+            more.origin,
+            TTO_POLICY.guessed_opacity * more.guessed / len(more.guessed) if rounds > 1 else None,
         )
 
     return optimise(

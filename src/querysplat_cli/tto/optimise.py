@@ -111,6 +111,7 @@ class _Run(Generic[V]):
         self._exposures_before = target.exposures and target.exposures.current
         self._least_losses = losses
         self._pruned: Pruned | None = None
+        self._prices: torch.Tensor | None = None
         self._splits_left = settings.densify_after if start.densify else ()
         self._undone_in_a_row = 0
         self._again: list[int] = []
@@ -195,6 +196,8 @@ class _Run(Generic[V]):
         loss = self._target.value_and_gradient(gaussians, chosen)
         if self._coverage:
             loss = self._coverage.add_to(loss, gaussians, step)
+        if self._prices is not None:
+            loss.gradient.opacities.add_(self._prices)
         loss.send_back(gaussians, self._target.cameras)
         return loss
 
@@ -228,7 +231,9 @@ class _Run(Generic[V]):
 
     def _split(self, gaussians: Gaussians) -> None:
         assert self._densify
-        self._adam.go_on_with(self._densify(gaussians.detach(), self._target, len(self._splits_left)))
+        denser = self._densify(gaussians.detach(), self._target, len(self._splits_left))
+        self._adam.go_on_with(denser)
+        self._prices = denser.prices
         if self._refined:
             self._refined.forget_gradient()
         self._splits_left = self._splits_left[1:]

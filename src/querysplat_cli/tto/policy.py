@@ -31,6 +31,13 @@ class TtoPolicy:
     smoothness: float = 2 / 448
     """In Gaussian space, weight in the loss of how rough the depth is that no other view confirms
     (`tto/smooth_depth.py`). Chosen on fortress, dtu106, kermit and fox (docs/tried.md)."""
+    guessed_opacity: float = 0.15
+    """In Gaussian space, weight in the loss of the mean opacity, each by the Gaussian's share in guessed pixels, from
+    the first split to the last. What one photo alone shows then has no more Gaussians than it needs, and those that no
+    photo needs fade (3DGS-MCMC has the mean of all). Chosen on fortress, dtu106, kermit and fox (docs/tried.md)."""
+    faint: float = 0.07
+    """Opacity below which a split leaves out Gaussians of guessed pixels, and splits as many others more. They would
+    take their time and colour next to nothing."""
     views_per_step: int = 3
     """Views that one step renders, where there are more."""
     few_views: int = 4

@@ -153,8 +153,14 @@ class RenderingLoss:
         """How rough the depth is that no other view confirms, by its weight; 0 where this takes no part."""
         if self.confirmed is None:
             return 0.0
-        guessed = F.interpolate((~self.confirmed[[view]])[:, None].float(), photo[1].shape[1:])[:, 0] == 1
-        return TTO_POLICY.smoothness * depth_roughness(rendering, *photo, guessed)
+        return TTO_POLICY.smoothness * depth_roughness(rendering, *photo, self.guessed(view))
+
+    def guessed(self, view: int) -> Bool[Tensor, "1 height width"]:
+        """The pixels of a view whose depth no other view confirms; none where that is not known."""
+        size = self.cameras.height, self.cameras.width
+        if self.confirmed is None:
+            return torch.zeros((1, *size), dtype=torch.bool, device=self.cameras.w2c.device)
+        return F.interpolate((~self.confirmed[[view]])[:, None].float(), size)[:, 0] == 1
 
     def _exposed(self, rendering: Rendering, view: int) -> Rendering:
         return self.exposures.exposed(rendering, view) if self.exposures else rendering

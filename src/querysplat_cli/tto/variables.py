@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields
 from typing import Any, ClassVar, Generic, Protocol, TypeVar, runtime_checkable
 
 import torch
-from jaxtyping import Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from querysplat_cli.scene.gaussians import Gaussians
@@ -30,12 +30,15 @@ V = TypeVar("V", bound=Variables)
 class Denser(Generic[V]):
     """Variables of more Gaussians, and what decodes them.
 
-    `origin` is for each of their rows the row that it was made of. A Gaussian that was split is the origin of two rows.
+    `origin` is for each of their rows the row that it was made of. A Gaussian that was split is the origin of two rows,
+    one that was left out of none.
+    `prices` are added to the slope of the loss by each opacity, until the next split (None: nothing is).
     """
 
     variables: V
     decode: Callable[[V], Gaussians]
     origin: Int[Tensor, "n"]
+    prices: Float[Tensor, "n"] | None = None
 
 
 Densifying = Callable[[Gaussians, RenderingLoss, int], Denser[V]]
