@@ -31,6 +31,7 @@ from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.training.config import load_config
 from querysplat_cli.training.data import cache_folder, prepare_samples
 from querysplat_cli.training.passes import Sample, read_sample
+from querysplat_cli.tto.policy import TTO_POLICY
 
 UNSEEN = 1000
 """Seed of made-up scenes that nothing is trained on."""
@@ -67,7 +68,7 @@ def scenes(sample: Sample, models: list[str], steps: list[int]) -> Iterator[tupl
         model = load(name).requires_grad_(False)
         scene = build(model, sample, tto=0, prune="off", queries=UNLIMITED)
         for count in steps:
-            start = unrefined(scene) if count else scene
+            start = scene if count < TTO_POLICY.fewest_steps else unrefined(scene)
             yield name, count, optimised_again(model, start, "off", steps=count, keep_cover=False).gaussians
 
 

@@ -6,7 +6,8 @@ import torch
 from torch import Tensor
 
 from golden import Fixture, Tensors
-from querysplat_cli.model.heads import GEOMETRY_CHANNELS, activate_appearance, activate_geometry, assemble
+from querysplat_cli.model.config import GEOMETRY_CHANNELS
+from querysplat_cli.model.heads import activate_appearance, activate_geometry, assemble
 from querysplat_cli.model.memories import Memories, Memory, plucker_rays
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.scene.cameras import Cameras

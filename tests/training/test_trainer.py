@@ -95,27 +95,6 @@ def test_training_changes_what_is_not_frozen_and_nothing_else(tmp_path: Path) ->
     load_model(tmp_path / "run" / MODEL)
 
 
-def test_rounds_of_refinement_learn_and_the_model_below_stays(tmp_path: Path) -> None:
-    """They start from a checkpoint without rounds, whose scene is theirs at first."""
-    below = training(tmp_path / "cache", stages=(StageSettings(steps=2, lr=1e-3),))
-    run(below, tmp_path / "below")
-    config = replace(
-        below,
-        start=str(tmp_path / "below" / MODEL),
-        model=replace(below.model, refinement_rounds=2),
-        losses=replace(below.losses, background="random"),
-        stages=(StageSettings(steps=4, lr=1e-3),),
-    )
-    run(config, tmp_path / "whole")
-    before, after = starting_model(config).state_dict(), load_file(tmp_path / "whole" / STATE)
-    changed = {name for name, tensor in before.items() if not torch.equal(tensor, after[f"model.{name}"])}
-    assert changed
-    assert all(name.startswith("refiner.") for name in changed), changed
-    stopped(config, tmp_path / "parts", 3)
-    run(config, tmp_path / "parts", resume=True)
-    assert_same_weights(tmp_path / "whole", tmp_path / "parts")
-
-
 def test_resuming_another_training_or_none_is_refused(tmp_path: Path) -> None:
     config = training(tmp_path / "cache", stages=(StageSettings(steps=2, lr=1e-3),))
     with pytest.raises(QuerySplatError, match="no training"):

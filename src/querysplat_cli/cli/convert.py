@@ -47,7 +47,7 @@ def _points(result: dict[str, Any]) -> str:
 
 def _content(result: dict[str, Any]) -> str:
     if "points" in result:
-        return f"{result['points']:,} points, the centres of Gaussians that are at least half opaque"
+        return f"{result['points']:,} points, the centres of the most opaque Gaussians"
     if "triangles" in result:
         return f"{result['triangles']:,} triangles with {result['corners']:,} corners"
     return f"{result['gaussians']:,} Gaussians"

@@ -167,7 +167,7 @@ def _check_kind(request: Conversion) -> None:
 def _write_cloud(path: Path, gaussians: Gaussians) -> dict[str, int]:
     cloud = points_of(gaussians)
     if not len(cloud):
-        raise QuerySplatError("no Gaussian is half opaque, so there is no point", "Convert without --points.")
+        raise QuerySplatError("the scene has no Gaussian, so there is no point", "Convert without --points.")
     write_points(path, cloud)
     return {"gaussians": len(cloud), "points": len(cloud)}
 

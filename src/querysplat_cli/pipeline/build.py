@@ -18,7 +18,7 @@ from querysplat_cli.pipeline.policy import PIPELINE_POLICY
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.prune.gaussians import target_count
 from querysplat_cli.queries.backdrop import shows_background
-from querysplat_cli.queries.prepare import PreparedQueries, prepare
+from querysplat_cli.queries.prepare import PreparedQueries, prepare, with_refinement
 from querysplat_cli.runtime.compiler import SCENE_KERNELS, wait_until_compiled
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import Cameras
@@ -154,8 +154,7 @@ def _prepared(
 ) -> tuple[PreparedQueries, PhotoColours | None]:
     """Where photos disagree in colour, queries are made of their colours without the differences.
 
-    Rounds of feedback refine scenes that are not optimised. Optimisation does without: it starts no better from them
-    (docs/tried.md).
+    Rounds of feedback refine scenes that are hardly optimised or not at all: longer runs end no better (docs/tried.md).
     """
     with stages("queries") as progress:
         wait_until_compiled(*SCENE_KERNELS, progress=progress)
@@ -170,8 +169,9 @@ def _prepared(
             soft_query_limit=None if settings.keep_everything or settings.tto == 0 else TTO_POLICY.queries,
             target=settings.tto_target,
             keep_all=settings.keep_everything,
-            refine=settings.tto == 0,
         )
+        if settings.tto is not None and settings.tto < TTO_POLICY.fewest_steps:
+            prepared = with_refinement(prepared, model, alike, geometry)
     return prepared, colours
 
 

@@ -52,6 +52,14 @@ class Gaussians(TensorDataclass):
         """Which Gaussians have only finite numbers."""
         return torch.stack([field[:, None].flatten(1).isfinite().all(1) for field in vars(self).values()]).all(0)
 
+    @property
+    def surfaces(self) -> Bool[Tensor, "n"]:
+        """Which Gaussians stand for surfaces: those that are at least half opaque, and the most opaque quarter."""
+        if not len(self):
+            return torch.zeros_like(self.opacities, dtype=torch.bool)
+        quarter = self.opacities.kthvalue(math.ceil(0.75 * len(self))).values
+        return self.opacities >= min(0.5, float(quarter))
+
     def __getitem__(self, index: slice | Tensor) -> "Gaussians":
         return self.map(lambda field: field[index])
 

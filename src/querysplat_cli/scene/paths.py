@@ -57,8 +57,8 @@ def orbit(cameras: Cameras, middle: Float[Tensor, "3"], frames: int) -> Cameras:
 
 
 def opaque_centres(gaussians: Gaussians) -> Float[Tensor, "n 3"]:
-    """Centres of the Gaussians that are at least half opaque, or of the most opaque."""
-    return gaussians.means[gaussians.opacities >= min(0.5, float(gaussians.opacities.max()))]
+    """Centres of the Gaussians that stand for surfaces (`Gaussians.surfaces`)."""
+    return gaussians.means[gaussians.surfaces]
 
 
 def scene_middle(gaussians: Gaussians) -> Float[Tensor, "3"]:

@@ -50,7 +50,7 @@ class TtoPolicy:
     passes: int = 40
     """How often an automatic plan renders each of a few photos at most. More passes only fit the photos themselves."""
     fewest_steps: int = 30
-    """Of an automatic plan."""
+    """Of an automatic plan. Fewer, which a user asks for, start from the scene that the model refined."""
     most_steps: int = 150
     """Of an automatic plan. More steps improve held-out photos little."""
     queries: int = 10_000

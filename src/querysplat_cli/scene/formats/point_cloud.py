@@ -10,9 +10,6 @@ from plyfile import PlyData, PlyElement
 from querysplat_cli.scene.files import atomic_path
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
 
-LEAST_OPACITY = 0.5
-"""Of a Gaussian that counts as a point of a surface."""
-
 
 @dataclass(frozen=True)
 class PointCloud:
@@ -26,8 +23,8 @@ class PointCloud:
 
 
 def points_of(gaussians: Gaussians) -> PointCloud:
-    """The centres of the Gaussians that are at least half opaque, in their colours without the view's part."""
-    opaque = gaussians[gaussians.opacities >= LEAST_OPACITY]
+    """The centres of the Gaussians that stand for surfaces, in their colours without the view's part."""
+    opaque = gaussians[gaussians.surfaces]
     colours = (0.5 + SH_0 * opaque.sh[:, 0]).clamp(0, 1) * 255
     return PointCloud(opaque.means.numpy().astype(np.float32), colours.round().numpy().astype(np.uint8))
 
