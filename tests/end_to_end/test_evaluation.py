@@ -60,7 +60,7 @@ def test_every_row_has_every_view(evaluated: tuple[Path, dict[str, Any]]) -> Non
         assert (row["scored"], row["asked"], row["cases"]) == (4, 4, 1), row
     psnr = {(row["row"], row["group"]): row["psnr"] for row in summary["averages"]}
     for cameras in ("free", "posed"):
-        # Steps fit the inputs better than the refined scene does; what was not shown is harder, and its cameras are right.
+        # Steps fit the inputs better; what was not shown is harder, and the cameras of it are right.
         assert psnr[f"{cameras}_tto=4", "input"] > psnr[f"{cameras}_tto=0", "input"]
         assert psnr[f"{cameras}_tto=4", "input"] > psnr[f"{cameras}_tto=4", "interp"] > 19
         assert psnr[f"{cameras}_tto=4", "extrap"] > 14
