@@ -68,12 +68,12 @@ def scenes(sample: Sample, models: list[str], steps: list[int]) -> Iterator[tupl
         model = load(name).requires_grad_(False)
         scene = build(model, sample, tto=0, prune="off", queries=UNLIMITED)
         for count in steps:
-            start = scene if count < TTO_POLICY.fewest_steps else unrefined(scene)
+            start = scene if TTO_POLICY.refines(count) else unrefined(scene)
             yield name, count, optimised_again(model, start, "off", steps=count, keep_cover=False).gaussians
 
 
 def unrefined(scene: BuiltScene) -> BuiltScene:
-    """The scene without rounds of feedback, from which `reconstruct` starts its optimisation."""
+    """The scene without rounds of feedback, from which `reconstruct` starts long optimisations."""
     anchors = scene.prepared.anchors
     assert anchors is not None
     without = replace(anchors, refinement=anchors.refinement[..., :0])

@@ -8,6 +8,7 @@ import torch
 
 from querysplat_cli.encoders.base import Geometry
 from querysplat_cli.model.checkpoints import preset
+from querysplat_cli.runtime.progress import silent
 from querysplat_cli.scene.views import Views
 from querysplat_cli.training.config import (
     DataSettings,
@@ -17,10 +18,12 @@ from querysplat_cli.training.config import (
     StageSettings,
     TrainConfig,
 )
-from querysplat_cli.training.data import cache_folder
+from querysplat_cli.training.data import CachedSamples, cache_folder
 from querysplat_cli.training.passes import Sample, write_sample
 from querysplat_cli.training.photographer import cast, walk
+from querysplat_cli.training.processes import Processes
 from querysplat_cli.training.rooms import make_room
+from querysplat_cli.training.trainer import Trainer, TrainReport
 
 TINY = replace(preset("compact"), width=120, mlp_ratio=1.0, refinement_rounds=0)
 
@@ -66,6 +69,13 @@ def training(cache: Path, *, scenes: int = 3, **changes: object) -> TrainConfig:
         "log_every": 1,
     }
     return TrainConfig(**{**settings, **changes})  # type: ignore[arg-type]
+
+
+def run(config: TrainConfig, folder: Path, *, resume: bool = False) -> TrainReport:
+    """The training on one process of the CPU, whose samples are in its cache."""
+    folder.mkdir(exist_ok=True)
+    trainer = Trainer(config, folder, Processes(), torch.device("cpu"), resume=resume)
+    return trainer.run(CachedSamples(config.data, config.seed), progress=silent)
 
 
 def toml(config: TrainConfig) -> str:

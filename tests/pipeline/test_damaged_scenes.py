@@ -100,6 +100,14 @@ def test_a_map_that_names_rows_that_are_not_there_is_refused(
             read_scene(tmp_path / "s")
 
 
+def remove_tensor(folder: Path, name: str) -> None:
+    """From the memories of a stored scene."""
+    file = folder / "memories.safetensors"
+    tensors = load_file(file)
+    del tensors[name]
+    save_file(tensors, file, metadata={"model": "compact"})
+
+
 def test_a_scene_of_an_earlier_version_does_not_say_which_depth_is_confirmed(
     stored: tuple[StoredScene, Gaussians], tmp_path: Path
 ) -> None:
@@ -109,10 +117,7 @@ def test_a_scene_of_an_earlier_version_does_not_say_which_depth_is_confirmed(
     now = read_scene(tmp_path / "s")[0].map
     assert now is not None
     assert now.confirmed.equal(where.confirmed)
-    file = tmp_path / "s" / "memories.safetensors"
-    tensors = load_file(file)
-    del tensors["map.confirmed"]
-    save_file(tensors, file, metadata={"model": "compact"})
+    remove_tensor(tmp_path / "s", "map.confirmed")
     before = read_scene(tmp_path / "s")[0].map
     assert before is not None
     assert not len(before.confirmed)
@@ -120,10 +125,7 @@ def test_a_scene_of_an_earlier_version_does_not_say_which_depth_is_confirmed(
 
 def test_a_scene_of_an_earlier_version_has_no_refinement(stored: tuple[StoredScene, Gaussians], tmp_path: Path) -> None:
     write_scene(tmp_path / "s.ply", *stored, a_report())
-    file = tmp_path / "s" / "memories.safetensors"
-    tensors = load_file(file)
-    del tensors["anchors.refinement"]
-    save_file(tensors, file, metadata={"model": "compact"})
+    remove_tensor(tmp_path / "s", "anchors.refinement")
     anchors = read_scene(tmp_path / "s")[0].anchors
     assert anchors is not None
     assert anchors.refinement.shape == (*anchors.opacities.shape, 0)

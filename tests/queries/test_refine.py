@@ -14,7 +14,7 @@ from querysplat_cli.model.refiner import GEOMETRY_ROW, STENCIL, Evidence
 from querysplat_cli.queries.evidence import Surroundings, _bilinear, gather_evidence
 from querysplat_cli.queries.policy import QUERY_POLICY
 from querysplat_cli.queries.refine import refined, refinements
-from querysplat_cli.queries.rendering_error import Comparison, compare
+from querysplat_cli.queries.rendering_error import Comparison, compare, prior_gaussians
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.rotations import quaternion_product, quaternion_to_matrix
@@ -43,11 +43,6 @@ def geometry(count: int = VIEWS) -> Geometry:
     return Geometry(depth, torch.rand(count, HEIGHT, WIDTH, generator=generator), (), 6)
 
 
-def scene_of(found: Anchors) -> Gaussians:
-    flat = {name: getattr(found, name).flatten(0, 1) for name in ("means", "quats", "scales", "opacities", "colours")}
-    return Gaussians(flat["means"], flat["quats"], flat["scales"], flat["opacities"], flat["colours"][:, None])
-
-
 def evidence(found: Anchors, where: Cameras, depth: Tensor, count: int = VIEWS) -> Evidence:
     """Of a scene whose comparison with the photos is made up; its depth is a tenth above the VGM's."""
     views, sure = photos(count), geometry(count).confidence
@@ -57,7 +52,7 @@ def evidence(found: Anchors, where: Cameras, depth: Tensor, count: int = VIEWS) 
     near = torch.arange(len(found))[:, None].roll(1, 0)
     around = Surroundings(views.images.to(depth), where, depth, sure.to(depth), near)
     raw = torch.zeros(len(found), 5).to(depth)
-    return gather_evidence(found, scene_of(found), raw, comparison, around)
+    return gather_evidence(found, prior_gaussians(found), raw, comparison, around)
 
 
 def doubled(found: Anchors) -> Anchors:
@@ -131,6 +126,14 @@ def model_with_rounds(rounds: int = 2) -> tuple[QuerySplat, Anchors]:
     return QuerySplat(config), anchors(config)
 
 
+def trained_model(rounds: int) -> tuple[QuerySplat, Anchors]:
+    """Its heads are not zero."""
+    model, found = model_with_rounds(rounds)
+    for head in (model.refiner.geometry_head, model.refiner.appearance_head):
+        torch.nn.init.normal_(head.weight, std=0.02)
+    return model, found
+
+
 def test_untrained_rounds_change_nothing() -> None:
     model, found = model_with_rounds()
     read = memories(model.config)
@@ -144,10 +147,7 @@ def test_untrained_rounds_change_nothing() -> None:
 
 
 def test_the_refinement_of_a_round_is_what_the_scene_is_made_of() -> None:
-    model, found = model_with_rounds()
-    with torch.no_grad():
-        for head in (model.refiner.geometry_head, model.refiner.appearance_head):
-            torch.nn.init.normal_(head.weight, std=0.02)
+    model, found = trained_model(2)
     views, where, depth = photos(), cameras(), geometry()
     rounds = list(refinements(model, memories(model.config), found, views, where, depth))
     assert len(rounds) == 2
@@ -162,10 +162,7 @@ def test_the_refinement_of_a_round_is_what_the_scene_is_made_of() -> None:
 
 def test_photos_change_what_queries_read_and_so_the_scene() -> None:
     """With values that are not zero, noise in the place of the photos or of the depth gives another scene."""
-    model, found = model_with_rounds(1)
-    with torch.no_grad():
-        for head in (model.refiner.geometry_head, model.refiner.appearance_head):
-            torch.nn.init.normal_(head.weight, std=0.02)
+    model, found = trained_model(1)
     read, views, where, depth = memories(model.config), photos(), cameras(), geometry()
     usual = refined(model, read, found, views, where, depth).refinement
     noise = replace(views, images=1 - views.images)
@@ -178,7 +175,7 @@ def test_photos_change_what_queries_read_and_so_the_scene() -> None:
 def test_a_comparison_over_grey_has_an_error_where_the_scene_has_holes() -> None:
     found = anchors(compact(), queries=5)
     grey = replace(photos(), images=torch.full((VIEWS, 3, HEIGHT, WIDTH), 0.5))
-    scene = scene_of(found).map(Tensor.float)
+    scene = prior_gaussians(found).map(Tensor.float)
     over_grey, over_black = (compare(scene, grey, cameras(), background) for background in (0.5, 0.0))
     empty = over_grey.alpha == 0
     assert empty.any()

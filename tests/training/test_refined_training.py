@@ -6,19 +6,10 @@ from pathlib import Path
 import torch
 from safetensors.torch import load_file
 
-from querysplat_cli.runtime.progress import silent
-from querysplat_cli.training.config import StageSettings, TrainConfig
-from querysplat_cli.training.data import CachedSamples
-from querysplat_cli.training.processes import Processes
+from querysplat_cli.training.config import StageSettings
 from querysplat_cli.training.start import starting_model
-from querysplat_cli.training.trainer import MODEL, STATE, Trainer
-from training_scenes import training
-
-
-def run(config: TrainConfig, folder: Path) -> None:
-    folder.mkdir()
-    trainer = Trainer(config, folder, Processes(), torch.device("cpu"), resume=False)
-    trainer.run(CachedSamples(config.data, config.seed), progress=silent)
+from querysplat_cli.training.trainer import MODEL, STATE
+from training_scenes import run, training
 
 
 def test_rounds_of_refinement_learn_and_the_model_below_stays(tmp_path: Path) -> None:

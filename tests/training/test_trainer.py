@@ -16,7 +16,6 @@ from safetensors.torch import load_file
 
 from querysplat_cli.model.checkpoints import load_file as load_model
 from querysplat_cli.runtime.errors import QuerySplatError
-from querysplat_cli.runtime.progress import silent
 from querysplat_cli.training.config import LossSettings, OptimiserSettings, StageSettings, TrainConfig
 from querysplat_cli.training.data import CachedSamples, Draw
 from querysplat_cli.training.journal import Journal
@@ -24,16 +23,10 @@ from querysplat_cli.training.processes import Processes
 from querysplat_cli.training.schedule import weights
 from querysplat_cli.training.start import starting_model
 from querysplat_cli.training.step import StepSettings, add_gradient, anchored, decoded
-from querysplat_cli.training.trainer import MODEL, STATE, Trainer, TrainReport, samples_in_turn
-from training_scenes import TINY, sample, toml, training
+from querysplat_cli.training.trainer import MODEL, STATE, Trainer, samples_in_turn
+from training_scenes import TINY, run, sample, toml, training
 
 CPU = torch.device("cpu")
-
-
-def run(config: TrainConfig, folder: Path, *, resume: bool = False) -> TrainReport:
-    folder.mkdir(exist_ok=True)
-    trainer = Trainer(config, folder, Processes(), CPU, resume=resume)
-    return trainer.run(CachedSamples(config.data, config.seed), progress=silent)
 
 
 class Stop(Exception):

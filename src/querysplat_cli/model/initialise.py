@@ -9,6 +9,9 @@ from the prior's scene.
 """
 
 import argparse
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -35,18 +38,32 @@ def scratch_model(config: ModelConfig, seed: int) -> QuerySplat:
 
     Those of the geometry head are small, and its bias is zero, so that Gaussians start at the middle of their ranges.
     """
-    with torch.random.fork_rng():
-        torch.manual_seed(seed)
+    with _seeded(seed):
         model = QuerySplat(config)
         torch.nn.init.trunc_normal_(model.geometry_head.weight, std=HEAD_SPREAD)
         torch.nn.init.zeros_(model.geometry_head.bias)
     return model
 
 
-def initial_model(config: ModelConfig, seed: int) -> QuerySplat:
-    """An anchored model whose output is the prior; the same for the same seed."""
+def with_rounds(model: QuerySplat, rounds: int, seed: int) -> QuerySplat:
+    """The model with rounds of refinement that change nothing yet; the same for the same seed."""
+    with _seeded(seed):
+        wider = QuerySplat(replace(model.config, refinement_rounds=rounds))
+    wider.load_state_dict({**wider.state_dict(), **model.state_dict()})
+    return wider
+
+
+@contextmanager
+def _seeded(seed: int) -> Iterator[None]:
+    """Inside, torch's random numbers are those of `seed`; outside, they go on as before."""
     with torch.random.fork_rng():
         torch.manual_seed(seed)
+        yield
+
+
+def initial_model(config: ModelConfig, seed: int) -> QuerySplat:
+    """An anchored model whose output is the prior; the same for the same seed."""
+    with _seeded(seed):
         model = QuerySplat(config)
     with torch.no_grad():
         for memory in (model.geometry_memory, model.appearance_memory):

@@ -170,7 +170,7 @@ def _prepared(
             target=settings.tto_target,
             keep_all=settings.keep_everything,
         )
-        if settings.tto is not None and settings.tto < TTO_POLICY.fewest_steps:
+        if TTO_POLICY.refines(settings.tto):
             prepared = with_refinement(prepared, model, alike, geometry)
     return prepared, colours
 

@@ -52,16 +52,15 @@ def checked(tensors: dict[str, Tensor], inputs: int, views: int, canvas: tuple[i
     sizes = {"views": views, "height": canvas[0], "width": canvas[1]}
     masks = _read("masks", Bool[Tensor, "views height width"], tensors, sizes)
     memories: Memories = _part(Memories, "memories", tensors)
-    anchors: Anchors | None = None
-    if "anchors.means" in tensors:
-        none = torch.zeros(*tensors["anchors.means"].shape[:2], 0)  # scenes of earlier versions have none
-        anchors = _part(Anchors, "anchors", {"anchors.refinement": none, **tensors})
+    means = tensors.get("anchors.means", torch.zeros(0, 0))
+    # Scenes of earlier versions have neither of these.
+    tensors = {"anchors.refinement": torch.zeros(*means.shape[:2], 0), "map.confirmed": NOT_KNOWN, **tensors}
+    anchors: Anchors | None = _part(Anchors, "anchors", tensors) if "anchors.means" in tensors else None
     if anchors is not None:
         _check_anchors(anchors, memories)
     kept = _read("kept", Bool[Tensor, "n"], tensors, {}) if "kept" in tensors else None
     if kept is not None and anchors is not None and len(kept) != anchors.opacities.numel():
         raise DamagedTensors(f"kept marks {len(kept)} Gaussians, and the anchors have {anchors.opacities.numel()}")
-    tensors = {"map.confirmed": NOT_KNOWN, **tensors}  # scenes of earlier versions have none
     where: MemoryMap | None = _part(MemoryMap, "map", tensors) if "map.grid" in tensors else None
     if where is not None:
         _check_map(where, memories, inputs, canvas)

@@ -1,13 +1,10 @@
 """What a training starts from: the model, which of its tensors learn, and their optimiser."""
 
-from dataclasses import replace
-
-import torch
 from torch import Tensor, nn
 from torch.optim import AdamW
 
 from querysplat_cli.model.checkpoints import load
-from querysplat_cli.model.initialise import initial_model, scratch_model
+from querysplat_cli.model.initialise import initial_model, scratch_model, with_rounds
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.training.config import OptimiserSettings, TrainConfig, with_queries
@@ -28,19 +25,10 @@ def starting_model(config: TrainConfig) -> QuerySplat:
         return scratch_model(wanted, config.seed)
     model = load(config.start)
     if config.model.refinement_rounds and not model.config.refinement_rounds:
-        model = _with_refiner(model, config)
+        model = with_rounds(model, config.model.refinement_rounds, config.seed)
     if with_queries(model.config, wanted.query_count) != wanted:
         raise QuerySplatError(f"{config.start}: a model of another configuration", "Give its own [model] table.")
     return model
-
-
-def _with_refiner(model: QuerySplat, config: TrainConfig) -> QuerySplat:
-    """The model with rounds of refinement that change nothing yet; the same for the same seed."""
-    with torch.random.fork_rng():
-        torch.manual_seed(config.seed)
-        wider = QuerySplat(replace(model.config, refinement_rounds=config.model.refinement_rounds))
-    wider.load_state_dict({**wider.state_dict(), **model.state_dict()})
-    return wider
 
 
 def freeze(model: QuerySplat, config: TrainConfig) -> None:

@@ -50,7 +50,7 @@ class TtoPolicy:
     passes: int = 40
     """How often an automatic plan renders each of a few photos at most. More passes only fit the photos themselves."""
     fewest_steps: int = 30
-    """Of an automatic plan. Fewer, which a user asks for, start from the scene that the model refined."""
+    """Of an automatic plan. Fewer start from the scene that the model refined (`refines`)."""
     most_steps: int = 150
     """Of an automatic plan. More steps improve held-out photos little."""
     queries: int = 10_000
@@ -102,6 +102,10 @@ class TtoPolicy:
     little in so many steps."""
     camera_rate: float = 0.1
     """Learning rate of camera refinement, in pixels a step, before the rate falls."""
+
+    def refines(self, steps: int | None) -> bool:
+        """Whether a run of so many steps (None: an automatic plan) starts from the scene that the model refined."""
+        return steps is not None and steps < self.fewest_steps
 
 
 TTO_POLICY = TtoPolicy()
