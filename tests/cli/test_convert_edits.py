@@ -25,6 +25,8 @@ from querysplat_cli.scene.views import PhotoSource, Views
 from querysplat_cli.splat.render import render
 
 BODY = 600
+FAINT = 0.004
+"""Opacity at which a Gaussian that covers a picture changes it by less than one of 255 levels."""
 
 
 def plain(means: torch.Tensor, scale: float) -> Gaussians:
@@ -41,13 +43,13 @@ def plain(means: torch.Tensor, scale: float) -> Gaussians:
 
 @pytest.fixture
 def scene(tmp_path: Path) -> Path:
-    """A rough wall at z = 4, two touching Gaussians apart from it, a giant, and one behind all cameras."""
+    """A rough wall at z = 4, two touching Gaussians apart from it, a faint giant, and one behind all cameras."""
     x, y = torch.meshgrid(torch.linspace(-1.2, 1.2, 30), torch.linspace(-0.9, 0.9, 20), indexing="xy")
     depth = 4 + 0.2 * torch.rand(x.shape, generator=torch.Generator().manual_seed(0))  # no two at one depth
     wall = torch.stack([x, y, depth], -1).reshape(-1, 3)
     others = torch.tensor([[1.5, 1.0, 3.0], [1.51, 1.0, 3.0], [0.0, 0, 6], [0.0, 0.0, -30.0]])
     everything = plain(torch.cat([wall, others]), 0.04)
-    everything.scales[BODY + 2] = 3.0
+    everything.scales[BODY + 2], everything.opacities[BODY + 2] = 3.0, FAINT
     write_ply(tmp_path / "s.ply", everything)
     w2c = torch.eye(4).repeat(3, 1, 1)
     w2c[:, 0, 3] = torch.tensor([-0.5, 0.0, 0.5])
@@ -73,8 +75,18 @@ def test_cleaning_says_what_went_and_why(scene: Path, tmp_path: Path, capsys: py
     assert (step["unsupported"], step["giants"], step["islands"]) == (1, 1, 2)
     assert said["gaussians"] == len(read_ply(tmp_path / "c.ply")) == BODY
     assert (said["psnr"]["against"], said["psnr"]["views"], said["psnr"]["before"]) == ("inputs", 3, 100)
-    assert 5 < said["psnr"]["after"] < 60  # the giant could be seen
+    assert 40 < said["psnr"]["after"] < 60  # the giant could hardly be seen
     assert said["psnr"]["after"] == pytest.approx(step["psnr"], abs=0.01)
+
+
+def test_a_giant_that_photos_need_stays(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Cleaning took a wall that photos show around the others, for some 10 dB."""
+    everything = read_ply(scene)
+    everything.opacities[BODY + 2] = 0.8
+    write_ply(scene, everything)
+    said = converted(capsys, scene, tmp_path / "c.ply", "--clean")
+    assert (said["steps"][0]["giants"], said["gaussians"]) == (0, BODY + 1)
+    assert said["psnr"]["after"] > 40
 
 
 def test_what_only_one_of_many_photos_shows_stays(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -241,7 +253,7 @@ def test_a_scene_becomes_a_colmap_model_of_its_photos(scene: Path, tmp_path: Pat
     assert (found["c.png"].width, found["c.png"].distortion) == (192, (0, 0, 0, 0))  # no lens is known
     for name, camera in poses.items():
         assert found[name].w2c == pytest.approx(camera.w2c, abs=1e-6)
-    assert len(pycolmap.Reconstruction(tmp_path / "model").points3D) == BODY + 4
+    assert len(pycolmap.Reconstruction(tmp_path / "model").points3D) == BODY + 3  # all but the faint one
     assert run(["convert", str(folder / "cameras.json"), str(tmp_path / "small"), "-q"]) == 0
     assert {camera.width for camera in read_known_cameras(tmp_path / "small").values()} == {192}
 

@@ -102,7 +102,7 @@ class Conversion:
         ),
     ] = None
     scale: Annotated[float, Ge(1e-9), Le(1e9), Option("Multiply all lengths by this number.", metavar="FACTOR")] = 1.0
-    clean: Annotated[bool, Option("Leave out what no photo supports, small islands, and giants.")] = False
+    clean: Annotated[bool, Option("Leave out small islands, and giants and others that no photo needs.")] = False
     no_backdrop: Annotated[bool, Option("Leave out the backdrop, which makes the box large that viewers frame.")] = (
         False
     )

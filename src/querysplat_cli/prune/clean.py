@@ -1,4 +1,4 @@
-"""What a scene is better without: Gaussians that no photo supports, small islands, and giants."""
+"""What a scene is better without: Gaussians that no photo supports, small islands, and giants that none needs."""
 
 from dataclasses import dataclass
 
@@ -36,16 +36,20 @@ def unclean(gaussians: Gaussians, cameras: Cameras | None) -> Unclean:
     """What `PrunePolicy.clean_*` say of a scene without its backdrop.
 
     unsupported: hardly changes any picture of `cameras`, nor of their surroundings; none where there are no cameras.
-    giants: the longest axis is a large share of the scene's size.
+    giants: the longest axis is a large share of the scene's size, and the pictures of `cameras` change less than by
+        half of the Gaussians.
     islands: few Gaussians that touch each other, and none of the rest.
     """
     policy, means = PRUNE_POLICY, gaussians.means
     unsupported = torch.zeros(len(gaussians), dtype=torch.bool)
+    needed = unsupported
     if cameras is not None:
-        unsupported = importance(gaussians, cameras) < policy.clean_influence
+        influence = importance(gaussians, cameras)
+        unsupported, needed = influence < policy.clean_influence, influence > influence.median()
     distance = (means - means.median(0).values).norm(dim=1)
     size = distance.kthvalue(max(1, round(policy.clean_extent * len(distance)))).values
-    giants = (gaussians.scales.amax(1) > policy.clean_giant * distance.clamp_min(float(size))) & ~unsupported
+    long = gaussians.scales.amax(1) > policy.clean_giant * distance.clamp_min(float(size))
+    giants = long & ~needed & ~unsupported
     rest = ~(unsupported | giants)
     islands = torch.zeros_like(rest)
     islands[rest] = _islands(gaussians[rest])

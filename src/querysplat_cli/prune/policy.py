@@ -70,7 +70,8 @@ class PrunePolicy:
     """Share of the Gaussians, the nearest to the middle, whose distance from it is the size of the scene."""
     clean_giant: float = 0.3
     """A Gaussian is a giant where its longest standard deviation is more than this share of the scene's size, or of its
-    own distance from the middle if that is larger."""
+    own distance from the middle if that is larger. It stays where it counts more in the photos than half of the
+    Gaussians do: walls and skies are coloured by such."""
     clean_reach: float = 3.0
     """Standard deviations within which Gaussians touch each other."""
     clean_neighbours: int = 12
