@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from querysplat_cli.scene.film_survey import FilmSurvey
-from querysplat_cli.scene.policy import FILM_POLICY, FilmPolicy
+from querysplat_cli.scene.policy import FILM_POLICY
 
 
 @dataclass(frozen=True)
@@ -26,9 +26,7 @@ class FilmChoice:
         return f"{rest:,} of its {self.survey.frames:,} frames: {phrase}" if rest else ""
 
 
-def choose_frames(
-    surveys: Sequence[FilmSurvey], most: int | None = None, policy: FilmPolicy = FILM_POLICY
-) -> list[FilmChoice]:
+def choose_frames(surveys: Sequence[FilmSurvey], most: int | None = None) -> list[FilmChoice]:
     """Frames of each film, at equal steps of motion in all films.
 
     `most` is the most frames of all films together, though each film gives at least one. None takes one for each of
@@ -38,40 +36,40 @@ def choose_frames(
 
     def step_of(frames: int) -> float:
         steps = frames - len(surveys)
-        return max(policy.least_step, whole / steps) if steps > 0 else np.inf
+        return max(FILM_POLICY.least_step, whole / steps) if steps > 0 else np.inf
 
     if most is None:
-        step = max(min(policy.step, step_of(policy.fewest_frames)), step_of(policy.most_frames))
+        step = max(min(FILM_POLICY.step, step_of(FILM_POLICY.fewest_frames)), step_of(FILM_POLICY.most_frames))
     else:
         step = step_of(most)
-    return [_choose(survey, step, policy) for survey in surveys]
+    return [_choose(survey, step) for survey in surveys]
 
 
-def _choose(survey: FilmSurvey, step: float, policy: FilmPolicy) -> FilmChoice:
+def _choose(survey: FilmSurvey, step: float) -> FilmChoice:
     whole = float(survey.travel[-1])
     count = 1 + int(whole / step + 1e-6)
     places = np.linspace(0, whole, count) if count > 1 else np.array([whole / 2])
     spacing = whole / max(1, count - 1) or 1.0
-    rows = sorted({row for place in places if (row := _sharpest(survey, place, spacing, policy)) is not None})
-    blurred = _blurred(survey.sharpness, policy)
+    rows = sorted({row for place in places if (row := _sharpest(survey, place, spacing)) is not None})
+    blurred = _blurred(survey.sharpness)
     kept = _without_blurred(rows, blurred)
     return FilmChoice(survey, tuple(kept), int(blurred.sum()) - int(blurred[kept].sum()))
 
 
-def _sharpest(survey: FilmSurvey, place: float, spacing: float, policy: FilmPolicy) -> int | None:
+def _sharpest(survey: FilmSurvey, place: float, spacing: float) -> int | None:
     """The sharpest frame near a place of the motion; None where the picture jumps over it."""
     distance = np.abs(survey.travel - place) / spacing
-    for reach in (policy.sharpest_within, 0.5 + 1e-9):
+    for reach in (FILM_POLICY.sharpest_within, 0.5 + 1e-9):
         near = np.flatnonzero(distance <= reach)
         if len(near):
             return int(near[np.argmax(survey.sharpness[near])])
     return None
 
 
-def _blurred(sharpness: np.ndarray, policy: FilmPolicy) -> np.ndarray:
-    reach = policy.sharpness_neighbours
+def _blurred(sharpness: np.ndarray) -> np.ndarray:
+    reach = FILM_POLICY.sharpness_neighbours
     usual = [np.median(sharpness[max(0, row - reach) : row + reach + 1]) for row in range(len(sharpness))]
-    return np.asarray(sharpness < policy.blurred * np.array(usual))
+    return np.asarray(sharpness < FILM_POLICY.blurred * np.array(usual))
 
 
 def _without_blurred(rows: Sequence[int], blurred: np.ndarray) -> list[int]:

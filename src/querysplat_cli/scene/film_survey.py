@@ -10,7 +10,7 @@ import numpy as np
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.decoding import reduced
 from querysplat_cli.scene.films import GIVE_A_FILM, film_frames, film_length
-from querysplat_cli.scene.policy import FILM_POLICY, FilmPolicy
+from querysplat_cli.scene.policy import FILM_POLICY
 
 SHARPNESS_SIDE, TRACKING_SIDE = 640, 320
 """Longer sides, in pixels, at which sharpness and motion are measured."""
@@ -40,14 +40,14 @@ class FilmSurvey:
     frames: int
 
 
-def survey_film(path: Path, progress: Callable[[float], None], policy: FilmPolicy = FILM_POLICY) -> FilmSurvey:
+def survey_film(path: Path, progress: Callable[[float], None]) -> FilmSurvey:
     """Look at the frames of a film. Raises QuerySplatError when it is not a film that can be read."""
     total, count, last = film_length(path), 0, -np.inf
-    motion = _Motion(policy)
+    motion = _Motion()
     found: list[tuple[int, float, float, float]] = []
     for frame in film_frames(path):
         count += 1
-        if frame.seconds - last < 0.99 / policy.frames_per_second:
+        if frame.seconds - last < 0.99 / FILM_POLICY.frames_per_second:
             continue
         last = frame.seconds
         grey = frame.grey(SHARPNESS_SIDE)
@@ -71,8 +71,7 @@ class _Motion:
     whole step: no corner is followed across it.
     """
 
-    def __init__(self, policy: FilmPolicy) -> None:
-        self._policy = policy
+    def __init__(self) -> None:
         self._before: np.ndarray | None = None
         self._start = self._now = np.zeros((0, 1, 2), np.float32)
         self._travel_of_key = self._travel = 0.0
@@ -86,13 +85,13 @@ class _Motion:
             self._new_key(grey)
             return 0.0
         if before.shape != grey.shape:
-            self._travel += self._policy.step
+            self._travel += FILM_POLICY.step
             self._new_key(grey)
             return self._travel
         moved = self._followed(before, grey)
         self._travel = max(self._travel, self._travel_of_key + moved)
-        few = len(self._now) < self._policy.lost_share * self._corners
-        if moved > self._policy.step / 2 or few or self._corners < FEWEST_CORNERS:
+        few = len(self._now) < FILM_POLICY.lost_share * self._corners
+        if moved > FILM_POLICY.step / 2 or few or self._corners < FEWEST_CORNERS:
             self._new_key(grey)
         return self._travel
 
@@ -106,12 +105,12 @@ class _Motion:
         """Motion since the key frame; a whole step where the corners are lost."""
         if len(self._now) < FEWEST_CORNERS:
             same = float(cv2.absdiff(before, grey).mean()) < SAME_GREY
-            return 0.0 if same else self._policy.step
+            return 0.0 if same else FILM_POLICY.step
         there, found, _ = cv2.calcOpticalFlowPyrLK(before, grey, self._now, None)  # type: ignore[call-overload]
         back, returned, _ = cv2.calcOpticalFlowPyrLK(grey, before, there, None)  # type: ignore[call-overload]
         near = np.linalg.norm(back - self._now, axis=2)[:, 0] < ROUND_TRIP
         kept = near & (found[:, 0] == 1) & (returned[:, 0] == 1)
         self._start, self._now = self._start[kept], there[kept]
-        if len(self._now) < max(FEWEST_CORNERS, self._policy.lost_share * self._corners):
-            return self._policy.step
+        if len(self._now) < max(FEWEST_CORNERS, FILM_POLICY.lost_share * self._corners):
+            return FILM_POLICY.step
         return float(np.median(np.linalg.norm(self._now - self._start, axis=2))) / max(grey.shape)

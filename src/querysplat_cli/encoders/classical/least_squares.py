@@ -12,6 +12,7 @@ import torch
 LENS_PARAMETERS = 5
 """Logarithm of the focal length in pixels, principal point x and y in pixels, k1, k2."""
 POINTS_AT_ONCE = 4096
+PLACING_STEPS = 8
 
 
 @dataclass(frozen=True)
@@ -86,9 +87,9 @@ def adjust(
     return bundle
 
 
-def place_points(bundle: Bundle, seen: Observations, loss: Loss, *, steps: int = 8) -> Bundle:
+def place_points(bundle: Bundle, seen: Observations, loss: Loss) -> Bundle:
     """The bundle with each point at the place that its observations favour; cameras and lenses stay as they are."""
-    for _ in range(steps):
+    for _ in range(PLACING_STEPS):
         linear = linearised(bundle, seen)
         squares = (linear.residuals**2).sum(1)
         weighted = linear.point / (1 + squares / loss.scale**2)[:, None, None]
