@@ -24,14 +24,12 @@ from common.samples import SIZE, real_samples
 from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.evaluation.baseline import back_project
 from querysplat_cli.model.checkpoints import load
-from querysplat_cli.pipeline.build import BuiltScene
 from querysplat_cli.reporting.view_scores import score
 from querysplat_cli.runtime.progress import silent
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.training.config import load_config
 from querysplat_cli.training.data import cache_folder, prepare_samples
 from querysplat_cli.training.passes import Sample, read_sample
-from querysplat_cli.tto.policy import TTO_POLICY
 
 UNSEEN = 1000
 """Seed of made-up scenes that nothing is trained on."""
@@ -68,16 +66,7 @@ def scenes(sample: Sample, models: list[str], steps: list[int]) -> Iterator[tupl
         model = load(name).requires_grad_(False)
         scene = build(model, sample, tto=0, prune="off", queries=UNLIMITED)
         for count in steps:
-            start = scene if TTO_POLICY.refines(count) else unrefined(scene)
-            yield name, count, optimised_again(model, start, "off", steps=count, keep_cover=False).gaussians
-
-
-def unrefined(scene: BuiltScene) -> BuiltScene:
-    """The scene without rounds of feedback, from which `reconstruct` starts long optimisations."""
-    anchors = scene.prepared.anchors
-    assert anchors is not None
-    without = replace(anchors, refinement=anchors.refinement[..., :0])
-    return replace(scene, prepared=replace(scene.prepared, anchors=without))
+            yield name, count, optimised_again(model, scene, "off", steps=count, keep_cover=False).gaussians
 
 
 def show_means(table: Table, found: list[Row]) -> None:

@@ -18,7 +18,7 @@ from querysplat_cli.pipeline.policy import PIPELINE_POLICY
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.prune.gaussians import target_count
 from querysplat_cli.queries.backdrop import shows_background
-from querysplat_cli.queries.prepare import PreparedQueries, prepare, with_refinement
+from querysplat_cli.queries.prepare import PreparedQueries, prepare
 from querysplat_cli.runtime.compiler import SCENE_KERNELS, wait_until_compiled
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import Cameras
@@ -152,10 +152,7 @@ def build_scene(
 def _prepared(
     posed: PosedViews, geometry: Geometry, model: QuerySplat, settings: ReconstructSettings, stages: Stages
 ) -> tuple[PreparedQueries, PhotoColours | None]:
-    """Where photos disagree in colour, queries are made of their colours without the differences.
-
-    Rounds of feedback refine scenes that are hardly optimised or not at all: longer runs end no better (docs/tried.md).
-    """
+    """Where photos disagree in colour, queries are made of their colours without the differences."""
     with stages("queries") as progress:
         wait_until_compiled(*SCENE_KERNELS, progress=progress)
         colours = _compared(posed, geometry, model, settings)
@@ -170,8 +167,6 @@ def _prepared(
             target=settings.tto_target,
             keep_all=settings.keep_everything,
         )
-        if TTO_POLICY.refines(settings.tto):
-            prepared = with_refinement(prepared, model, alike, geometry)
     return prepared, colours
 
 

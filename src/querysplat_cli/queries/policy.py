@@ -88,8 +88,6 @@ class QueryPolicy:
     """A query reads at most so many views in a round."""
     refining_neighbours: int = 8
     """How many other queries a query reads in a round."""
-    refined_views: int = 24
-    """Scenes of more photos are not refined: each round renders all of them."""
 
 
 QUERY_POLICY = QueryPolicy()

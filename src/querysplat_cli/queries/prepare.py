@@ -84,7 +84,7 @@ def prepare(
     target: Target,
     keep_all: bool = False,
 ) -> PreparedQueries:
-    """Memories or features on the CPU; with anchors, only the rows that some anchor attends to.
+    """Memories or features on the CPU; with anchors, only the rows that some anchor attends to, and rounds of feedback.
 
     `queries`, `soft_query_limit` and `keep_all` are those of `build_anchors`. Raises QuerySplatError when the model
     cannot read such features.
@@ -108,22 +108,11 @@ def prepare(
         anchors = with_rendering_error(anchors, views, cameras)
         rows = anchors.geometry.index.unique(), anchors.appearance.index.unique()
         memories, anchors = attended_rows(memories, anchors)
+        anchors = refined(model, memories, anchors, views, cameras, geometry)
     variables: Memories | Features = memories
     if target == "features":
         variables = Features(features.geometry.cpu()[rows[0]], features.appearance.cpu()[rows[1]])
     return PreparedQueries(variables, anchors, report, _memory_map(rows, geometry, cameras.height, cameras.width))
-
-
-@torch.no_grad()
-def with_refinement(
-    prepared: PreparedQueries, model: QuerySplat, posed: PosedViews, geometry: Geometry
-) -> PreparedQueries:
-    """The same queries with what the rounds of refinement add; unchanged where the policy has too many photos."""
-    if prepared.anchors is None or len(posed.views) > QUERY_POLICY.refined_views:
-        return prepared
-    variables = to_device(prepared.variables, next(model.parameters()).device)
-    memories = variables if isinstance(variables, Memories) else model.keys_and_values(variables)
-    return replace(prepared, anchors=refined(model, memories, prepared.anchors, posed.views, posed.cameras, geometry))
 
 
 def _memory_map(
