@@ -110,15 +110,14 @@ def photometric_value(
     if image.dtype != torch.float32 or image.device.type != "cpu":
         errors = (image.clamp(0, 1) - target).square().mean(1)
         return float(photometric_loss(image, target, mask)), float(errors[mask].mean())
-    loss, squared = _sums(image, target, mask, np.empty((0, 3, 0, 0), np.float32))
-    return loss, squared / max(1, 3 * int(mask.sum()))
+    return _means(image, target, mask, np.empty((0, 3, 0, 0), np.float32))
 
 
 class _Photometric(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, image: Tensor, target: Tensor, mask: Tensor) -> Tensor:
         gradient = np.empty(tuple(image.shape), np.float32)
-        loss, _ = _sums(image, target, mask, gradient)
+        loss, _ = _means(image, target, mask, gradient)
         ctx.gradient = torch.from_numpy(gradient)
         return image.new_tensor(loss)
 
@@ -127,20 +126,22 @@ class _Photometric(torch.autograd.Function):
         return ctx.gradient if given == 1 else given * ctx.gradient, None, None
 
 
-def _sums(image: Tensor, target: Tensor, mask: Tensor, gradient: np.ndarray) -> tuple[float, float]:
-    """The loss, and the squared errors added up; fills `gradient` unless it has no views."""
+def _means(image: Tensor, target: Tensor, mask: Tensor, gradient: np.ndarray) -> tuple[float, float]:
+    """The loss, and the mean squared error; fills `gradient` unless it has no views."""
     views, _, height, _ = image.shape
     strips = max(1, height // STRIP)
+    masks = mask.contiguous().numpy()
+    counts = np.array([np.count_nonzero(each) for each in masks])
     sums = np.zeros((views * 3 * strips, 2))
     photometric_sums(
         image.detach().contiguous().numpy(),
         target.contiguous().numpy(),
-        mask.contiguous().numpy(),
-        (1 / (3 * views * mask.sum((1, 2)).clamp_min(1).double())).numpy(),
+        masks,
+        1 / (3 * views * np.maximum(counts, 1)),
         taps().astype(np.float32),
         strips,
         sums,
         gradient,
     )
     loss, squared = sums.sum(0)
-    return float(loss), float(squared)
+    return float(loss), float(squared / max(1, 3 * counts.sum()))

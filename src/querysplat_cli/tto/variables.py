@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.splat.render import all_finite
 from querysplat_cli.tto.rendering_loss import RenderingLoss, tensors
 
 T = TypeVar("T")
@@ -140,5 +141,5 @@ class UndoableAdam(Generic[V]):
 
 
 def finite(some: list[Tensor]) -> bool:
-    """Whether no tensor holds NaN or Inf; in float64, a sum of float32 is finite only if every summand is."""
-    return all(bool(tensor.detach().sum(dtype=torch.float64).isfinite()) for tensor in some)
+    """Whether no tensor holds NaN or Inf."""
+    return all(all_finite(tensor) for tensor in some)
