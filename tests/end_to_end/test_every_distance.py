@@ -23,9 +23,9 @@ WORKING = 160
 
 @pytest.fixture(scope="module")
 def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Five photos of a procedural room, 320 × 240: twice the working size."""
+    """Nine photos of a procedural room, 320 × 240: twice the working size. Of five, another room decides the sign."""
     folder = tmp_path_factory.mktemp("room") / "photos"
-    for file in take_photos(folder, 3, 5):
+    for file in take_photos(folder, 3, 9):
         cv2.imwrite(str(file), cv2.resize(cv2.imread(str(file)), (320, 240), interpolation=cv2.INTER_AREA))
     return folder
 
