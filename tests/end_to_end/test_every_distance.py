@@ -23,7 +23,10 @@ WORKING = 160
 
 @pytest.fixture(scope="module")
 def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Nine photos of a procedural room, 320 × 240: twice the working size. With five, the sign of the gain depends on the room."""
+    """Nine photos of a procedural room, 320 × 240: twice the working size.
+
+    With five, the sign of the gain depends on the room.
+    """
     folder = tmp_path_factory.mktemp("room") / "photos"
     for file in take_photos(folder, 3, 9):
         cv2.imwrite(str(file), cv2.resize(cv2.imread(str(file)), (320, 240), interpolation=cv2.INTER_AREA))
