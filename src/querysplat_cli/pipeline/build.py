@@ -280,7 +280,8 @@ def _plan(
     views, target = len(cameras), target_count(count, options.prune, cameras)
     steps = options.steps
     if steps is None:
-        steps = automatic_steps(views, count, target, space, alone=options.alone)
+        planned = TTO_POLICY.work_seconds if options.alone else TTO_POLICY.work_seconds_before
+        steps = automatic_steps(views, count, target, space, seconds=planned, alone=options.alone)
     return plan_tto(steps, views=views, gaussians=count, target_count=target, space=space, seconds=seconds)
 
 

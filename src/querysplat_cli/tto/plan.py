@@ -55,18 +55,25 @@ def with_learning_rate(plan: Sequence[TtoRun], lr: float | None) -> tuple[TtoRun
     return tuple(run if lr is None else replace(run, settings=replace(run.settings, lr=lr)) for run in plan)
 
 
-def automatic_steps(views: int, gaussians: int, target_count: int | None, space: Space, *, alone: bool = True) -> int:
-    """The steps that fit into the planned time; more where the run is `alone`, with nothing after it."""
+def automatic_steps(
+    views: int,
+    gaussians: int,
+    target_count: int | None,
+    space: Space,
+    *,
+    seconds: float = TTO_POLICY.work_seconds,
+    alone: bool = False,
+) -> int:
+    """The steps that fit into the planned time; more for many views where the run is `alone`, with nothing after it."""
     policy = TTO_POLICY
     share = max(1.0, views / policy.many_views) if alone else 1.0
-    seconds = share * (policy.work_seconds if alone else policy.work_seconds_before)
     splatted: float = gaussians
     if target_count is not None:
         splatted = policy.prune_after * gaussians + (1 - policy.prune_after) * target_count
     cost = policy.splatting_seconds[0] + policy.splatting_seconds[1] * splatted
     if space != "gaussians":
         cost += policy.decoding_seconds[0] + policy.decoding_seconds[1] * gaussians
-    steps = min(max(int(seconds / cost), policy.fewest_steps), int(share * policy.most_steps))
+    steps = min(max(int(share * seconds / cost), policy.fewest_steps), int(share * policy.most_steps))
     if views <= policy.few_views:
         steps = min(steps, policy.passes * views // min(views, policy.views_per_step))
     return steps
