@@ -41,8 +41,7 @@ def unclean(gaussians: Gaussians, cameras: Cameras | None) -> Unclean:
     islands: few Gaussians that touch each other, and none of the rest.
     """
     policy, means = PRUNE_POLICY, gaussians.means
-    unsupported = torch.zeros(len(gaussians), dtype=torch.bool)
-    needed = unsupported
+    unsupported = needed = torch.zeros(len(gaussians), dtype=torch.bool)
     if cameras is not None:
         influence = importance(gaussians, cameras)
         unsupported, needed = influence < policy.clean_influence, influence > influence.median()

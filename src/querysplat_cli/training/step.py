@@ -28,6 +28,7 @@ from querysplat_cli.training.passes import Sample
 from querysplat_cli.training.schedule import Weights
 from querysplat_cli.training.visibility import unseen_loss
 from querysplat_cli.tto.rendering_loss import tensors
+from querysplat_cli.tto.variables import finite
 
 
 @dataclass(frozen=True)
@@ -115,14 +116,14 @@ def _graded(
 ) -> tuple[SampleLoss, list[Tensor]]:
     """The loss of a scene, and its gradient with respect to the Gaussians."""
     leaves = gaussians.map(lambda field: field.detach().requires_grad_())
-    if not all(bool(field.isfinite().all()) for field in tensors(leaves)):
+    if not finite(tensors(leaves)):
         return SampleLoss(math.nan, {}, math.nan, len(gaussians), "Gaussians are not finite"), []
     pictures, psnr = _pictures(leaves, sample, step, generator)
     parts = {"pictures": pictures, **_regularise(leaves, sample, step, generator)}
     total = sum(getattr(step.weights, name, 1.0) * value for name, value in parts.items())
     gradients = [torch.zeros_like(leaf) if leaf.grad is None else leaf.grad for leaf in tensors(leaves)]
     skipped = ""
-    if not math.isfinite(total) or not all(bool(gradient.isfinite().all()) for gradient in gradients):
+    if not math.isfinite(total) or not finite(gradients):
         skipped = "the loss or its gradient is not finite"
     elif not step.counts(pictures):
         skipped = "its loss ranks too high"
