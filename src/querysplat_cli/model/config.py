@@ -3,12 +3,13 @@
 import tomllib
 from dataclasses import dataclass, fields
 from importlib import resources
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from querysplat_cli.runtime.choices import Frame
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.tables import STRICT, from_tables
 
+Refinement = Literal["whole", "no-geometry-memory", "no-appearance-memory", "no-memory", "one-branch"]
 GEOMETRY_CHANNELS = 10
 """Raw numbers of the geometry head for each Gaussian: centre 3, scale 3, quaternion 4."""
 
@@ -23,7 +24,8 @@ class ModelConfig:
     decoder reads both memories. That, and `appearance_blocks` 0, are the paper's ablations. `special_tokens` are the
     camera and register tokens in front of a view's patches; `vgm_width` is the width of the VGM's tokens. `frame` is
     that of a learned VGM's cameras: as it predicts them (the release), or relative to the first view (the paper).
-    `refinement_rounds` of feedback follow the decoders of an anchored model (`model/refiner.py`).
+    `refinement_rounds` of feedback follow the decoders of an anchored model (`model/refiner.py`). `refinement` other
+    than "whole" is an ablation of these rounds: one or both memories are empty, or one branch reads both.
     """
 
     __pydantic_config__ = STRICT
@@ -48,6 +50,7 @@ class ModelConfig:
     sh_rest_scale: float = 0.1
     frame: Frame = "predicted"
     refinement_rounds: int = 0
+    refinement: Refinement = "whole"
 
     def __post_init__(self) -> None:
         """Raises QuerySplatError when a size is not positive, or the heads do not share the width evenly."""
@@ -70,6 +73,7 @@ class ModelConfig:
             "queries": ("learned", "anchored"),
             "branches": ("two", "one"),
             "frame": ("predicted", "first_view"),
+            "refinement": get_args(Refinement),
         }
         for name, allowed in choices.items():
             if getattr(self, name) not in allowed:

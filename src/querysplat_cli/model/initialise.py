@@ -45,10 +45,11 @@ def scratch_model(config: ModelConfig, seed: int) -> QuerySplat:
     return model
 
 
-def with_rounds(model: QuerySplat, rounds: int, seed: int) -> QuerySplat:
-    """The model with rounds of refinement that change nothing yet; the same for the same seed."""
+def with_rounds(model: QuerySplat, wanted: ModelConfig, seed: int) -> QuerySplat:
+    """The model with the rounds of refinement of `wanted`, which change nothing yet; the same for the same seed."""
+    config = replace(model.config, refinement_rounds=wanted.refinement_rounds, refinement=wanted.refinement)
     with _seeded(seed):
-        wider = QuerySplat(replace(model.config, refinement_rounds=rounds))
+        wider = QuerySplat(config)
     wider.load_state_dict({**wider.state_dict(), **model.state_dict()})
     return wider
 

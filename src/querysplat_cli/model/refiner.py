@@ -87,25 +87,37 @@ class RefinerBlock(nn.Module):
         self.mlp = nn.Sequential(nn.LayerNorm(width), nn.Linear(width, hidden), nn.GELU(), nn.Linear(hidden, width))
 
     def forward(
-        self, tokens: Float[Tensor, "queries width"], rows: Float[Tensor, "queries rows channels"], evidence: Evidence
+        self,
+        tokens: Float[Tensor, "queries width"],
+        memory: tuple[Float[Tensor, "queries rows channels"], Bool[Tensor, "queries rows"]],
+        evidence: Evidence,
     ) -> Float[Tensor, "queries width"]:
-        tokens = tokens + self.cross(tokens, self.row_embedding(rows), evidence.seen)
+        """`memory` are the rows, and which of them count."""
+        rows, counts = memory
+        tokens = tokens + self.cross(tokens, self.row_embedding(rows), counts)
         others = F.embedding(evidence.near, self.token_embedding(tokens)) + self.offset_embedding(evidence.offsets)
         tokens = tokens + self.self_attention(tokens, others)
         return tokens + self.mlp(tokens)
 
 
 class Refiner(nn.Module):
-    """One round: evidence to changes of the raw numbers, and the tokens that the next round goes on from."""
+    """One round: evidence to changes of the raw numbers, and the tokens that the next round goes on from.
+
+    With `ModelConfig.refinement` "one-branch", all blocks read the rows of both memories side by side, and both heads
+    read what the last block gives.
+    """
 
     def __init__(self, config: ModelConfig) -> None:
         super().__init__()
+        self._kind = config.refinement
         width, heads, ratio = config.width, config.heads, config.mlp_ratio
         per_query = config.gaussians_per_query
         each = ERROR_CHANNELS + config.raw_channels
-        appearance = APPEARANCE_ROW_OF_GAUSSIAN * per_query + APPEARANCE_ROW_OF_QUERY
+        geometry, appearance = GEOMETRY_ROW, APPEARANCE_ROW_OF_GAUSSIAN * per_query + APPEARANCE_ROW_OF_QUERY
+        if self._kind == "one-branch":
+            geometry = appearance = geometry + appearance
         self.embedding = nn.Linear(config.anchor_features + each * per_query, width)
-        self.geometry_blocks = nn.ModuleList(RefinerBlock(width, heads, ratio, GEOMETRY_ROW) for _ in range(2))
+        self.geometry_blocks = nn.ModuleList(RefinerBlock(width, heads, ratio, geometry) for _ in range(2))
         self.geometry_head = nn.Linear(width, per_query * GEOMETRY_CHANNELS)
         self.appearance_block = RefinerBlock(width, heads, ratio, appearance)
         self.appearance_head = nn.Linear(width, per_query * config.appearance_channels)
@@ -120,7 +132,20 @@ class Refiner(nn.Module):
         tokens = self.embedding(evidence.own)
         if memory is not None:
             tokens = tokens + memory
+        geometry, appearance = self._memories(evidence)
         for block in self.geometry_blocks:
-            tokens = block(tokens, evidence.geometry, evidence)
-        after = self.appearance_block(tokens, evidence.appearance, evidence)
-        return self.geometry_head(tokens), self.appearance_head(after), after
+            tokens = block(tokens, geometry, evidence)
+        after = self.appearance_block(tokens, appearance, evidence)
+        return self.geometry_head(after if self._kind == "one-branch" else tokens), self.appearance_head(after), after
+
+    def _memories(self, evidence: Evidence) -> tuple[tuple[Tensor, Tensor], tuple[Tensor, Tensor]]:
+        """What the geometry blocks and the appearance block read: rows, and which of them count."""
+        seen = evidence.seen
+        if self._kind == "one-branch":
+            both = torch.cat([evidence.geometry, evidence.appearance], -1), seen
+            return both, both
+        nothing = torch.zeros_like(seen)
+        return (
+            (evidence.geometry, nothing if self._kind in ("no-geometry-memory", "no-memory") else seen),
+            (evidence.appearance, nothing if self._kind in ("no-appearance-memory", "no-memory") else seen),
+        )

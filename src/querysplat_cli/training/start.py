@@ -25,7 +25,7 @@ def starting_model(config: TrainConfig) -> QuerySplat:
         return scratch_model(wanted, config.seed)
     model = load(config.start)
     if config.model.refinement_rounds and not model.config.refinement_rounds:
-        model = with_rounds(model, config.model.refinement_rounds, config.seed)
+        model = with_rounds(model, config.model, config.seed)
     if with_queries(model.config, wanted.query_count) != wanted:
         raise QuerySplatError(f"{config.start}: a model of another configuration", "Give its own [model] table.")
     return model
