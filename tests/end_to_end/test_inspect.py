@@ -40,6 +40,7 @@ def test_pictures_of_a_scene(preset: str, canvas: int, tmp_path: Path, capsys: p
         "histograms.png",
         "points.png",
         "query.png",
+        *(["rounds.png"] if preset == "compact" else []),
     }
     # The memories of `compact` have no values before optimisation.
     warned = [f"the values of the {name} memory are all zero" for name in ("geometry", "appearance")]
@@ -50,6 +51,11 @@ def test_pictures_of_a_scene(preset: str, canvas: int, tmp_path: Path, capsys: p
         assert set(shares) == {"room3_0.png", "room3_1.png", "room3_2.png", "special"}
         assert sum(shares.values()) == pytest.approx(1, abs=1e-3)
     assert found["attention"]["appearance"]["special"] == 0
+    assert set(found["rounds"]) == ({"geometry", "appearance"} if preset == "compact" else set())
+    for shares in found["rounds"].values():
+        assert set(shares) == {"room3_0.png", "room3_1.png", "room3_2.png", "nothing"}
+        assert sum(shares.values()) == pytest.approx(1, abs=1e-3)
+        assert 0 < shares["nothing"] < 1
     assert (found["attention"]["geometry"]["special"] > 0) == (preset == "official-8192")
     assert 0 < found["opacity"]["0"] <= found["opacity"]["1"] <= 1
     assert cv2.imread(str(folder / "attention_geometry.png")).shape[1] == 3 * canvas

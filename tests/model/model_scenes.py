@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from querysplat_cli.model.anchors import Anchors, Neighbours
+from querysplat_cli.model.anchors import Anchors, Neighbours, Reading
 from querysplat_cli.model.config import ModelConfig, preset
 from querysplat_cli.model.memories import Memories
 from querysplat_cli.scene.cameras import Cameras
@@ -43,6 +43,7 @@ def anchors(config: ModelConfig, queries: int = 20, seed: int = 0) -> Anchors:
         appearance=neighbours(seed + 2, queries, ROWS),
         queries=neighbours(seed + 3, queries, queries),
         refinement=torch.zeros(queries, count, 0),
+        reading=Reading.none(queries),
     )
 
 

@@ -26,18 +26,20 @@ def test_pair_attention_in_float64() -> None:
     attention = PairAttention(16, 4).double()
     tokens, rows = torch.randn(5, 16).double(), torch.randn(5, 3, PAIR_WIDTH).double()
     counts = torch.tensor([[1, 1, 1], [1, 0, 1], [0, 1, 0], [0, 0, 0], [1, 1, 0]]).bool()
-    found = attention(tokens, rows, counts)
+    found, shares = attention(tokens, rows, counts)
     for query in range(5):
         read = attention.q_proj(attention.norm(tokens[query])).view(4, -1)
         both = attention.keys_and_values(F.gelu(rows[query, counts[query]])).view(-1, 2, 4, PAIR_WIDTH // 4)
-        result = []
+        result, share = [], torch.zeros(3).double()
         for head in range(4):
             logits = [float(key @ read[head]) / (PAIR_WIDTH // 4) ** 0.5 for key in both[:, 0, head]]
             total = 1 + sum(torch.tensor(logit).double().exp() for logit in logits)
             weights = [torch.tensor(logit).double().exp() / total for logit in logits]
+            share[counts[query]] += torch.tensor(weights).double() / 4
             zero = torch.zeros(PAIR_WIDTH // 4).double()
             result.append(sum((w * v for w, v in zip(weights, both[:, 1, head], strict=True)), zero))
         torch.testing.assert_close(found[query], attention.out_proj(torch.cat(result)))
+        torch.testing.assert_close(shares[query], share)
 
 
 def test_learned_queries_cannot_be_refined() -> None:
@@ -68,8 +70,8 @@ def test_each_head_follows_the_memories_that_its_branch_reads(
     before = refiner(evidence, None)
     for part, expected in (("geometry", geometry_is_read), ("appearance", appearance_is_read)):
         after = refiner(replace(evidence, **{part: getattr(evidence, part) + 1}), None)
-        changed = tuple(not torch.equal(one, other) for one, other in zip(before[:2], after[:2], strict=True))
-        assert changed == expected, part
+        heads = (before.geometry, after.geometry), (before.appearance, after.appearance)
+        assert tuple(not torch.equal(one, other) for one, other in heads) == expected, part
 
 
 def random_evidence(refiner: Refiner, config: ModelConfig) -> Evidence:
@@ -80,6 +82,7 @@ def random_evidence(refiner: Refiner, config: ModelConfig) -> Evidence:
         geometry=torch.randn(5, 3, GEOMETRY_ROW),
         appearance=torch.randn(5, 3, appearance),
         seen=torch.ones(5, 3, dtype=torch.bool),
+        views=torch.arange(3).expand(5, -1),
         near=torch.randint(5, (5, 2)),
         offsets=torch.randn(5, 2, 3),
     )

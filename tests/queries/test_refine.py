@@ -151,13 +151,27 @@ def test_the_refinement_of_a_round_is_what_the_scene_is_made_of() -> None:
     views, where, depth = photos(), cameras(), geometry()
     rounds = list(refinements(model, memories(model.config), found, views, where, depth))
     assert len(rounds) == 2
-    last, scene = rounds[-1]
+    last, scene = rounds[-1], rounds[-1].scene
     kept = refined(model, memories(model.config), found, views, where, depth)
-    torch.testing.assert_close(kept.refinement, last.detach())
+    torch.testing.assert_close(kept.refinement, last.refinement.detach())
+    torch.testing.assert_close(kept.reading.geometry.float(), last.reading.geometry, rtol=0, atol=1e-3)
+    assert kept.reading.views.equal(torch.arange(VIEWS).int().expand(len(found), -1))
     with torch.no_grad():
         decoded = model.decode(memories(model.config), kept)
     torch.testing.assert_close(decoded.means, scene.means.detach())
     torch.testing.assert_close(decoded.sh, scene.sh.detach())
+
+
+def test_queries_attend_to_no_view_that_does_not_see_them() -> None:
+    model, found = trained_model(1)
+    where = cameras()
+    after = refined(model, memories(model.config), found, photos(), where, geometry())
+    middle = model.decode(memories(model.config), found).means.view(*found.opacities.shape, 3)[:, 4]
+    seen = torch.stack([where.sees(middle, view) for view in range(VIEWS)], 1)
+    for weights in (after.reading.geometry.float(), after.reading.appearance.float()):
+        assert not weights[~seen].any()
+        assert (weights[seen] > 0).all()
+        assert (weights.sum(1) < 1).all()
 
 
 def test_photos_change_what_queries_read_and_so_the_scene() -> None:

@@ -31,7 +31,7 @@ TILE_COLUMNS = 4
 """Photos side by side in a picture of attention."""
 RING_RADIUS = 12
 """In pixels, of the ring around a query's Gaussians."""
-DRAWINGS = FolderKind(("attention_*.png",), ("query.png", "histograms.png", "points.png"))
+DRAWINGS = FolderKind(("attention_*.png",), ("query.png", "rounds.png", "histograms.png", "points.png"))
 DRAWN_OPACITY = 0.05
 """Gaussians of less opacity are not drawn as points."""
 
@@ -41,13 +41,15 @@ class Inspected:
     """What was drawn. `attention` has, for each memory, the share of the query's attention that each view gets.
 
     "special" is the share of tokens that belong to no patch. Shares of a memory sum to 1; with one branch, those of
-    both memories do. `opacity` and `scale` have quantiles. Each of `warnings` is a sentence on what the figures cannot
-    show.
+    both memories do. `rounds` has the attention of the last round of refinement in the same way, where there was one;
+    "nothing" is the share that went to no view. `opacity` and `scale` have quantiles. Each of `warnings` is a sentence
+    on what the figures cannot show.
     """
 
     output: str
     query: int
     attention: dict[str, dict[str, float]]
+    rounds: dict[str, dict[str, float]]
     opacity: dict[str, float]
     scale: dict[str, float]
     depth: bool
@@ -86,15 +88,13 @@ def inspect_scene(request: InspectRequest, stages: Stages) -> Inspected:
             "geometry": on_patches(found.geometry, scene.map.geometry_rows, len(scene.views), scene.map.layout),
             "appearance": on_patches(found.appearance, scene.map.appearance_rows, len(scene.views), patches),
         }
-    with stages("draw"), atomic_folder(output) as draft:
         per_query = model.config.gaussians_per_query
         own = gaussians[slice(chosen * per_query, (chosen + 1) * per_query)]
-        gaussians = gaussians[kept]
-        for branch, weight in maps.items():
-            write_picture(draft / f"attention_{branch}.png", _overlays(scene.views, cameras, weight, own))
-        draw_query(draft / "query.png", scene.views, cameras, maps, own)
-        _histograms(draft / "histograms.png", gaussians)
-        _points(draft / "points.png", scene, scene.map, gaussians)
+        rounds = _rounds(scene, own, chosen, patches)
+    with stages("draw"), atomic_folder(output) as draft:
+        _queries(draft, scene, maps, rounds, own)
+        _histograms(draft / "histograms.png", gaussians[kept])
+        _points(draft / "points.png", scene, scene.map, gaussians[kept])
     return Inspected(
         output=str(output),
         query=chosen,
@@ -102,8 +102,9 @@ def inspect_scene(request: InspectRequest, stages: Stages) -> Inspected:
             "geometry": _shares(maps["geometry"], scene.views.names, float(found.geometry.sum())),
             "appearance": _shares(maps["appearance"], scene.views.names, float(found.appearance.sum())),
         },
-        opacity=quantiles(gaussians.opacities),
-        scale=quantiles(gaussians.scales.flatten()),
+        rounds={branch: _shares(weight, scene.views.names, 1.0, rest="nothing") for branch, weight in rounds.items()},
+        opacity=quantiles(gaussians.opacities[kept]),
+        scale=quantiles(gaussians.scales[kept].flatten()),
         depth=scene.map.depth.numel() > 0,
         warnings=tuple(
             f"the values of the {name} memory are all zero: what the query attends to there changes nothing"
@@ -123,10 +124,44 @@ def on_patches(weights: Tensor, rows: Tensor, views: int, layout: tuple[int, int
     return whole.view(views, -1)[:, special:].view(views, height, width)
 
 
-def _shares(weight: Tensor, names: tuple[str, ...], whole: float) -> dict[str, float]:
-    """By view, and the rest of the `whole` attention to this memory, which goes to special tokens."""
+def _rounds(scene: StoredScene, own: Gaussians, query: int, layout: tuple[int, int, int]) -> dict[str, Tensor]:
+    """What a query read in the last round by branch, as weights of patches [views, rows, columns]; {} without rounds.
+
+    The row of a view belongs to the projection of the query's middle Gaussian, whose patch has its weight.
+    """
+    if scene.anchors is None or not scene.anchors.reading.views.shape[1]:
+        return {}
+    cameras, reading = scene.cameras, scene.anchors.reading
+    _, rows, columns = layout
+    views = reading.views[query].long()
+    centre = own.means[len(own) // 2]
+    pixels = torch.cat([project_points(centre[None], cameras.w2c[view], cameras.K[view]) for view in views.tolist()])
+    column = (pixels[:, 0] * columns / cameras.width).long().clamp(0, columns - 1)
+    row = (pixels[:, 1] * rows / cameras.height).long().clamp(0, rows - 1)
+    empty = torch.zeros(len(scene.views), rows, columns)
+    return {
+        "geometry": empty.index_put((views, row, column), reading.geometry[query]),
+        "appearance": empty.index_put((views, row, column), reading.appearance[query]),
+    }
+
+
+def _shares(weight: Tensor, names: tuple[str, ...], whole: float, rest: str = "special") -> dict[str, float]:
+    """By view, and the `rest` of the `whole` attention: to this memory's special tokens, or to nothing."""
     shares = {name: round(float(each), 5) for name, each in zip(names, weight.sum((1, 2)), strict=True)}
-    return {**shares, "special": round(max(0.0, whole - float(weight.sum())), 5)}
+    return {**shares, rest: round(max(0.0, whole - float(weight.sum())), 5)}
+
+
+def _queries(
+    folder: Path, scene: StoredScene, maps: dict[str, Tensor], rounds: dict[str, Tensor], own: Gaussians
+) -> None:
+    """The pictures of the query's attention to both memories, and, where there were rounds, to their rows."""
+    for branch, weight in maps.items():
+        write_picture(folder / f"attention_{branch}.png", _overlays(scene.views, scene.cameras, weight, own))
+    to_memories = {f"attention to the {branch} memory": weight for branch, weight in maps.items()}
+    draw_query(folder / "query.png", scene.views, scene.cameras, to_memories, own)
+    if rounds:
+        to_rows = {f"last round: attention to the {branch} rows": weight for branch, weight in rounds.items()}
+        draw_query(folder / "rounds.png", scene.views, scene.cameras, to_rows, own)
 
 
 def _overlays(views: Views, cameras: Cameras, weight: Tensor, own: Gaussians) -> np.ndarray:

@@ -30,7 +30,6 @@ MARGIN = 4.0
 LEAST_CUTOUT = 48.0
 """Pixels on a side."""
 ROW_INCHES = 3.6
-HEADINGS = {"geometry": "attention to the geometry memory", "appearance": "attention to the appearance memory"}
 
 
 def draw_query(
@@ -39,7 +38,7 @@ def draw_query(
     """A row for each photo: the attention of both branches, and the ellipses of the Gaussians `own`.
 
     Each panel has a cutout around the Gaussians in one corner. The ellipses have the colours and opacities of the
-    Gaussians. `maps` are the weights of the patches by branch.
+    Gaussians. `maps` are the weights of the patches by the heading of their panels.
     """
     shown = _shown_views(views, cameras, maps, own)
     height, width = views.sizes[shown[0]]
@@ -56,7 +55,7 @@ def draw_query(
             _panel(axes, _attention(photo, heat, float(weights.max())), window, photo)
         row[0].set_ylabel(views.names[view], fontsize=8)
         _panel(row[2], _ellipses(photo, projected), window, photo)
-    titles = [HEADINGS[branch] for branch in maps] + [f"its {len(own)} Gaussians, at {SIGMAS:g} standard deviations"]
+    titles = [*maps, f"its {len(own)} Gaussians, at {SIGMAS:g} standard deviations"]
     for axes, title in zip(grid[0], titles, strict=True):
         axes.set_title(title, fontsize=8)
     save_figure(figure, path)

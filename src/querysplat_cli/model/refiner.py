@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 from torch.nn import functional as F
 
+from querysplat_cli.model.anchors import Reading
 from querysplat_cli.model.config import GEOMETRY_CHANNELS, ModelConfig
 
 ERROR_CHANNELS = 11
@@ -32,7 +33,7 @@ class Evidence:
     """What one round reads of Q queries, V views each, and K other queries each.
 
     own: the query's features, rendering errors and raw numbers.
-    geometry, appearance: the rows of both memories; `seen` marks those that count.
+    geometry, appearance: the rows of both memories; `seen` marks those that count, `views` are the views' numbers.
     near, offsets: other queries, and their places along the query's axes in units of its spacing.
     """
 
@@ -40,14 +41,26 @@ class Evidence:
     geometry: Float[Tensor, "queries views geometry"]
     appearance: Float[Tensor, "queries views appearance"]
     seen: Bool[Tensor, "queries views"]
+    views: Int[Tensor, "queries views"]
     near: Int[Tensor, "queries near"]
     offsets: Float[Tensor, "queries near 3"]
+
+
+@dataclass(frozen=True)
+class Correction:
+    """What one round gives: changes of the raw numbers of both heads, what was read, and tokens for the next round."""
+
+    geometry: Float[Tensor, "queries geometry"]
+    appearance: Float[Tensor, "queries appearance"]
+    tokens: Float[Tensor, "queries width"]
+    reading: Reading
 
 
 class PairAttention(nn.Module):
     """Queries read rows of their own: softmax(q·k) v over the rows that count, and a row of zeros with logit 0.
 
-    A row becomes a key and a value by a small MLP. A query without a row reads zeros.
+    A row becomes a key and a value by a small MLP. A query without a row reads zeros. The weights are returned as well,
+    as means over the heads.
     """
 
     def __init__(self, width: int, heads: int) -> None:
@@ -63,14 +76,14 @@ class PairAttention(nn.Module):
         tokens: Float[Tensor, "queries width"],
         rows: Float[Tensor, "queries rows pair"],
         counts: Bool[Tensor, "queries rows"] | None = None,
-    ) -> Float[Tensor, "queries width"]:
+    ) -> tuple[Float[Tensor, "queries width"], Float[Tensor, "queries rows"]]:
         query = self.q_proj(self.norm(tokens)).unflatten(-1, (self.heads, -1))
         keys, values = self.keys_and_values(F.gelu(rows)).unflatten(-1, (2, self.heads, -1)).unbind(2)
         logits = torch.einsum("qhc,qrhc->qrh", query, keys) / query.shape[-1] ** 0.5
         if counts is not None:
             logits = logits.masked_fill(~counts[..., None], -torch.inf)
         weights = F.pad(logits, (0, 0, 0, 1)).softmax(1)[:, :-1]
-        return self.out_proj(torch.einsum("qrh,qrhc->qhc", weights, values).flatten(1))
+        return self.out_proj(torch.einsum("qrh,qrhc->qhc", weights, values).flatten(1)), weights.detach().mean(2)
 
 
 class RefinerBlock(nn.Module):
@@ -91,17 +104,18 @@ class RefinerBlock(nn.Module):
         tokens: Float[Tensor, "queries width"],
         memory: tuple[Float[Tensor, "queries rows channels"], Bool[Tensor, "queries rows"]],
         evidence: Evidence,
-    ) -> Float[Tensor, "queries width"]:
-        """`memory` are the rows, and which of them count."""
+    ) -> tuple[Float[Tensor, "queries width"], Float[Tensor, "queries rows"]]:
+        """The tokens, and how much of each row they read. `memory` are the rows, and which of them count."""
         rows, counts = memory
-        tokens = tokens + self.cross(tokens, self.row_embedding(rows), counts)
+        read, weights = self.cross(tokens, self.row_embedding(rows), counts)
+        tokens = tokens + read
         others = F.embedding(evidence.near, self.token_embedding(tokens)) + self.offset_embedding(evidence.offsets)
-        tokens = tokens + self.self_attention(tokens, others)
-        return tokens + self.mlp(tokens)
+        tokens = tokens + self.self_attention(tokens, others)[0]
+        return tokens + self.mlp(tokens), weights
 
 
 class Refiner(nn.Module):
-    """One round: evidence to changes of the raw numbers, and the tokens that the next round goes on from.
+    """One round: evidence to changes of the raw numbers.
 
     With `ModelConfig.refinement` "one-branch", all blocks read the rows of both memories side by side, and both heads
     read what the last block gives.
@@ -125,18 +139,23 @@ class Refiner(nn.Module):
             nn.init.zeros_(head.weight)
             nn.init.zeros_(head.bias)
 
-    def forward(
-        self, evidence: Evidence, memory: Float[Tensor, "queries width"] | None
-    ) -> tuple[Float[Tensor, "queries geometry"], Float[Tensor, "queries appearance"], Float[Tensor, "queries width"]]:
-        """Changes of the raw numbers of both heads, and the tokens. `memory` are the tokens of the round before."""
+    def forward(self, evidence: Evidence, memory: Float[Tensor, "queries width"] | None) -> Correction:
+        """`memory` are the tokens of the round before."""
         tokens = self.embedding(evidence.own)
         if memory is not None:
             tokens = tokens + memory
         geometry, appearance = self._memories(evidence)
+        weights = []
         for block in self.geometry_blocks:
-            tokens = block(tokens, geometry, evidence)
-        after = self.appearance_block(tokens, appearance, evidence)
-        return self.geometry_head(after if self._kind == "one-branch" else tokens), self.appearance_head(after), after
+            tokens, of_block = block(tokens, geometry, evidence)
+            weights.append(of_block)
+        after, last = self.appearance_block(tokens, appearance, evidence)
+        return Correction(
+            self.geometry_head(after if self._kind == "one-branch" else tokens),
+            self.appearance_head(after),
+            after,
+            Reading(evidence.views, torch.stack(weights).mean(0), last),
+        )
 
     def _memories(self, evidence: Evidence) -> tuple[tuple[Tensor, Tensor], tuple[Tensor, Tensor]]:
         """What the geometry blocks and the appearance block read: rows, and which of them count."""

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Bool
 from torch import Tensor
 
-from querysplat_cli.model.anchors import Anchors, Neighbours
+from querysplat_cli.model.anchors import Anchors, Neighbours, Reading
 from querysplat_cli.model.memories import Memories
 from querysplat_cli.queries.prepare import NOT_KNOWN, MemoryMap
 
@@ -53,11 +53,12 @@ def checked(tensors: dict[str, Tensor], inputs: int, views: int, canvas: tuple[i
     masks = _read("masks", Bool[Tensor, "views height width"], tensors, sizes)
     memories: Memories = _part(Memories, "memories", tensors)
     means = tensors.get("anchors.means", torch.zeros(0, 0))
-    # Scenes of earlier versions have neither of these.
-    tensors = {"anchors.refinement": torch.zeros(*means.shape[:2], 0), "map.confirmed": NOT_KNOWN, **tensors}
+    # Scenes of earlier versions have none of these.
+    reading = _flatten("anchors.reading", Reading.none(len(means)))
+    tensors = {"anchors.refinement": torch.zeros(*means.shape[:2], 0), **reading, "map.confirmed": NOT_KNOWN, **tensors}
     anchors: Anchors | None = _part(Anchors, "anchors", tensors) if "anchors.means" in tensors else None
     if anchors is not None:
-        _check_anchors(anchors, memories)
+        _check_anchors(anchors, memories, inputs)
     kept = _read("kept", Bool[Tensor, "n"], tensors, {}) if "kept" in tensors else None
     if kept is not None and anchors is not None and len(kept) != anchors.opacities.numel():
         raise DamagedTensors(f"kept marks {len(kept)} Gaussians, and the anchors have {anchors.opacities.numel()}")
@@ -110,7 +111,7 @@ def _read(name: str, kind: Any, tensors: dict[str, Tensor], sizes: dict[str, int
     return tensor
 
 
-def _check_anchors(anchors: Anchors, memories: Memories) -> None:
+def _check_anchors(anchors: Anchors, memories: Memories, views: int) -> None:
     rows = {
         "geometry": len(memories.geometry_keys),
         "appearance": len(memories.appearance_keys),
@@ -121,6 +122,9 @@ def _check_anchors(anchors: Anchors, memories: Memories) -> None:
         if len(near.index) != len(anchors) or near.index.dtype != torch.int64:
             raise DamagedTensors(f"the tensor anchors.{name}.index has not one row of int64 for each query")
         _check_rows(f"anchors.{name}.index", near.index, count)
+    if len(anchors.reading.views) != len(anchors):
+        raise DamagedTensors("the tensor anchors.reading.views has not one row for each query")
+    _check_rows("anchors.reading.views", anchors.reading.views, views)
     for name in ("scales", "spacing"):
         if not (getattr(anchors, name) > 0).all():
             raise DamagedTensors(f"the tensor anchors.{name} has lengths that are not positive")

@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from querysplat_cli.encoders.base import Geometry
-from querysplat_cli.model.anchors import Anchors, Neighbours
+from querysplat_cli.model.anchors import Anchors, Neighbours, Reading
 from querysplat_cli.queries.cells import CELLS, Cells, discs, measure_cells
 from querysplat_cli.queries.coverage import AnchorReport, ViewComparison, choose_blocks, compare_views
 from querysplat_cli.queries.features import border_features, photo_features
@@ -135,6 +135,7 @@ def _anchors(cells: Cells, features: Float[Tensor, "queries channels"], patches:
         appearance=memory,
         queries=_neighbours(centres, spacing, centres),
         refinement=means.new_zeros(*means.shape[:2], 0),
+        reading=Reading.none(len(means)),
     )
 
 

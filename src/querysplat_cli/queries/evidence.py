@@ -57,6 +57,7 @@ def gather_evidence(
         geometry=_geometry_rows(places, colours[:, middle], comparison, around),
         appearance=_appearance_rows(places, colours, comparison, around),
         seen=places.seen,
+        views=places.views,
         near=around.near,
         offsets=signed_log(offsets),
     )

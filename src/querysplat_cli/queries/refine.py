@@ -1,7 +1,7 @@
 """Rounds of feedback: the scene is rendered, compared with the photos, and corrected by the model's refiner."""
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float, Int
@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from querysplat_cli.encoders.base import Geometry
-from querysplat_cli.model.anchors import Anchors
+from querysplat_cli.model.anchors import Anchors, Reading
 from querysplat_cli.model.config import GEOMETRY_CHANNELS
 from querysplat_cli.model.heads import assemble_anchored
 from querysplat_cli.model.memories import Memories
@@ -23,24 +23,37 @@ from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.views import Views
 
 
+@dataclass(frozen=True)
+class Round:
+    """What the rounds so far add to the raw numbers, the scene that they make, and what the last one read."""
+
+    refinement: Float[Tensor, "queries gaussians raw"]
+    scene: Gaussians
+    reading: Reading
+
+
 def refined(
     model: QuerySplat, memories: Memories, anchors: Anchors, views: Views, cameras: Cameras, geometry: Geometry
 ) -> Anchors:
-    """The same anchors with the sum of all rounds as their `refinement`, on the CPU.
+    """The same anchors with the sum of all rounds as their `refinement`, and the last `reading`, on the CPU.
 
     A model without rounds leaves them as they are.
     """
     device = next(model.parameters()).device
     moved = to_device((memories, anchors, views, cameras, replace(geometry, features=())), device)
     with torch.no_grad():
-        rounds = [total for total, _ in refinements(model, *moved)]
-    return replace(anchors, refinement=rounds[-1].cpu()) if rounds else anchors
+        rounds = list(refinements(model, *moved))
+    if not rounds:
+        return anchors
+    refinement, read = to_device((rounds[-1].refinement, rounds[-1].reading), torch.device("cpu"))
+    reading = Reading(read.views.int(), read.geometry.half(), read.appearance.half())
+    return replace(anchors, refinement=refinement, reading=reading)
 
 
 def refinements(
     model: QuerySplat, memories: Memories, anchors: Anchors, views: Views, cameras: Cameras, geometry: Geometry
-) -> Iterator[tuple[Float[Tensor, "queries gaussians raw"], Gaussians]]:
-    """What the rounds add up to, and the scene, after each round of the model.
+) -> Iterator[Round]:
+    """The rounds of the model, one after another.
 
     Gradients reach the weights through the last round alone: each reads the scene of the one before as it is.
     """
@@ -61,11 +74,11 @@ def refinements(
             # Each head's numbers follow one another, query by query.
             halves = before[..., :GEOMETRY_CHANNELS].flatten(1), before[..., GEOMETRY_CHANNELS:].flatten(1)
             evidence = gather_evidence(anchors, scene, torch.cat(halves, 1), comparison, around)
-        geometry_change, appearance_change, tokens = model.refiner(evidence, tokens)
-        changes = (part.unflatten(1, (per_query, -1)) for part in (geometry_change, appearance_change))
-        after = total + torch.cat(list(changes), 2)
-        yield after, _scene(start + after, anchors, model)
-        total, tokens = after.detach(), tokens.detach()
+        found = model.refiner(evidence, tokens)
+        changes = [part.unflatten(1, (per_query, -1)) for part in (found.geometry, found.appearance)]
+        after = total + torch.cat(changes, 2)
+        yield Round(after, _scene(start + after, anchors, model), found.reading)
+        total, tokens = after.detach(), found.tokens.detach()
 
 
 def _scene(raw: Float[Tensor, "queries gaussians raw"], anchors: Anchors, model: QuerySplat) -> Gaussians:

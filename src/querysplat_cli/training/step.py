@@ -81,8 +81,8 @@ def decoded(model: QuerySplat, sample: Sample, anchors: Anchors | None, precisio
         if anchors is None or not model.config.refinement_rounds:
             yield model.decode(memories, anchors).map(Tensor.float)
             return
-        for _, scene in refinements(model, memories, anchors, sample.views, sample.cameras, geometry):
-            yield scene.map(Tensor.float)
+        for each in refinements(model, memories, anchors, sample.views, sample.cameras, geometry):
+            yield each.scene.map(Tensor.float)
 
 
 def add_gradient(
