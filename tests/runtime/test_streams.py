@@ -7,8 +7,8 @@ import pytest
 
 PROGRAM = """
 import sys, time
-from querysplat_cli.runtime.streams import tolerate_closed_streams
-tolerate_closed_streams()
+from querysplat_cli.runtime.streams import prepare_streams
+prepare_streams()
 for i in range(20000):
     print("line", i)
     print("message", i, file=sys.stderr)
@@ -49,3 +49,17 @@ def test_the_run_is_finished_with_its_own_code(command: str, tmp_path: object) -
     assert "BrokenPipe" not in done.stderr
     with open(f"{tmp_path}/result") as file:
         assert file.read() == "done"
+
+
+LIBRARY = """
+import os
+from querysplat_cli.runtime.streams import prepare_streams
+prepare_streams()
+os.write(1, b"words of a library\\n")
+print("result")
+"""
+
+
+def test_results_are_alone_on_standard_output() -> None:
+    done = subprocess.run([sys.executable, "-c", LIBRARY], capture_output=True, text=True, check=True, timeout=60)
+    assert (done.stdout, done.stderr) == ("result\n", "words of a library\n")

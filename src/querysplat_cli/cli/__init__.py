@@ -11,12 +11,12 @@ from querysplat_cli.cli.usage_errors import explained
 from querysplat_cli.runtime import current_folder, signals
 from querysplat_cli.runtime.errors import ExitCode, QuerySplatError, is_out_of_memory
 from querysplat_cli.runtime.limits import more_memory
-from querysplat_cli.runtime.streams import tolerate_closed_streams
+from querysplat_cli.runtime.streams import prepare_streams
 
 
 def main() -> None:
     """Run the command line and exit with a code of `ExitCode`."""
-    tolerate_closed_streams()
+    prepare_streams()
     signals.catch()
     code = run(sys.argv[1:])
     signals.ignore()

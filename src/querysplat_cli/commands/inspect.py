@@ -160,7 +160,7 @@ def _queries(
     to_memories = {f"attention to the {branch} memory": weight for branch, weight in maps.items()}
     draw_query(folder / "query.png", scene.views, scene.cameras, to_memories, own)
     if rounds:
-        to_rows = {f"last round: attention to the {branch} rows": weight for branch, weight in rounds.items()}
+        to_rows = {f"last round: {branch} rows": weight for branch, weight in rounds.items()}
         draw_query(folder / "rounds.png", scene.views, scene.cameras, to_rows, own)
 
 
