@@ -130,9 +130,9 @@ def test_a_step_without_photos_states_how_far_pictures_agree() -> None:
     step = {"what": "clean", "gaussians": 4, "giants": 4, "psnr": 60.0, "lost": 40.0, "against": "orbit"}
     psnr = {"against": "orbit", "views": 8, "before": 100.0, "after": 60.0, "lost": 40.0}
     result = {"gaussians": 1, "bytes": {"target": 1, "source": 1}, "target": "a.ply", "scene": None, "psnr": psnr}
-    assert convert_lines({**result, "steps": [step]})[1] == "clean: 4 left out (4 giants), pictures agree to 60.00 dB"
+    assert convert_lines({**result, "steps": [step]})[1] == "clean: 4 left out (4 giant), pictures agree to 60.00 dB"
     said = convert_lines({**result, "steps": [{**step, "against": "photos", "lost": 0.5}], "psnr": None})
-    assert said[-1] == "clean: 4 left out (4 giants), 0.50 dB lost"
+    assert said[-1] == "clean: 4 left out (4 giant), 0.50 dB lost"
 
 
 def test_without_cameras_a_scene_is_cleaned_too(

@@ -6,7 +6,7 @@ from querysplat_cli.cli.verb import Printing
 from querysplat_cli.cli.words import decibels, left_out
 from querysplat_cli.commands.convert_request import Conversion
 
-REASONS = {"unsupported": "that no photo supports", "giants": "giants", "islands": "in islands"}
+REASONS = {"unsupported": "that no photo supports", "giants": "giant", "islands": "in islands"}
 
 
 def convert(request: Conversion, printing: Printing) -> None:

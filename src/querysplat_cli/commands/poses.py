@@ -14,11 +14,8 @@ from querysplat_cli.scene.formats.known import find_known_cameras, read_known_ca
 from querysplat_cli.scene.formats.transforms import listed_paths
 from querysplat_cli.scene.photo_files import check_photo_files, read_photo_files
 from querysplat_cli.scene.photo_names import names_a_photo
-from querysplat_cli.scene.photos import PICTURE_FOLDERS, find_photos, load_photos
+from querysplat_cli.scene.photos import LONGEST_SIDE, PICTURE_FOLDERS, find_photos, load_photos
 from querysplat_cli.scene.views import Photo
-
-LONGEST_SIDE = 1600
-"""Pixels of the photos that COLMAP gets, as `reconstruct` reads them."""
 
 
 def compare(request: PosesRequest, stages: Stages) -> tuple[dict[str, Any], str]:

@@ -10,7 +10,7 @@ from querysplat_cli.scene.film_choice import FilmChoice, choose_frames
 from querysplat_cli.scene.film_survey import FilmSurvey, survey_film
 from querysplat_cli.scene.films import frame_pixels, is_film, read_ahead
 from querysplat_cli.scene.photo_names import short_names
-from querysplat_cli.scene.photos import Keep, decoded_photos, load_photos, none_usable
+from querysplat_cli.scene.photos import LONGEST_SIDE, Keep, decoded_photos, load_photos, none_usable
 from querysplat_cli.scene.views import LeftOut, Photo
 
 AHEAD = 32
@@ -20,7 +20,6 @@ AHEAD = 32
 def load_inputs(
     paths: Sequence[Path],
     frames: int | None = None,
-    max_side: int = 1600,
     progress: Progress = lambda text, fraction: None,
     keep: Keep = lambda photo: photo,
 ) -> tuple[list[Photo], list[LeftOut]]:
@@ -34,18 +33,18 @@ def load_inputs(
     if not films:
         if frames:
             raise QuerySplatError("--frames is for films, and there is no film among the inputs", "Leave it out.")
-        return load_photos(paths, max_side, progress, keep=keep)
+        return load_photos(paths, progress=progress, keep=keep)
     names = dict(zip(paths, short_names(paths), strict=True))
     surveys, left_out = _surveyed(films, names, progress)
     found: dict[Path, list[Photo]] = {}
     for choice in choose_frames(surveys, frames):
         path = choice.survey.path
         progress(f"{names[path]}: reading {len(choice.rows)} frames", 1.0)
-        found[path] = _frames(choice, names[path], max_side, keep)
+        found[path] = _frames(choice, names[path], keep)
         if choice.left_out:
             left_out.append(LeftOut(names[path], choice.left_out))
     pictures = [path for path in paths if path not in films]
-    photos, unread = decoded_photos(pictures, [names[path] for path in pictures], max_side, progress, keep)
+    photos, unread = decoded_photos(pictures, [names[path] for path in pictures], LONGEST_SIDE, progress, keep)
     for photo in photos:
         found[photo.path] = [photo]
     left_out += unread
@@ -66,13 +65,13 @@ def _surveyed(
     return surveys, left_out
 
 
-def _frames(choice: FilmChoice, name: str, max_side: int, keep: Keep) -> list[Photo]:
+def _frames(choice: FilmChoice, name: str, keep: Keep) -> list[Photo]:
     path, survey = choice.survey.path, choice.survey
     stamps = [int(survey.pts[row]) for row in choice.rows]
     found = []
     for number, (row, pts) in enumerate(zip(choice.rows, stamps, strict=True)):
         if number % AHEAD == 0:
             read_ahead(path, stamps[number : number + AHEAD])
-        pixels = reduced(frame_pixels(path, pts), max_side)
+        pixels = reduced(frame_pixels(path, pts), LONGEST_SIDE)
         found.append(keep(Photo(f"{name}_{survey.seconds[row]:08.3f}.jpg", path, pixels, pts=pts)))
     return found

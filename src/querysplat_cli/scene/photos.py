@@ -28,6 +28,8 @@ SCENE_FOLDERS = ("", "nerfstudio", "colmap")
 LONGEST_NUMBER = 100
 """Longer rows of digits in a name are sorted as text."""
 SMALLEST_SIDE = 64
+LONGEST_SIDE = 1600
+"""Pixels to which photos and frames of films are reduced when they are read, unless something else is asked for."""
 WHOLE = 1 << 16
 """As `max_side`, this reduces no photo."""
 Keep = Callable[[Photo], Photo]
@@ -53,7 +55,7 @@ def find_photos(inputs: Sequence[Path]) -> list[Path]:
 
 def load_photos(
     paths: Sequence[Path],
-    max_side: int = 1600,
+    max_side: int = LONGEST_SIDE,
     progress: Progress = lambda text, fraction: None,
     names: Sequence[str] | None = None,
     keep: Keep = lambda photo: photo,
