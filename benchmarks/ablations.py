@@ -23,7 +23,7 @@ import numpy as np
 from common.output import markdown
 from querysplat_cli.evaluation.published import tables
 from querysplat_cli.runtime.figures import new_figure, save_figure
-from querysplat_cli.training.journal import CURVE_WINDOW
+from querysplat_cli.training.journal import running_mean
 
 PUBLISHED = {
     "": ("ablation-appearance", 0),
@@ -72,11 +72,10 @@ def draw(path: Path, runs: Sequence[Run]) -> None:
     ):
         for run in runs:
             steps, values = (np.array([row[name] for row in run.rows], dtype=float) for name in ("step", key))
-            window = np.full(min(CURVE_WINDOW, len(values)), 1 / min(CURVE_WINDOW, len(values)))
             first = next(each for each in runs if each.variant == run.variant) is run
             axes.plot(
-                np.convolve(steps, window, "valid"),
-                np.convolve(values, window, "valid"),
+                running_mean(steps),
+                running_mean(values),
                 color=f"C{variants.index(run.variant)}",
                 label=run.variant if first else None,
             )

@@ -60,13 +60,17 @@ def draw_curves(path: Path, rows: Sequence[dict[str, Any]]) -> None:
     ):
         values = np.array([row[key] for row in rows], dtype=float)
         axes.plot(steps, values, ".", ms=3, alpha=0.3 if key != "lr" else 1.0)
-        span = min(CURVE_WINDOW, len(values))
-        if key != "lr" and span > 1:
-            window = np.full(span, 1 / span)
-            axes.plot(np.convolve(steps, window, "valid"), np.convolve(values, window, "valid"))
+        if key != "lr":
+            axes.plot(running_mean(steps), running_mean(values))
         axes.set(xlabel="step", ylabel=label)
         axes.grid(alpha=0.3)
     figure.savefig(path, dpi=110, format="png")
+
+
+def running_mean(values: np.ndarray) -> np.ndarray:
+    """Means of `CURVE_WINDOW` values that follow one another, or of a third of all where these are few."""
+    span = max(1, min(CURVE_WINDOW, len(values) // 3))
+    return np.convolve(values, np.full(span, 1 / span), "valid")
 
 
 def _parsed(line: str) -> dict[str, Any] | None:
