@@ -91,10 +91,11 @@ def inspect_scene(request: InspectRequest, stages: Stages) -> Inspected:
         per_query = model.config.gaussians_per_query
         own = gaussians[slice(chosen * per_query, (chosen + 1) * per_query)]
         rounds = _rounds(scene, own, chosen, patches)
+        gaussians = gaussians[kept]
     with stages("draw"), atomic_folder(output) as draft:
         _queries(draft, scene, maps, rounds, own)
-        _histograms(draft / "histograms.png", gaussians[kept])
-        _points(draft / "points.png", scene, scene.map, gaussians[kept])
+        _histograms(draft / "histograms.png", gaussians)
+        _points(draft / "points.png", scene, scene.map, gaussians)
     return Inspected(
         output=str(output),
         query=chosen,
@@ -103,8 +104,8 @@ def inspect_scene(request: InspectRequest, stages: Stages) -> Inspected:
             "appearance": _shares(maps["appearance"], scene.views.names, float(found.appearance.sum())),
         },
         rounds={branch: _shares(weight, scene.views.names, 1.0, rest="nothing") for branch, weight in rounds.items()},
-        opacity=quantiles(gaussians.opacities[kept]),
-        scale=quantiles(gaussians.scales[kept].flatten()),
+        opacity=quantiles(gaussians.opacities),
+        scale=quantiles(gaussians.scales.flatten()),
         depth=scene.map.depth.numel() > 0,
         warnings=tuple(
             f"the values of the {name} memory are all zero: what the query attends to there changes nothing"
