@@ -26,7 +26,7 @@ from querysplat_cli.tto.variables import Parametrisation, UndoableAdam, V, finit
 
 @dataclass(frozen=True)
 class TtoResult(Generic[V]):
-    """The better of the first and the last state, by the loss over all views (`_Run._is_better`).
+    """The better of the first and the last state, by the loss over all views.
 
     variables, gaussians: what the variables are, and what they decode to, less what was `pruned`.
     loss_before, loss_after: over all views.
@@ -112,7 +112,6 @@ class _Run(Generic[V]):
         self._least_losses = losses
         self._pruned: Pruned | None = None
         self._prices: torch.Tensor | None = None
-        self._priced = False
         self._splits_left = settings.densify_after if start.densify else ()
         self._undone_in_a_row = 0
         self._again: list[int] = []
@@ -145,7 +144,7 @@ class _Run(Generic[V]):
         loss = math.inf
         if finite(tensors(gaussians)):
             loss = self._target.value(gaussians, list(range(len(self._target.views))))
-        if not self._is_better(gaussians, loss, found):
+        if not loss < found.loss_before:
             if self._target.exposures and self._exposures_before:
                 self._target.exposures.current = self._exposures_before
             return found
@@ -158,15 +157,6 @@ class _Run(Generic[V]):
             pruned=self._pruned,
             added=len(gaussians) - len(found.gaussians) if self._densify else 0,
         )
-
-    def _is_better(self, gaussians: Gaussians, loss: float, start: TtoResult[V]) -> bool:
-        """Whether the loss is lower than at the start, or, where guesses had a price, that of confirmed pixels is."""
-        if loss < start.loss_before:
-            return True
-        if not (self._priced and math.isfinite(loss)):
-            return False
-        where = self._target.value_where_confirmed
-        return where(gaussians) < where(start.gaussians)
 
     def _take(self, step: int, chosen: list[int], done: float) -> None:
         gaussians = self._pruned_in_time(self._decoded(), step, done)
@@ -244,7 +234,6 @@ class _Run(Generic[V]):
         denser = self._densify(gaussians.detach(), self._target, len(self._splits_left))
         self._adam.go_on_with(denser)
         self._prices = denser.prices
-        self._priced |= denser.prices is not None
         if self._refined:
             self._refined.forget_gradient()
         self._splits_left = self._splits_left[1:]

@@ -104,23 +104,6 @@ class RenderingLoss:
         """The loss over the views `chosen`."""
         return sum(self.values(gaussians, chosen)) / len(chosen)
 
-    def value_where_confirmed(self, gaussians: Gaussians) -> float:
-        """The loss over all views, without LPIPS, of those pixels alone whose depth another view confirms.
-
-        Guessed pixels are held back on purpose, so that they may be worse. The loss is infinite where nothing is
-        confirmed, and that of all pixels where it is not known what is.
-        """
-        total, count = 0.0, 0
-        with torch.no_grad():
-            for view in range(len(self.views)):
-                photo, mask = self._photo(view)
-                sure = mask & ~self.guessed(view)
-                if bool(sure.any()):
-                    picture = self.render(gaussians, view).over(self.background)
-                    total += photometric_value(picture * sure[:, None], photo * sure[:, None], sure)[0]
-                    count += 1
-        return total / count if count else math.inf
-
     def psnr(self, gaussians: Gaussians, chosen: list[int]) -> float:
         """The mean over the views `chosen`, in dB."""
         with torch.no_grad():
