@@ -139,11 +139,9 @@ def _rounds(scene: StoredScene, own: Gaussians, query: int, layout: tuple[int, i
     pixels = torch.cat([project_points(centre[None], cameras.w2c[view], cameras.K[view]) for view in views.tolist()])
     column = (pixels[:, 0] * columns / cameras.width).long().clamp(0, columns - 1)
     row = (pixels[:, 1] * rows / cameras.height).long().clamp(0, rows - 1)
-    empty = torch.zeros(len(scene.views), rows, columns)
-    return {
-        "geometry": empty.index_put((views, row, column), reading.geometry[query]),
-        "appearance": empty.index_put((views, row, column), reading.appearance[query]),
-    }
+    patches = (views * rows + row) * columns + column
+    weights = {"geometry": reading.geometry[query], "appearance": reading.appearance[query]}
+    return {branch: on_patches(each, patches, len(scene.views), layout) for branch, each in weights.items()}
 
 
 def _shares(weight: Tensor, names: tuple[str, ...], whole: float, rest: str = "special") -> dict[str, float]:

@@ -1,5 +1,6 @@
 """Rounds of feedback: the scene is rendered, compared with the photos, and corrected by the model's refiner."""
 
+from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -42,10 +43,10 @@ def refined(
     device = next(model.parameters()).device
     moved = to_device((memories, anchors, views, cameras, replace(geometry, features=())), device)
     with torch.no_grad():
-        rounds = list(refinements(model, *moved))
-    if not rounds:
+        last = deque(refinements(model, *moved), maxlen=1)
+    if not last:
         return anchors
-    refinement, read = to_device((rounds[-1].refinement, rounds[-1].reading), torch.device("cpu"))
+    refinement, read = to_device((last[0].refinement, last[0].reading), torch.device("cpu"))
     reading = Reading(read.views.int(), read.geometry.half(), read.appearance.half())
     return replace(anchors, refinement=refinement, reading=reading)
 
