@@ -21,7 +21,6 @@ from querysplat_cli.runtime.progress import Progress, Stages
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.views import Photo, Views
-from querysplat_cli.tto.rendering_loss import tensors
 
 SIZE = 48
 SETTINGS = ReconstructSettings((Path("photos"),), Path("scene.ply"), tto=3)
@@ -102,7 +101,7 @@ def test_a_scene_needs_no_encoder(model: QuerySplat) -> None:
     encoder = GivenGeometry(geometry)
     encoded = encode_and_build(posed, encoder, model, SETTINGS, Stages())
     assert encoder.asked == [("a", "b", "c"), ("freed",)]
-    pairs = zip(tensors(scene.adapted.gaussians), tensors(encoded.adapted.gaussians), strict=True)
+    pairs = zip(scene.adapted.gaussians.tensors(), encoded.adapted.gaussians.tensors(), strict=True)
     assert all(one.equal(other) for one, other in pairs)
 
 
@@ -139,7 +138,7 @@ def test_a_watcher_sees_every_step_and_changes_nothing(model: QuerySplat) -> Non
     assert [(views.names, len(cameras)) for _, views, cameras in watcher.seen] == [(("a", "b", "c"), 3)] * 3
     assert not watcher.seen[0][0].means.equal(watcher.seen[2][0].means)
     alone = build_scene(posed, geometry, model, SETTINGS)
-    pairs = zip(tensors(watched.gaussians), tensors(alone.gaussians), strict=True)
+    pairs = zip(watched.gaussians.tensors(), alone.gaussians.tensors(), strict=True)
     assert all(one.equal(other) for one, other in pairs)
 
 

@@ -17,7 +17,7 @@ from querysplat_cli.tto.gaussians import optimise_gaussians
 from querysplat_cli.tto.optimise import TtoResult
 from querysplat_cli.tto.options import Callbacks, TtoSettings
 from querysplat_cli.tto.policy import TTO_POLICY
-from querysplat_cli.tto.rendering_loss import RenderingLoss, tensors
+from querysplat_cli.tto.rendering_loss import RenderingLoss
 
 SIZE = 48
 
@@ -86,7 +86,7 @@ def test_splitting_hardly_changes_the_picture(opacity: float, most: float) -> No
         sh=torch.ones(1, 1, 3).double(),
     )
     one, other = split(whole)
-    halves = Gaussians(*(torch.cat(pair) for pair in zip(tensors(one), tensors(other), strict=True)))
+    halves = Gaussians(*(torch.cat(pair) for pair in zip(one.tensors(), other.tensors(), strict=True)))
     before, after = (render(some, cameras(1).to(torch.float64)).colour for some in (whole, halves))
     assert float((after - before).norm() / before.norm()) < most
 
@@ -182,7 +182,7 @@ def test_opacity_has_a_price_in_guessed_pixels_alone(monkeypatch: pytest.MonkeyP
     left = torch.zeros(4, SIZE, SIZE, dtype=torch.bool)
     left[:, :, : SIZE // 2] = True
     free, all_confirmed, priced = (optimised(100, confirmed=each) for each in (None, torch.ones_like(left), left))
-    assert all(a.equal(b) for a, b in zip(tensors(all_confirmed.gaussians), tensors(free.gaussians), strict=True))
+    assert all(a.equal(b) for a, b in zip(all_confirmed.gaussians.tensors(), free.gaussians.tensors(), strict=True))
 
     def opacity(result: TtoResult, side: int) -> float:
         return float(result.gaussians.opacities[result.gaussians.means[:, 0] * side > 0.2].mean())
@@ -193,7 +193,7 @@ def test_opacity_has_a_price_in_guessed_pixels_alone(monkeypatch: pytest.MonkeyP
 
 def test_splitting_is_repeatable() -> None:
     one, two = optimised(60, steps=20), optimised(60, steps=20)
-    assert all(a.equal(b) for a, b in zip(tensors(one.gaussians), tensors(two.gaussians), strict=True))
+    assert all(a.equal(b) for a, b in zip(one.gaussians.tensors(), two.gaussians.tensors(), strict=True))
 
 
 @pytest.mark.parametrize("lr", [3.0, 1e30], ids=["too large", "overflowing"])
@@ -202,7 +202,7 @@ def test_steps_after_a_split_are_undone(lr: float) -> None:
     assert result.undone > 0
     assert result.loss_after <= result.loss_before
     assert result.added == len(result.gaussians) - 16
-    assert all(bool(part.isfinite().all()) for part in tensors(result.gaussians))
+    assert all(bool(part.isfinite().all()) for part in result.gaussians.tensors())
 
 
 def test_interrupting_after_a_split_keeps_it() -> None:

@@ -18,7 +18,7 @@ from querysplat_cli.tto.full_size_plan import FullSizePlan, FullSizeStage, Photo
 from querysplat_cli.tto.full_size_policy import FULL_SIZE_POLICY
 from querysplat_cli.tto.options import TtoSettings, TtoStep
 from querysplat_cli.tto.policy import TTO_POLICY
-from querysplat_cli.tto.rendering_loss import RenderingLoss, tensors
+from querysplat_cli.tto.rendering_loss import RenderingLoss
 
 SIZE = 72
 LARGE = Photos(20, 1200, 1600, 448)
@@ -68,7 +68,7 @@ def test_two_stages_improve_a_view_between_the_photos() -> None:
 
 def test_the_same_seed_gives_the_same_gaussians() -> None:
     one, two, other = optimised(TWO_STAGES), optimised(TWO_STAGES), optimised(TWO_STAGES, seed=1)
-    assert all(a.equal(b) for a, b in zip(tensors(one.gaussians), tensors(two.gaussians), strict=True))
+    assert all(a.equal(b) for a, b in zip(one.gaussians.tensors(), two.gaussians.tensors(), strict=True))
     assert not one.gaussians.means.equal(other.gaussians.means)
 
 
@@ -134,7 +134,7 @@ def test_halved_views_add_half_of_their_gradient() -> None:
 
     def gradient(what: Views, where: Cameras, halved: float) -> list[torch.Tensor]:
         target = RenderingLoss.for_solid_scenes(what, where, torch.Generator().manual_seed(1))
-        return tensors(replace(target, halved=halved).value_and_gradient(coarse(), [2]).gradient)
+        return replace(target, halved=halved).value_and_gradient(coarse(), [2]).gradient.tensors()
 
     half = gradient(smaller, some.resized(SIZE // 2, SIZE // 2), 0.0)
     for whole, both, other in zip(gradient(views, some, 0.0), gradient(views, some, 1.0), half, strict=True):

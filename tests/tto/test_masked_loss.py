@@ -7,7 +7,7 @@ from tto_scenes import wall
 
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.views import Views
-from querysplat_cli.tto.rendering_loss import RenderingLoss, tensors
+from querysplat_cli.tto.rendering_loss import RenderingLoss
 
 SIDE = 48
 
@@ -25,7 +25,7 @@ def test_masked_pixels_take_no_part() -> None:
     assert one.value(gaussians, [0]) == two.value(gaussians, [0])
     assert one.psnr(gaussians, [0]) == two.psnr(gaussians, [0])
     slopes, theirs = (each.value_and_gradient(gaussians, [0]) for each in (one, two))
-    for slope, other_slope in zip(tensors(slopes.gradient), tensors(theirs.gradient), strict=True):
+    for slope, other_slope in zip(slopes.gradient.tensors(), theirs.gradient.tensors(), strict=True):
         torch.testing.assert_close(slope, other_slope)
     whole = replace(views, masks=torch.ones_like(masks))
     assert RenderingLoss(whole, cameras).value(gaussians, [0]) != one.value(gaussians, [0])

@@ -41,7 +41,7 @@ class Cells(TensorDataclass):
 
     def joined(self, other: "Cells") -> "Cells":
         """These blocks, then those of `other`."""
-        return Cells(**{name: torch.cat([part, getattr(other, name)]) for name, part in vars(self).items()})
+        return Cells(**{name: torch.cat([part, getattr(other, name)]) for name, part in self.named().items()})
 
 
 def measure_cells(

@@ -1,7 +1,7 @@
 """A scene: a set of 3D Gaussians."""
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Bool, Float
@@ -74,6 +74,4 @@ def joined(*parts: Gaussians) -> Gaussians:
     """All Gaussians of `parts`, with as many SH bands as the part that has most."""
     bands = max(part.sh.shape[1] for part in parts)
     alike = [replace(part, sh=F.pad(part.sh, (0, 0, 0, bands - part.sh.shape[1]))) for part in parts]
-    return Gaussians(
-        **{each.name: torch.cat([getattr(part, each.name) for part in alike]) for each in fields(Gaussians)}
-    )
+    return Gaussians(*map(torch.cat, zip(*(part.tensors() for part in alike), strict=True)))

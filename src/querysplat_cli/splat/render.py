@@ -1,7 +1,7 @@
 """Gaussians and cameras in, pictures out: the one public entry of the splatter."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
@@ -58,7 +58,7 @@ def render(
     QuerySplatError when a tensor holds NaN or Inf, and MissingPart when the backend is not there.
     """
     _refuse_wrong_shapes(gaussians)
-    _refuse_non_finite({field.name: getattr(gaussians, field.name) for field in fields(gaussians)})
+    _refuse_non_finite(gaussians.named())
     _refuse_non_finite({"w2c": cameras.w2c, "K": cameras.K})
     blend: Blend = BACKENDS.find(_chosen(gaussians) if backend == "auto" else backend)
     colour, alpha, weighted_depth = blend(gaussians, cameras, settings or RenderSettings())
@@ -82,7 +82,7 @@ def _chosen(gaussians: Gaussians) -> str:
 
 
 def _refuse_wrong_shapes(gaussians: Gaussians) -> None:
-    shapes = {field.name: tuple(getattr(gaussians, field.name).shape) for field in fields(gaussians)}
+    shapes = {name: tuple(tensor.shape) for name, tensor in gaussians.named().items()}
     n = len(gaussians)
     bands = shapes["sh"][1] if len(shapes["sh"]) == 3 else 0
     expected = {"means": (n, 3), "quats": (n, 4), "scales": (n, 3), "opacities": (n,), "sh": (n, bands, 3)}

@@ -27,7 +27,6 @@ from querysplat_cli.training.losses import (
 from querysplat_cli.training.passes import Sample
 from querysplat_cli.training.schedule import Weights
 from querysplat_cli.training.visibility import unseen_loss
-from querysplat_cli.tto.rendering_loss import tensors
 from querysplat_cli.tto.variables import finite
 
 
@@ -107,7 +106,7 @@ def add_gradient(
         found.append((gaussians, gradients))
     for gaussians, gradients in found:
         share = step.share / len(found)
-        torch.autograd.backward(tensors(gaussians), [share * gradient for gradient in gradients])
+        torch.autograd.backward(gaussians.tensors(), [share * gradient for gradient in gradients])
     return result
 
 
@@ -116,12 +115,12 @@ def _graded(
 ) -> tuple[SampleLoss, list[Tensor]]:
     """The loss of a scene, and its gradient with respect to the Gaussians."""
     leaves = gaussians.map(lambda field: field.detach().requires_grad_())
-    if not finite(tensors(leaves)):
+    if not finite(leaves.tensors()):
         return SampleLoss(math.nan, {}, math.nan, len(gaussians), "Gaussians are not finite"), []
     pictures, psnr = _pictures(leaves, sample, step, generator)
     parts = {"pictures": pictures, **_regularise(leaves, sample, step, generator)}
     total = sum(getattr(step.weights, name, 1.0) * value for name, value in parts.items())
-    gradients = [torch.zeros_like(leaf) if leaf.grad is None else leaf.grad for leaf in tensors(leaves)]
+    gradients = [torch.zeros_like(leaf) if leaf.grad is None else leaf.grad for leaf in leaves.tensors()]
     skipped = ""
     if not math.isfinite(total) or not finite(gradients):
         skipped = "the loss or its gradient is not finite"

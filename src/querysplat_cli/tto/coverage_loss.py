@@ -1,6 +1,6 @@
 """The coverage loss: between photos that are far apart, optimisation may not open holes that no photo shows."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
@@ -40,8 +40,5 @@ class CoverageLoss:
         leaves = gaussians.map(lambda part: part.detach().requires_grad_())
         alpha = render(leaves, self.cameras[[view]]).alpha[0]
         (TTO_POLICY.coverage_weight * (self.alphas[view] - alpha).relu().mean()).backward()
-        summed = {
-            field.name: getattr(here.gradient, field.name) + gradient_of(getattr(leaves, field.name))
-            for field in fields(leaves)
-        }
-        return replace(here, gradient=Gaussians(**summed))
+        summed = [a + gradient_of(b) for a, b in zip(here.gradient.tensors(), leaves.tensors(), strict=True)]
+        return replace(here, gradient=Gaussians(*summed))

@@ -4,7 +4,7 @@ Keys and values of both branches, or the tokens that they are made of, are optim
 the input views. Decoders, queries and heads stay frozen.
 """
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
 
 import torch
@@ -64,7 +64,7 @@ def optimise_memories(
     refine_cameras: bool = False,
 ) -> TtoResult[M]:
     """`optimise` for the four tensors of memories, or for the two of features; all at the same rate."""
-    rates = {field.name: 1.0 for field in fields(start.variables)}
+    rates = dict.fromkeys(start.variables.named(), 1.0)
     return optimise(
         Parametrisation(start.variables, lambda variables: _decoded(model, replace(start, variables=variables)), rates),
         target,

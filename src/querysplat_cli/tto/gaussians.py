@@ -6,8 +6,7 @@ sets no step. Pictures blur a needle or an edge-on disc to half a pixel, and in 
 move.
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import partial
 
 import torch
@@ -16,6 +15,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.tensor_dataclass import TensorDataclass
 from querysplat_cli.tto.densify import densify
 from querysplat_cli.tto.optimise import TtoResult, optimise
 from querysplat_cli.tto.options import NO_CALLBACKS, Callbacks, TtoSettings
@@ -32,7 +32,7 @@ photo forbids, and which other views show."""
 
 
 @dataclass(frozen=True)
-class Changes:
+class Changes(TensorDataclass):
     """Changes to N Gaussians. Zeros leave them as they are; units are those of `changed`."""
 
     moves: Float[Tensor, "n 3"]
@@ -41,10 +41,6 @@ class Changes:
     logits: Float[Tensor, "n"]
     colours: Float[Tensor, "n 1 3"]
     bands: Float[Tensor, "n rest 3"]
-
-    def map(self, change: Callable[[Tensor], Tensor]) -> "Changes":
-        """The result of applying `change` to every tensor."""
-        return Changes(**{field.name: change(getattr(self, field.name)) for field in fields(self)})
 
     @classmethod
     def none(cls, gaussians: Gaussians) -> "Changes":

@@ -20,7 +20,7 @@ from querysplat_cli.tto.coverage_loss import CoverageLoss
 from querysplat_cli.tto.dropout import without_some
 from querysplat_cli.tto.options import NO_CALLBACKS, Callbacks, TtoSettings, TtoStep
 from querysplat_cli.tto.policy import TTO_POLICY
-from querysplat_cli.tto.rendering_loss import LossAndGradient, RenderingLoss, tensors
+from querysplat_cli.tto.rendering_loss import LossAndGradient, RenderingLoss
 from querysplat_cli.tto.variables import Parametrisation, UndoableAdam, V, finite
 
 
@@ -142,7 +142,7 @@ class _Run(Generic[V]):
         with torch.no_grad():
             gaussians = self._decoded().detach()
         loss = math.inf
-        if finite(tensors(gaussians)):
+        if finite(gaussians.tensors()):
             loss = self._target.value(gaussians, list(range(len(self._target.views))))
         if not loss < found.loss_before:
             if self._target.exposures and self._exposures_before:
@@ -183,7 +183,7 @@ class _Run(Generic[V]):
 
     def _pruned_in_time(self, gaussians: Gaussians, step: int, done: float) -> Gaussians:
         prune = self._callbacks.prune
-        if not prune or self._pruned or done < TTO_POLICY.prune_after or not finite(tensors(gaussians)):
+        if not prune or self._pruned or done < TTO_POLICY.prune_after or not finite(gaussians.tensors()):
             return gaussians
         self._pruned = prune(gaussians.detach(), self._target, step * (1 - done) / done)
         self._forget_losses()
@@ -191,7 +191,7 @@ class _Run(Generic[V]):
 
     def _send_back(self, gaussians: Gaussians, chosen: list[int], step: int) -> LossAndGradient | None:
         """The loss, whose gradient is sent to the variables; None where the Gaussians are not finite."""
-        if not finite(tensors(gaussians)):
+        if not finite(gaussians.tensors()):
             return None
         loss = self._target.value_and_gradient(gaussians, chosen)
         if self._coverage:

@@ -1,8 +1,7 @@
 """The rendering loss of many views, and its gradient, in the memory of a few."""
 
 import math
-from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from dataclasses import dataclass, field, replace
 
 import torch
 from jaxtyping import Bool
@@ -40,7 +39,7 @@ class LossAndGradient:
 
     def send_back(self, gaussians: Gaussians, cameras: Cameras) -> None:
         """Propagate the gradient to what `gaussians` were made from, and `cameras` where they require it."""
-        made, slopes = tensors(gaussians), tensors(self.gradient)
+        made, slopes = gaussians.tensors(), self.gradient.tensors()
         if self.camera_gradient:
             made += [cameras.w2c, cameras.K]
             slopes += self.camera_gradient
@@ -194,11 +193,6 @@ class RenderingLoss:
         """The render over `background`, black where the photo is masked: SSIM's windows reach beyond masks."""
         picture = rendering.over(background)
         return picture * self.views.masks[[view]][:, None] if self.views.have_holes[view] else picture
-
-
-def tensors(holder: Any) -> list[Tensor]:
-    """The tensors of a dataclass, in the order of its fields."""
-    return [getattr(holder, each.name) for each in fields(holder)]
 
 
 def _random_background(generator: torch.Generator) -> Tensor | None:

@@ -1,30 +1,19 @@
 """What test-time optimisation changes, and Adam on it with a way back over the last step."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
-from typing import Any, ClassVar, Generic, Protocol, TypeVar, runtime_checkable
+from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
 from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.tensor_dataclass import TensorDataclass
 from querysplat_cli.splat.render import all_finite
-from querysplat_cli.tto.rendering_loss import RenderingLoss, tensors
+from querysplat_cli.tto.rendering_loss import RenderingLoss
 
-T = TypeVar("T")
-
-
-@runtime_checkable
-class Variables(Protocol):
-    """A dataclass of tensors."""
-
-    __dataclass_fields__: ClassVar[dict[str, Any]]
-
-    def map(self: T, change: Callable[[Tensor], Tensor]) -> T: ...
-
-
-V = TypeVar("V", bound=Variables)
+V = TypeVar("V", bound=TensorDataclass)
 
 
 @dataclass(frozen=True)
@@ -79,11 +68,11 @@ class UndoableAdam(Generic[V]):
         return self._leaves.map(Tensor.detach)
 
     def gradient_is_finite(self) -> bool:
-        return finite([tensor.grad for tensor in tensors(self._leaves) if tensor.grad is not None])
+        return finite([tensor.grad for tensor in self._leaves.tensors() if tensor.grad is not None])
 
     def step(self, share: float) -> None:
         """One step at `share` of the rate."""
-        for before, now in zip(tensors(self._before), tensors(self._leaves), strict=True):
+        for before, now in zip(self._before.tensors(), self._leaves.tensors(), strict=True):
             before.copy_(now.detach())
         for group in self._adam.param_groups:
             group["lr"] = self._lr * group["rate"] * share
@@ -110,7 +99,7 @@ class UndoableAdam(Generic[V]):
     def _return_to(self, earlier: V) -> None:
         self._lr /= 2
         with torch.no_grad():
-            for before, now in zip(tensors(earlier), tensors(self._leaves), strict=True):
+            for before, now in zip(earlier.tensors(), self._leaves.tensors(), strict=True):
                 now.copy_(before)
         for state in self._adam.state.values():
             state["exp_avg"].zero_()
@@ -119,11 +108,11 @@ class UndoableAdam(Generic[V]):
 
     def go_on_with(self, denser: Denser[V]) -> None:
         """Take other rows. Each inherits the moments of its origin, unless the origin was split."""
-        moments = [self._adam.state[tensor] for tensor in tensors(self._leaves)]
+        moments = [self._adam.state[tensor] for tensor in self._leaves.tensors()]
         self._start(denser.variables, denser.decode)
         origin = denser.origin
         split = origin.bincount()[origin] > 1
-        for tensor, state in zip(tensors(self._leaves), moments, strict=True):
+        for tensor, state in zip(self._leaves.tensors(), moments, strict=True):
             if state:
                 self._adam.state[tensor] = {name: part[origin] if part.dim() else part for name, part in state.items()}
                 self._adam.state[tensor]["exp_avg"][split] = 0
@@ -135,8 +124,7 @@ class UndoableAdam(Generic[V]):
         self._leaves, self._decode = leaves, decode
         self._before = variables.map(lambda tensor: tensor.detach().clone())
         self._marks = (variables.map(Tensor.detach),) * 2
-        named = {field.name: getattr(leaves, field.name) for field in fields(leaves)}
-        groups = [{"params": [tensor], "rate": self._rates[name]} for name, tensor in named.items()]
+        groups = [{"params": [tensor], "rate": self._rates[name]} for name, tensor in leaves.named().items()]
         self._adam = torch.optim.Adam(groups, lr=self._lr, fused=True)
 
 
