@@ -1,7 +1,7 @@
 """Structure from motion: matches in, cameras and points out (COLMAP's incremental mapper)."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -20,17 +20,8 @@ from querysplat_cli.encoders.classical.self_calibration import self_calibrated
 from querysplat_cli.encoders.classical.sparse_model import SparseModel
 from querysplat_cli.encoders.classical.two_views import map_two_photos
 from querysplat_cli.encoders.classical.verified_pairs import Pair, read_candidates
-from querysplat_cli.scene.cameras import PhotoCamera
+from querysplat_cli.scene.formats.colmap import photo_camera
 from querysplat_cli.scene.views import Photo
-
-COLMAP_DISTORTION: dict[str, Callable[..., tuple[float, float, float, float]]] = {
-    "SIMPLE_PINHOLE": lambda: (0.0, 0.0, 0.0, 0.0),
-    "PINHOLE": lambda: (0.0, 0.0, 0.0, 0.0),
-    "SIMPLE_RADIAL": lambda k: (k, 0.0, 0.0, 0.0),
-    "RADIAL": lambda k1, k2: (k1, k2, 0.0, 0.0),
-    "OPENCV": lambda k1, k2, p1, p2: (k1, k2, p1, p2),
-}
-"""OpenCV's (k1, k2, p1, p2) from the extra parameters of COLMAP's lens models."""
 
 
 @dataclass(frozen=True)
@@ -113,27 +104,13 @@ def from_colmap(reconstruction: pycolmap.Reconstruction) -> SparseModel:
     for image in reconstruction.images.values():
         if image.has_pose:
             photo = image.image_id - 1
-            cameras[photo] = _photo_camera(reconstruction.cameras[image.camera_id], image.cam_from_world().matrix())
+            cameras[photo] = photo_camera(image, reconstruction.cameras[image.camera_id])
             observed = image.get_observation_points2D()
             rows = np.array([row[point.point3D_id] for point in observed], dtype=np.int64)
             seen[photo], first = np.unique(rows, return_index=True)
             pixels[photo] = np.array([point.xy for point in observed]).reshape(-1, 2)[first]
     order = sorted(cameras)
     return SparseModel({i: cameras[i] for i in order}, points, {i: seen[i] for i in order}, pixels)
-
-
-def _photo_camera(camera: pycolmap.Camera, pose: np.ndarray) -> PhotoCamera:
-    w2c = np.eye(4)
-    w2c[:3] = pose
-    extra = [float(camera.params[i]) for i in camera.extra_params_idxs()]
-    return PhotoCamera(
-        w2c,
-        (float(camera.focal_length_x), float(camera.focal_length_y)),
-        (float(camera.principal_point_x), float(camera.principal_point_y)),
-        COLMAP_DISTORTION[camera.model_name](*extra),
-        camera.height,
-        camera.width,
-    )
 
 
 def _mapped(

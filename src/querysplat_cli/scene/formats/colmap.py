@@ -1,7 +1,7 @@
 """Cameras of a COLMAP model: cameras, images and points3D as .bin or .txt, read and written."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -62,7 +62,7 @@ def read_colmap(folder: Path, *, fisheye: bool = False) -> dict[str, PhotoCamera
         raise QuerySplatError(f"{folder}: no COLMAP model that can be read: {error}", "Export it again.") from error
 
 
-def _cameras(folder: Path, lenses: Mapping[str, tuple[int, ...]]) -> dict[str, PhotoCamera]:
+def _cameras(folder: Path, lenses: Collection[str]) -> dict[str, PhotoCamera]:
     model = _opened(folder)
     images = sorted((image for image in model.images.values() if image.has_pose), key=lambda image: image.name)
     if not images:
@@ -79,28 +79,32 @@ def _cameras(folder: Path, lenses: Mapping[str, tuple[int, ...]]) -> dict[str, P
                 f"{folder}: the lens model of {name} is {camera.model_name}; supported are {', '.join(lenses)}",
                 "Undistort the photos first, with `colmap image_undistorter`.",
             )
-        w2c = np.eye(4)
-        w2c[:3] = image.cam_from_world().matrix()
-        distortion = [0.0, 0.0, 0.0, 0.0]
-        for place, index in zip(lenses[camera.model_name], camera.extra_params_idxs(), strict=True):
-            distortion[place] = float(camera.params[index])
-        k1, k2, k3, k4 = distortion
-        found = PhotoCamera(
-            w2c=w2c,
-            focal=(float(camera.focal_length_x), float(camera.focal_length_y)),
-            principal=(float(camera.principal_point_x), float(camera.principal_point_y)),
-            distortion=(k1, k2, k3, k4),
-            height=int(camera.height),
-            width=int(camera.width),
-            fisheye=camera.model_name in FISHEYE_PARAMETERS,
-            file=image.name,
-            as_stored=True,  # COLMAP does not turn photos
-        )
-        if found.fault() or not np.isfinite(w2c).all():
+        found = replace(photo_camera(image, camera), file=image.name, as_stored=True)  # COLMAP does not turn photos
+        if found.fault() or not np.isfinite(found.w2c).all():
             why = found.fault() or "its pose is not a number"
             raise QuerySplatError(f"{folder}: the camera of {name} makes no sense: {why}", "Export it again.")
         cameras[name] = found
     return cameras
+
+
+def photo_camera(image: Any, camera: Any) -> PhotoCamera:
+    """A placed pycolmap.Image with its pycolmap.Camera, whose lens model is one of those above."""
+    w2c = np.eye(4)
+    w2c[:3] = image.cam_from_world().matrix()
+    distortion = [0.0, 0.0, 0.0, 0.0]
+    places = (DISTORTION_PARAMETERS | FISHEYE_PARAMETERS)[camera.model_name]
+    for place, index in zip(places, camera.extra_params_idxs(), strict=True):
+        distortion[place] = float(camera.params[index])
+    k1, k2, k3, k4 = distortion
+    return PhotoCamera(
+        w2c=w2c,
+        focal=(float(camera.focal_length_x), float(camera.focal_length_y)),
+        principal=(float(camera.principal_point_x), float(camera.principal_point_y)),
+        distortion=(k1, k2, k3, k4),
+        height=int(camera.height),
+        width=int(camera.width),
+        fisheye=camera.model_name in FISHEYE_PARAMETERS,
+    )
 
 
 def write_colmap(
