@@ -26,7 +26,7 @@ import torch
 import full_size
 from common.output import machine, markdown, write_json
 from querysplat_cli.encoders.vggt_omega.model import VGGT_OMEGA_CONFIG, VggtOmega
-from querysplat_cli.evaluation.published import efficiency
+from querysplat_cli.evaluation.published import tables
 from querysplat_cli.model.config import preset
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.pipeline.policy import PIPELINE_POLICY
@@ -132,6 +132,12 @@ def table(rows: list[dict[str, Any]]) -> str:
         ]
         lines.append((row["views"], row["precision"], row.get("error", row["part"]), row.get("runs", ""), *cells))
     return markdown(("views", "precision", "in memory", "runs", *heads), lines)
+
+
+def efficiency() -> dict[int, dict[str, float]]:
+    """Seconds and GiB of the paper's model on an H200, by the number of views."""
+    (table,) = (table for table in tables() if table["label"] == "inference_efficiency")
+    return {row["views"]: {key: value for key, value in row.items() if key != "views"} for row in table["rows"]}
 
 
 def foretold() -> str:

@@ -94,3 +94,12 @@ def test_errors_of_known_differences() -> None:
     assert rough["scales_median"] == 0.25
     assert abs(rough["picture_psnr"] - 20) < 1e-4
     assert "20" in precision.table([same, rough]).splitlines()[-1]
+
+
+def test_the_papers_efficiency_table_is_there() -> None:
+    table = inference.efficiency()
+    assert list(table) == [1, 2, 3, 4, 5, 6, 8, 12, 24, 48, 72, 100, 200, 300]
+    assert table[300]["total_8192_seconds"] == 255.725
+    for row in table.values():
+        parts = row["encoder_seconds"] + row["decoder_8192_seconds"]
+        assert row["total_8192_seconds"] == pytest.approx(parts, rel=0.01)

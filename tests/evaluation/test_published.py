@@ -106,12 +106,3 @@ def test_the_program_ends_with_its_finding(monkeypatch: pytest.MonkeyPatch) -> N
     with pytest.raises(SystemExit) as end:
         paper_tables.main()
     assert end.value.code == 1
-
-
-def test_the_efficiency_table_is_there() -> None:
-    table = published.efficiency()
-    assert list(table) == [1, 2, 3, 4, 5, 6, 8, 12, 24, 48, 72, 100, 200, 300]
-    assert table[300]["total_8192_seconds"] == 255.725
-    for row in table.values():
-        parts = row["encoder_seconds"] + row["decoder_8192_seconds"]
-        assert row["total_8192_seconds"] == pytest.approx(parts, rel=0.01)

@@ -55,12 +55,6 @@ def about() -> dict[str, str]:
     return {key: _content()[key] for key in ("source", "note")}
 
 
-def efficiency() -> dict[int, dict[str, float]]:
-    """Seconds and GiB of the paper's model on an H200, by the number of views."""
-    (table,) = (table for table in tables() if table["label"] == "inference_efficiency")
-    return {row["views"]: {key: value for key, value in row.items() if key != "views"} for row in table["rows"]}
-
-
 def disagreements(tolerance: float = LEAST_TOLERANCE) -> list[str]:
     """Where the mean of the appendix over scales is not the main table's figure, one sentence each."""
     averages = {_key(row): row for row in _means([row for row in _scored_rows() if row["scale"] != AVERAGE], AVERAGE)}
