@@ -2,12 +2,12 @@
 
 from pathlib import Path
 
+from common.streets import make_street, stroll
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.files import atomic_path
 from querysplat_cli.scene.formats.transforms import write_transforms
 from querysplat_cli.scene.pictures import eight_bit, write_picture
 from querysplat_cli.training.photographer import cast
-from querysplat_cli.training.streets import make_street, stroll
 
 SEED = 5
 

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 import torch
 
+from common.streets import stroll
 from querysplat_cli.encoders.base import PosedViews
 from querysplat_cli.model.memories import Memories
 from querysplat_cli.pipeline.full_size import LargePhotos
@@ -32,7 +33,6 @@ from querysplat_cli.scene.exposures import Exposures
 from querysplat_cli.scene.filed_views import FiledViews
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
 from querysplat_cli.scene.views import PhotoSource, Views
-from querysplat_cli.training.streets import stroll
 from querysplat_cli.tto.options import TtoSettings
 from querysplat_cli.tto.plan import TtoRun
 

@@ -2,9 +2,9 @@
 
 import torch
 
+from common.streets import make_street, stroll
 from querysplat_cli.training.photographer import cast
 from querysplat_cli.training.solids import distance_to
-from querysplat_cli.training.streets import make_street, stroll
 
 
 def test_the_walk_is_free_and_every_photo_shows_the_street() -> None:
