@@ -15,7 +15,7 @@ from querysplat_cli.scene.fit import centred_crop, normalised
 from querysplat_cli.scene.formats.ply import columns, export_rows
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.splat.similarity import RADIUS, photometric_loss, ssim_map, ssim_metric
-from querysplat_cli.training.visibility import projected, visibility_loss
+from querysplat_cli.training.visibility import outside, projected
 
 
 def decoder_block(fixture: Fixture, model: QuerySplat, scene: Tensors) -> Tensors:
@@ -145,10 +145,19 @@ def visibility(fixture: Fixture) -> Tensors:
         losses, gradients = [], []
         for scene, each in zip(scenes, cameras, strict=True):
             centres = scene["centres"].clone().requires_grad_()
-            losses.append(visibility_loss(centres, each, float(threshold)))
+            losses.append(_visibility_loss(centres, each, float(threshold)))
             gradients += torch.autograd.grad(losses[-1], centres)
         found |= {f"loss_{name}": torch.stack(losses), f"grad_{name}": torch.stack(gradients)}
     return found
+
+
+def _visibility_loss(centres: Tensor, cameras: Cameras, threshold: float) -> Tensor:
+    """TokenGS's own: a centre behind a camera counts as inside where its mirrored projection is inside.
+
+    Distances above `threshold` count as `threshold`; a threshold of 0 means no limit.
+    """
+    least = outside(centres, cameras).min(0).values
+    return (least.clamp_max(threshold) if threshold else least).mean()
 
 
 def querysplat_outputs(made: Gaussians) -> Tensors:

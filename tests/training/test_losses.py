@@ -21,7 +21,7 @@ from querysplat_cli.training.losses import (
     opacity_floor,
     picture_loss,
 )
-from querysplat_cli.training.visibility import unseen_loss, visibility_loss
+from querysplat_cli.training.visibility import outside, unseen_loss
 
 
 def camera(height: int = 20, width: int = 30) -> Cameras:
@@ -111,7 +111,7 @@ def test_a_centre_behind_one_camera_and_beside_another_is_seen_by_neither() -> N
     """Its mirrored projection lies inside the first picture, and it is in front of the second camera."""
     behind, beside = camera(), looking_along_x((-1.0, 0.0, -20.0))
     centre = torch.tensor([[0.0, 0.0, -5.0]])
-    assert float(visibility_loss(centre, behind)) == 0
+    assert float(outside(centre, behind)) == 0
     assert float((beside.w2c[0, :3] @ torch.tensor([0.0, 0, -5, 1]))[2]) == 1
     assert float(unseen_loss(centre, [behind, beside], 0.025)) == 1
     # Without the limit: 5.025 behind the first near plane; 15 · 25 pixels beside the second picture's middle.

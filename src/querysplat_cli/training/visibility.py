@@ -1,8 +1,6 @@
-"""Visibility losses: they draw Gaussians into the pictures.
+"""The visibility loss: it draws Gaussians into the pictures.
 
-Without one, a Gaussian that no view sees would get no gradient from the picture losses. `unseen_loss` is the paper's
-(section 3.4): a centre costs something where it is outside of every view or behind it. `visibility_loss` is the
-ancestor's (TokenGS), in which a centre behind a camera may count as seen. It stays for parity with the release.
+Without it, a Gaussian that no view sees would get no gradient from the picture losses.
 """
 
 from collections.abc import Sequence
@@ -33,16 +31,8 @@ def unseen_loss(
     for each in cameras:
         behind = near - (each.w2c[:, 2, :3] @ centres.T + each.w2c[:, 2, 3:])
         distances.append(torch.where(behind > 0, behind, outside(centres, each)))
-    return _mean_below(torch.cat(distances).min(0).values, limit)
-
-
-def visibility_loss(centres: Float[Tensor, "n 3"], cameras: Cameras, threshold: float = 1.0) -> Float[Tensor, ""]:
-    """Mean over the centres of the distance to the nearest image, in half image sizes (L1 over both axes).
-
-    Distances above `threshold` count as `threshold` and have no gradient; a threshold of 0 means no limit. A centre
-    behind a camera counts as inside when its mirrored projection is inside (TokenGS).
-    """
-    return _mean_below(outside(centres, cameras).min(0).values, threshold)
+    least = torch.cat(distances).min(0).values
+    return (least.clamp_max(limit) if limit else least).mean()
 
 
 def outside(centres: Float[Tensor, "n 3"], cameras: Cameras) -> Float[Tensor, "views n"]:
@@ -59,7 +49,3 @@ def projected(centres: Float[Tensor, "n 3"], cameras: Cameras) -> Float[Tensor, 
     in_plane = image[..., 2:].abs() < PLANE_Z
     pixels = image[..., :2] / torch.where(in_plane, 1.0, image[..., 2:])
     return torch.where(in_plane, PIXEL_AT_INFINITY * image[..., :2].detach().sign(), pixels)
-
-
-def _mean_below(distances: Float[Tensor, "n"], limit: float) -> Float[Tensor, ""]:
-    return (distances.clamp_max(limit) if limit else distances).mean()
