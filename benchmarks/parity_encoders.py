@@ -4,17 +4,20 @@ from collections.abc import Callable
 from typing import Any, TypeVar
 
 import torch
-from torch import nn
+from jaxtyping import Float
+from torch import Tensor, nn
 
 from golden import Fixture, Tensors
 from parity_model import querysplat_outputs
 from querysplat_cli.encoders.transformer.config import VgmConfig
-from querysplat_cli.encoders.transformer.pose import decode_pose, encode_pose
+from querysplat_cli.encoders.transformer.pose import decode_pose
 from querysplat_cli.encoders.vggt import heads as vggt_heads
 from querysplat_cli.encoders.vggt.aggregator import VggtAggregator
 from querysplat_cli.encoders.vggt_omega import heads as omega_heads
 from querysplat_cli.encoders.vggt_omega.aggregator import OmegaAggregator
+from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.fit import normalised
+from querysplat_cli.scene.rotations import matrix_to_quaternion
 
 CHUNK = 2
 """Views in one chunk: fewer than a fixture has, so that joining chunks is tested."""
@@ -93,6 +96,14 @@ def pose_codec(fixture: Fixture) -> Tensors:
         "K": torch.stack([each.K for each in cameras]),
         "encoded_again": torch.stack([encode_pose(each) for each in cameras]),
     }
+
+
+def encode_pose(cameras: Cameras) -> Float[Tensor, "views 9"]:
+    """What `decode_pose` takes, with a unit quaternion of w ≥ 0. It does not contain the principal point."""
+    field = torch.stack([cameras.height / 2 / cameras.K[:, 1, 1], cameras.width / 2 / cameras.K[:, 0, 0]], 1)
+    quats = matrix_to_quaternion(cameras.w2c[:, :3, :3])
+    quats = torch.where(quats[:, :1] < 0, -quats, quats).roll(-1, 1)
+    return torch.cat([cameras.w2c[:, :3, 3], quats, 2 * torch.atan(field)], 1)
 
 
 def omega_depth_head(fixture: Fixture) -> Tensors:

@@ -9,10 +9,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from safetensors.torch import load_file, save_file
 
+from parity_encoders import encode_pose
 from querysplat_cli.encoders.base import CameraRequest, Encoder, EncoderOptions
 from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.encoders.transformer.config import VgmConfig
-from querysplat_cli.encoders.transformer.pose import decode_pose, encode_pose
+from querysplat_cli.encoders.transformer.pose import decode_pose
 from querysplat_cli.encoders.transformer.vgm import Vgm, load_vgm
 from querysplat_cli.encoders.vggt.model import VGGT_CONFIG, Vggt
 from querysplat_cli.encoders.vggt_omega.model import VGGT_OMEGA_CONFIG, VggtOmega

@@ -9,7 +9,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 from querysplat_cli.scene.cameras import Cameras
-from querysplat_cli.scene.rotations import matrix_to_quaternion
 
 
 def decode_pose(encoding: Float[Tensor, "views 9"], height: int, width: int) -> Cameras:
@@ -26,14 +25,6 @@ def decode_pose(encoding: Float[Tensor, "views 9"], height: int, width: int) -> 
     K[:, 1, 1] = height / 2 / torch.tan(field[:, 0] / 2)
     K[:, 0, 2], K[:, 1, 2], K[:, 2, 2] = width / 2, height / 2, 1
     return Cameras(w2c, K, height, width)
-
-
-def encode_pose(cameras: Cameras) -> Float[Tensor, "views 9"]:
-    """The encoding with a unit quaternion of w ≥ 0. It does not contain the principal point."""
-    field = torch.stack([cameras.height / 2 / cameras.K[:, 1, 1], cameras.width / 2 / cameras.K[:, 0, 0]], 1)
-    quats = matrix_to_quaternion(cameras.w2c[:, :3, :3])
-    quats = torch.where(quats[:, :1] < 0, -quats, quats).roll(-1, 1)
-    return torch.cat([cameras.w2c[:, :3, 3], quats, 2 * torch.atan(field)], 1)
 
 
 def _rotation(quaternion: Float[Tensor, "n 4"]) -> Float[Tensor, "n 3 3"]:
