@@ -184,7 +184,7 @@ def with_peer(settings: Sequence[str]) -> list[str]:
     """The settings, and OpenSplat's row after the default's. Where the program is not there, a line says so."""
     if DEFAULT not in settings:
         return list(settings)
-    if opensplat.program() is None:
+    if not opensplat.is_there():
         print("opensplat is not on the path, so it has no row", file=sys.stderr)
         return list(settings)
     return [each for name in settings for each in ((name, opensplat.ROW) if name == DEFAULT else (name,))]

@@ -21,6 +21,7 @@ from querysplat_cli.cli import run
 from querysplat_cli.runtime.colmap import load_pycolmap
 from querysplat_cli.scene.photo_files import PhotoFile
 
+PROGRAM = "opensplat"
 STEPS = 2000
 ROW = f"OpenSplat, {STEPS} steps"
 """Its name beside our settings."""
@@ -40,9 +41,9 @@ class Trained:
     gib: float
 
 
-def program() -> str | None:
-    """The program on the path, if it is there."""
-    return shutil.which("opensplat")
+def is_there() -> bool:
+    """Whether the program is on the path."""
+    return shutil.which(PROGRAM) is not None
 
 
 def train(scene: Path, inputs: Sequence[PhotoFile], ply: Path) -> Trained | None:
@@ -50,15 +51,13 @@ def train(scene: Path, inputs: Sequence[PhotoFile], ply: Path) -> Trained | None
 
     None, and a line on standard error, where the program fails or its project cannot be made.
     """
-    found = program()
-    assert found
     with TemporaryDirectory() as scratch:
         project = Path(scratch) / "project"
         if not _write_project(project, scene, inputs):
             return None
         log = Path(scratch) / "log.txt"
         written = Path(scratch) / "peer.ply"  # it writes a cameras.json beside it
-        code, took = _timed([found, str(project), "--cpu", "--keep-crs", "-n", str(STEPS), "-o", str(written)], log)
+        code, took = _timed([PROGRAM, str(project), "--cpu", "--keep-crs", "-n", str(STEPS), "-o", str(written)], log)
         if code or not written.is_file():
             said = log.read_text(errors="replace").strip().splitlines() or ["no message"]
             print(f"opensplat ended with code {code}: {said[-1]}", file=sys.stderr)

@@ -140,10 +140,10 @@ def test_a_run_that_fails_has_no_row(folder: Path, stand_in: Path, capsys: pytes
 def test_without_the_program_a_line_says_so(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(opensplat, "program", lambda: None)
+    monkeypatch.setattr(opensplat, "is_there", lambda: False)
     assert pareto.with_peer(["default", "20 steps"]) == ["default", "20 steps"]
     assert capsys.readouterr().err == "opensplat is not on the path, so it has no row\n"
-    monkeypatch.setattr(opensplat, "program", lambda: "/bin/opensplat")
+    monkeypatch.setattr(opensplat, "is_there", lambda: True)
     assert pareto.with_peer(["default", "20 steps"]) == ["default", opensplat.ROW, "20 steps"]
     assert pareto.with_peer(["20 steps"]) == ["20 steps"]
     assert capsys.readouterr().err == ""
