@@ -20,9 +20,9 @@ def choose_pairs(store: pycolmap.Database, photos: Sequence[Photo]) -> list[tupl
         chosen = {(i, j) for i in range(count) for j in range(i + 1, count)}
     else:
         chosen = set(_similar([_largest_features(store, photo) for photo in range(count)]))
-        for step in {1, 2, *policy.film_steps}:
-            starts = range(count - step)
-            chosen |= {(i, i + step) for i in starts if step <= 2 or _of_one_film(photos[i], photos[i + step])}
+        chosen |= {(i, i + step) for step in policy.neighbour_steps for i in range(count - step)}
+        apart = [(i, i + step) for step in policy.film_steps for i in range(count - step)]
+        chosen |= {(i, j) for i, j in apart if _of_one_film(photos[i], photos[j])}
     return sorted((i, j) for i, j in chosen if not same_panorama(photos[i], photos[j]))
 
 

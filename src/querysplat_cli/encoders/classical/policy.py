@@ -90,8 +90,10 @@ class CameraPolicy:
     """Up to this many photos, every pair is matched."""
     most_partners: int = 20
     """With more photos, each is matched with this many of the most similar ones."""
-    film_steps: tuple[int, ...] = (1, 2, 3, 4, 8, 16)
-    """Frames of one film are also matched when they are so many chosen frames apart."""
+    neighbour_steps: tuple[int, ...] = (1, 2)
+    """Photos are also matched when they are so many photos apart in their order,"""
+    film_steps: tuple[int, ...] = (3, 4, 8, 16)
+    """and frames of one film when they are so many chosen frames apart."""
     looked_up: int = 100
     """The most similar ones are sought among this many photos that look most alike as a whole."""
     words: int = 64
