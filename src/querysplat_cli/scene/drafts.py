@@ -12,11 +12,7 @@ from hashlib import sha256
 from pathlib import Path
 
 from querysplat_cli.runtime.errors import QuerySplatError
-
-try:
-    import fcntl
-except ImportError:  # Windows has no such locks: nothing is swept there
-    fcntl = None  # type: ignore[assignment]
+from querysplat_cli.scene.locks import NoLocks, lock
 
 DRAFTS = ".querysplat-"
 """How the names of folders for drafts begin, beside the outputs."""
@@ -35,13 +31,13 @@ def own_folder(place: Path, prefix: str = DRAFTS) -> Iterator[Path]:
     Folders that killed processes left there are removed first.
     """
     sweep(place, prefix)
-    folder, lock = _locked_folder(place, prefix)
+    folder, held = _locked_folder(place, prefix)
     try:
         yield folder
     finally:
         _remove(folder)
-        if lock is not None:
-            os.close(lock)
+        if held is not None:
+            os.close(held)
 
 
 @contextmanager
@@ -79,26 +75,23 @@ def claimed(place: Path) -> Iterator[None]:
     The claim is a hidden folder beside it, which is swept after a kill. Raises QuerySplatError when another process has
     it. Windows and some file systems have no such locks, and nothing is claimed there.
     """
-    if fcntl is None:
-        yield
-        return
     folder = place.with_name(f"{DRAFTS}{sha256(place.name.encode()).hexdigest()[:RANDOM_LETTERS]}")
-    lock = None
-    while lock is None:
+    held = None
+    while held is None:
         folder.mkdir(exist_ok=True)
         try:
-            lock = _lock(folder)
-        except _NoLocks:
+            held = _own_lock(folder)
+        except NoLocks:
             break
-        if lock is None and folder.is_dir():
+        if held is None and folder.is_dir():
             why = f"another process is making {place}"
             raise QuerySplatError(why, "Wait until it ends, or choose another output.")
     try:
         yield
     finally:
         _remove(folder)
-        if lock is not None:
-            os.close(lock)
+        if held is not None:
+            os.close(held)
 
 
 def sweep(place: Path, prefix: str) -> None:
@@ -108,13 +101,13 @@ def sweep(place: Path, prefix: str) -> None:
     """
     with suppress(OSError):
         for folder in place.glob(f"{prefix}{'?' * RANDOM_LETTERS}"):
-            lock = _lock(folder)
-            if lock is None:
+            held = _own_lock(folder)
+            if held is None:
                 continue
             try:
                 _remove(folder)
             finally:
-                os.close(lock)
+                os.close(held)
 
 
 def _remove(folder: Path) -> None:
@@ -133,41 +126,28 @@ def _locked_folder(place: Path, prefix: str) -> tuple[Path, int | None]:
     while True:
         folder = Path(tempfile.mkdtemp(prefix=prefix, dir=place))
         try:
-            lock = _lock(folder)
-        except _NoLocks:
+            held = _own_lock(folder)
+        except NoLocks:
             return folder, None
-        if fcntl is None or lock is not None or folder.is_dir():
-            return folder, lock
+        if held is not None or folder.is_dir():
+            return folder, held
         # Another process swept it before it was locked.
 
 
-class _NoLocks(OSError):
-    """The file system has no locks, so nobody can tell which folders are in use."""
-
-
-def _lock(folder: Path) -> int | None:
-    """The lock of a folder, to be closed; None where a living process has it, or it is another user's.
-
-    Raises _NoLocks where the file system has none: NFS and some of clusters and containers.
-    """
-    if fcntl is None:
-        return None
+def _own_lock(folder: Path) -> int | None:
+    """`lock` of a folder; None also where it is another user's, or no longer there. Raises NoLocks."""
     try:
-        if folder.is_symlink() or folder.stat().st_uid != os.geteuid():
+        if folder.is_symlink() or (os.name != "nt" and folder.stat().st_uid != os.geteuid()):
             return None
-        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        held = lock(folder)
+    except NoLocks:
+        raise
     except OSError:
         return None
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        os.close(handle)
+    if held is None:
         return None
-    except OSError as error:
-        os.close(handle)
-        raise _NoLocks from error
     with suppress(OSError):
-        if folder.stat().st_ino == os.fstat(handle).st_ino:
-            return handle
-    os.close(handle)
+        if folder.stat().st_ino == os.fstat(held).st_ino:
+            return held
+    os.close(held)
     return None

@@ -13,6 +13,7 @@ from querysplat_cli.runtime import signals
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.json_files import shown
 from querysplat_cli.scene.drafts import BEFORE, DRAFTS, own_folder
+from querysplat_cli.scene.locks import NoLocks, lock
 
 NEARLY_FULL = 64 << 20
 """With fewer free bytes, a failed write that gives no reason is taken to be one of a full disk."""
@@ -129,24 +130,14 @@ def sole_writer(folder: Path) -> Iterator[None]:
     The system frees the folder when the process ends, however it ends. Windows and some file systems have no such
     locks, and nothing is checked there.
     """
-    # The lock is on the folder itself. filelock would leave a file of its own among the user's.
-    try:
-        import fcntl
-    except ImportError:
+    with ExitStack() as stack:
+        with suppress(NoLocks):
+            held = lock(folder)
+            if held is None:
+                why = f"{folder}: another process is writing there"
+                raise QuerySplatError(why, "Wait until it ends, or use another folder.")
+            stack.callback(os.close, held)
         yield
-        return
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            why = f"{folder}: another process is writing there"
-            raise QuerySplatError(why, "Wait until it ends, or use another folder.") from None
-        except OSError:
-            pass  # the file system has no locks
-        yield
-    finally:
-        os.close(handle)
 
 
 @contextmanager
