@@ -30,7 +30,6 @@ from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.reporting.view_scores import score
 from querysplat_cli.runtime.progress import silent
 from querysplat_cli.scene.cameras import Cameras
-from querysplat_cli.scene.rotations import skew
 from querysplat_cli.scene.sim3 import align_cameras
 from querysplat_cli.tto.cameras import with_refined_focal
 
@@ -52,9 +51,7 @@ def turned(cameras: Cameras, pixels: float) -> Cameras:
     """The cameras after random rotations."""
     random = torch.Generator().manual_seed(SEED)
     turns = torch.randn(3, len(cameras), generator=random).double() * pixels / cameras.K[:, 0, 0].double()
-    w2c = cameras.w2c.double()
-    w2c[:, :3] = torch.linalg.matrix_exp(skew(turns.T)) @ w2c[:, :3]
-    return replace(cameras, w2c=w2c.to(cameras.w2c.dtype))
+    return cameras.to(torch.float64).perturbed(turns.T, torch.zeros_like(turns.T)).to(cameras.w2c.dtype)
 
 
 def scores(

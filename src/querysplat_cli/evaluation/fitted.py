@@ -15,7 +15,6 @@ from querysplat_cli.evaluation.policy import FITTING_POLICY
 from querysplat_cli.evaluation.protocol import rendered_as_release
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.scene.rotations import skew
 from querysplat_cli.scene.undistort import undistorted
 from querysplat_cli.scene.views import Photo
 from querysplat_cli.splat.render import render
@@ -73,8 +72,4 @@ def fit_camera(
 
 def _changed(camera: Cameras, change: Float[Tensor, "7"], unit: float) -> Cameras:
     """The camera turned (3 numbers), moved in `unit` (3), and with a focal length times the exponential of the last."""
-    turned = torch.linalg.matrix_exp(skew(change[None, :3])) @ camera.w2c[:, :3]
-    moved = torch.cat([turned[:, :, :3], turned[:, :, 3:] + unit * change[None, 3:6, None]], 2)
-    w2c = torch.cat([moved, camera.w2c[:, 3:]], 1)
-    K = torch.cat([camera.K[:, :, :2] * change[6].exp(), camera.K[:, :, 2:]], 2)
-    return replace(camera, w2c=w2c, K=K)
+    return camera.perturbed(change[None, :3], unit * change[None, 3:6]).zoomed(change[6].exp())

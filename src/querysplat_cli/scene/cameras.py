@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from querysplat_cli.scene.rotations import skew
 from querysplat_cli.scene.sim3 import Sim3
 
 SHAPE_TOLERANCE = 0.02
@@ -164,6 +165,19 @@ class Cameras:
         K[:, 0] *= width / self.width
         K[:, 1] *= height / self.height
         return replace(self, K=K, height=height, width=width)
+
+    def perturbed(self, turns: Float[Tensor, "views 3"], shifts: Float[Tensor, "views 3"]) -> "Cameras":
+        """Each camera turned about its centre, then with `shifts` added to its translation. Differentiable.
+
+        `turns` are rotation vectors in radians. Both are in the axes of the camera, `shifts` in scene units.
+        """
+        turned = torch.linalg.matrix_exp(skew(turns)) @ self.w2c[:, :3]
+        moved = torch.cat([turned[:, :, :3], turned[:, :, 3:] + shifts[:, :, None]], 2)
+        return replace(self, w2c=torch.cat([moved, self.w2c[:, 3:]], 1))
+
+    def zoomed(self, factor: float | Tensor) -> "Cameras":
+        """The same cameras with all focal lengths multiplied by `factor`. Differentiable."""
+        return replace(self, K=torch.cat([self.K[:, :, :2] * factor, self.K[:, :, 2:]], 2))
 
     def transformed(self, similarity: Sim3) -> "Cameras":
         """The same cameras in the world that `similarity` maps to (camera axes keep unit length)."""

@@ -1,7 +1,5 @@
 """Camera refinement: cameras are corrected while the scene is optimised."""
 
-from dataclasses import replace
-
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -9,7 +7,6 @@ from torch import Tensor
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.scene.rotations import skew
 from querysplat_cli.scene.sim3 import DegenerateAlignment, align_cameras
 from querysplat_cli.tto.policy import TTO_POLICY
 
@@ -46,16 +43,13 @@ class RefinedCameras:
 
     def current(self) -> Cameras:
         """The refined cameras, differentiable in their changes."""
-        start = self._start
+        start = self._start.to(torch.float64)
         poses = torch.stack(self._poses).to(start.w2c.device)
-        w2c, K = start.w2c.double(), start.K.double()
-        pixel = 1 / K[:, 0, :1]
-        turned = torch.linalg.matrix_exp(skew(poses[:, :3] * pixel)) @ w2c[:, :3]
-        moved = torch.cat([turned[:, :, :3], turned[:, :, 3:] + (poses[:, 3:] * pixel * self._depths)[:, :, None]], 2)
-        w2c = torch.cat([moved, w2c[:, 3:]], 1)
-        focal = torch.exp(self._zoom.to(K.device) / (0.5 * max(start.height, start.width)))
-        cameras = replace(start, w2c=w2c, K=torch.cat([K[:, :, :2] * focal, K[:, :, 2:]], 2))
-        return cameras.transformed(align_cameras(w2c.detach(), start.w2c)).to(start.w2c.dtype)
+        pixel = 1 / start.K[:, 0, :1]
+        zoom = torch.exp(self._zoom.to(start.K.device) / (0.5 * max(start.height, start.width)))
+        cameras = start.perturbed(poses[:, :3] * pixel, poses[:, 3:] * pixel * self._depths).zoomed(zoom)
+        aligned = cameras.transformed(align_cameras(cameras.w2c.detach(), start.w2c))
+        return aligned.to(self._start.w2c.dtype)
 
     def step(self, share: float) -> None:
         """One step of Adam at `share` of the rate, for the views that were rendered since the last step."""
@@ -111,9 +105,7 @@ def with_refined_focal(others: Cameras, before: Cameras, after: Cameras) -> Came
 
     Rotations and translations are not applied: refinement leaves the world in place, and `others` belong to it.
     """
-    K = others.K.clone()
-    K[:, :, :2] *= after.K[0, 0, 0] / before.K[0, 0, 0]
-    return replace(others, K=K)
+    return others.zoomed(after.K[0, 0, 0] / before.K[0, 0, 0])
 
 
 def _median_depths(cameras: Cameras, gaussians: Gaussians) -> Float[Tensor, "views 1"]:
