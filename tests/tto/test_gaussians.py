@@ -13,7 +13,7 @@ from querysplat_cli.splat.render import render
 from querysplat_cli.tto.gaussians import Changes, changed, optimise_gaussians
 from querysplat_cli.tto.options import Callbacks, TtoSettings
 from querysplat_cli.tto.rendering_loss import LossAndGradient, RenderingLoss
-from querysplat_cli.tto.variables import UndoableAdam
+from querysplat_cli.tto.variables import UndoableVariables
 
 SIZE = 40
 
@@ -197,20 +197,20 @@ def test_harm_that_no_view_showed_at_once_is_undone(monkeypatch: pytest.MonkeyPa
     cameras.w2c[3] = torch.diag(torch.tensor([-1.0, 1.0, -1.0, 1.0]))
     views = replace(photos_of(both)[0], images=render(both, cameras).colour.clamp(0, 1))
     drawn: list[list[int]] = []
-    look, step, harmed = RenderingLoss.value_and_gradient, UndoableAdam.step, []
+    look, step, harmed = RenderingLoss.value_and_gradient, UndoableVariables.step, []
 
     def looked(target: RenderingLoss, gaussians: Gaussians, chosen: list[int]) -> LossAndGradient:
         drawn.append(chosen)
         return look(target, gaussians, chosen)
 
-    def stepped(adam: UndoableAdam[Changes], share: float) -> None:
+    def stepped(adam: UndoableVariables[Changes], share: float) -> None:
         step(adam, share)
         if len(drawn) > 20 and drawn[-2] == [3] and not harmed:
             harmed.append(len(drawn))
-            adam._leaves.colours.data[len(wanted) :] += 5
+            adam.variables().colours[len(wanted) :] += 5
 
     monkeypatch.setattr(RenderingLoss, "value_and_gradient", looked)
-    monkeypatch.setattr(UndoableAdam, "step", stepped)
+    monkeypatch.setattr(UndoableVariables, "step", stepped)
     result = optimise_gaussians(
         disturbed(both),
         RenderingLoss(views, cameras),

@@ -6,23 +6,23 @@ import torch
 
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.tto.gaussians import Changes
-from querysplat_cli.tto.variables import Denser, Parametrisation, UndoableAdam
+from querysplat_cli.tto.variables import Denser, Parametrisation, UndoableVariables
 from scenes import camera, cloud
 
 RATE = 0.1
 
 
-def started() -> tuple[Gaussians, UndoableAdam[Changes]]:
+def started() -> tuple[Gaussians, UndoableVariables[Changes]]:
     """Five Gaussians whose centres alone change, by their moves."""
     gaussians = cloud(0, 5, camera(20, 30)).to(torch.float32)
     rates = dict.fromkeys(("moves", "turns", "log_scales", "logits", "colours", "bands"), 1.0)
     start = Parametrisation(
         Changes.none(gaussians), lambda changes: replace(gaussians, means=gaussians.means + changes.moves), rates
     )
-    return gaussians, UndoableAdam(start, RATE)
+    return gaussians, UndoableVariables(start, RATE)
 
 
-def step(adam: UndoableAdam[Changes], slope: float) -> None:
+def step(adam: UndoableVariables[Changes], slope: float) -> None:
     (slope * adam.gaussians().means.sum()).backward()
     adam.step(1.0)
 

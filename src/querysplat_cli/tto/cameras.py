@@ -9,12 +9,13 @@ from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.sim3 import DegenerateAlignment, align_cameras
 from querysplat_cli.tto.policy import TTO_POLICY
+from querysplat_cli.tto.undoable_adam import UndoableAdam
 
 CAMERA_BETAS = (0.8, 0.95)
 """Of Adam. They are short because a camera takes few steps, one for each time that its view is drawn."""
 
 
-class RefinedCameras:
+class RefinedCameras(UndoableAdam):
     """Cameras under small changes: a rotation and a translation of each, and one focal factor for all.
 
     Changes are measured in pixels, so that one rate suits all. A rotation or translation moves what lies at the view's
@@ -32,14 +33,8 @@ class RefinedCameras:
         self._depths = _median_depths(cameras, gaussians)
         self._poses = [torch.zeros(6, dtype=torch.float64, requires_grad=True) for _ in range(len(cameras))]
         self._zoom = torch.zeros((), dtype=torch.float64, requires_grad=True)
-        self._adam = torch.optim.Adam(self._changes, lr=TTO_POLICY.camera_rate, betas=CAMERA_BETAS)
-        self._rate = TTO_POLICY.camera_rate
-        self._before = self._copied()
-        self._marks = self._before, self._before
-
-    @property
-    def _changes(self) -> list[Tensor]:
-        return [*self._poses, self._zoom]
+        rates = dict.fromkeys([*self._poses, self._zoom], 1.0)
+        super().__init__(rates, TTO_POLICY.camera_rate, betas=CAMERA_BETAS, fused=False)
 
     def current(self) -> Cameras:
         """The refined cameras, differentiable in their changes."""
@@ -56,39 +51,7 @@ class RefinedCameras:
         for pose in self._poses:
             if pose.grad is not None and not pose.grad.any():
                 pose.grad = None  # else momentum would move a camera whose view was not drawn
-        self._before = self._copied()
-        self._adam.param_groups[0]["lr"] = self._rate * share
-        self._adam.step()
-        self.forget_gradient()
-
-    def forget_gradient(self) -> None:
-        """The views that were rendered since the last step take no part in the next one."""
-        self._adam.zero_grad(set_to_none=True)
-
-    def mark(self) -> None:
-        """Keep the cameras as they are for `go_back`."""
-        self._marks = self._marks[1], self._copied()
-
-    def undo(self) -> None:
-        """The cameras before the last step, at half the rate and without momentum, like the scene's variables."""
-        self._return_to(self._before)
-
-    def go_back(self) -> None:
-        """Like `undo`, to the cameras at the mark before the last one."""
-        self._return_to(self._marks[0])
-        self._marks = self._marks[0], self._marks[0]
-
-    def _copied(self) -> list[Tensor]:
-        return [change.detach().clone() for change in self._changes]
-
-    def _return_to(self, earlier: list[Tensor]) -> None:
-        self._rate /= 2
-        with torch.no_grad():
-            for change, before in zip(self._changes, earlier, strict=True):
-                change.copy_(before)
-        for state in self._adam.state.values():
-            state["exp_avg"].zero_()
-        self.forget_gradient()
+        super().step(share)
 
 
 def refinable(cameras: Cameras) -> bool:

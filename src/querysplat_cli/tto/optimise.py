@@ -21,7 +21,8 @@ from querysplat_cli.tto.dropout import without_some
 from querysplat_cli.tto.options import NO_CALLBACKS, Callbacks, TtoSettings, TtoStep
 from querysplat_cli.tto.policy import TTO_POLICY
 from querysplat_cli.tto.rendering_loss import LossAndGradient, RenderingLoss
-from querysplat_cli.tto.variables import Parametrisation, UndoableAdam, V, finite
+from querysplat_cli.tto.undoable_adam import UndoableAdam
+from querysplat_cli.tto.variables import Parametrisation, UndoableVariables, V, finite
 
 
 @dataclass(frozen=True)
@@ -104,7 +105,7 @@ class _Run(Generic[V]):
     ) -> None:
         self.history: list[TtoStep] = []
         self.undone = 0
-        self._adam = UndoableAdam(start, settings.lr)
+        self._adam = UndoableVariables(start, settings.lr)
         self._settings, self._callbacks, self._densify = settings, callbacks, start.densify
         self._target, self._refined, self._coverage = target, refined, coverage
         self._generator = generator
@@ -118,7 +119,7 @@ class _Run(Generic[V]):
         self._began = time.perf_counter()
 
     @property
-    def _steppers(self) -> list[UndoableAdam[V] | RefinedCameras]:
+    def _steppers(self) -> list[UndoableAdam]:
         """The scene, and its cameras where they are refined."""
         return [self._adam, self._refined] if self._refined else [self._adam]
 

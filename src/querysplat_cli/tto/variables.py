@@ -1,10 +1,9 @@
-"""What test-time optimisation changes, and Adam on it with a way back over the last step."""
+"""What test-time optimisation changes, and its Adam."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
-import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
@@ -12,6 +11,7 @@ from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.tensor_dataclass import TensorDataclass
 from querysplat_cli.splat.render import all_finite
 from querysplat_cli.tto.rendering_loss import RenderingLoss
+from querysplat_cli.tto.undoable_adam import UndoableAdam
 
 V = TypeVar("V", bound=TensorDataclass)
 
@@ -51,81 +51,41 @@ class Parametrisation(Generic[V]):
     densify: Densifying[V] | None = None
 
 
-class UndoableAdam(Generic[V]):
-    """Variables under Adam (β 0.9, 0.999), what they were before the last step, and at the last two marks."""
+class UndoableVariables(UndoableAdam, Generic[V]):
+    """Variables under Adam (β 0.9, 0.999)."""
 
     def __init__(self, start: Parametrisation[V], lr: float) -> None:
-        self._marks: tuple[V, V]
-        self._lr, self._rates = lr, start.rates
-        self._start(start.variables, start.decode)
+        self._rates = start.rates
+        self._start(start.variables, start.decode, lr)
 
     def gaussians(self) -> Gaussians:
         """Decoded from the variables, and differentiable in them."""
-        return self._decode(self._leaves)
+        return self._decode(self._variables)
 
     def variables(self) -> V:
         """The variables as they are, without a gradient."""
-        return self._leaves.map(Tensor.detach)
+        return self._variables.map(Tensor.detach)
 
     def gradient_is_finite(self) -> bool:
-        return finite([tensor.grad for tensor in self._leaves.tensors() if tensor.grad is not None])
-
-    def step(self, share: float) -> None:
-        """One step at `share` of the rate."""
-        for before, now in zip(self._before.tensors(), self._leaves.tensors(), strict=True):
-            before.copy_(now.detach())
-        for group in self._adam.param_groups:
-            group["lr"] = self._lr * group["rate"] * share
-        self._adam.step()
-        self._adam.zero_grad(set_to_none=True)
-
-    def mark(self) -> None:
-        """Keep the variables as they are for `go_back`."""
-        self._marks = self._marks[1], self.variables().map(Tensor.clone)
-
-    def undo(self) -> None:
-        """The variables before the last step, at half the rate and without momentum.
-
-        Squared gradients are kept: without them, Adam's next step would move every number by the whole rate, and be
-        undone again.
-        """
-        self._return_to(self._before)
-
-    def go_back(self) -> None:
-        """Like `undo`, to the variables at the mark before the last one, or when the rows were taken."""
-        self._return_to(self._marks[0])
-        self._marks = self._marks[0], self._marks[0]
-
-    def _return_to(self, earlier: V) -> None:
-        self._lr /= 2
-        with torch.no_grad():
-            for before, now in zip(earlier.tensors(), self._leaves.tensors(), strict=True):
-                now.copy_(before)
-        for state in self._adam.state.values():
-            state["exp_avg"].zero_()
-            state["exp_avg_sq"].nan_to_num_()
-        self._adam.zero_grad(set_to_none=True)
+        return finite([leaf.grad for leaf in self._leaves if leaf.grad is not None])
 
     def go_on_with(self, denser: Denser[V]) -> None:
         """Take other rows. Each inherits the moments of its origin, unless the origin was split."""
-        moments = [self._adam.state[tensor] for tensor in self._leaves.tensors()]
-        self._start(denser.variables, denser.decode)
+        moments = [self._adam.state[leaf] for leaf in self._leaves]
+        self._start(denser.variables, denser.decode, self._lr)
         origin = denser.origin
         split = origin.bincount()[origin] > 1
-        for tensor, state in zip(self._leaves.tensors(), moments, strict=True):
+        for leaf, state in zip(self._leaves, moments, strict=True):
             if state:
-                self._adam.state[tensor] = {name: part[origin] if part.dim() else part for name, part in state.items()}
-                self._adam.state[tensor]["exp_avg"][split] = 0
-                self._adam.state[tensor]["exp_avg_sq"][split] = 0
+                self._adam.state[leaf] = {name: part[origin] if part.dim() else part for name, part in state.items()}
+                self._adam.state[leaf]["exp_avg"][split] = 0
+                self._adam.state[leaf]["exp_avg_sq"][split] = 0
 
-    def _start(self, variables: V, decode: Callable[[V], Gaussians]) -> None:
+    def _start(self, variables: V, decode: Callable[[V], Gaussians], lr: float) -> None:
         leaves = variables.map(lambda tensor: tensor.detach().clone().requires_grad_())
         # Both in one statement, since Ctrl-C may come between two, and they must fit each other.
-        self._leaves, self._decode = leaves, decode
-        self._before = variables.map(lambda tensor: tensor.detach().clone())
-        self._marks = (variables.map(Tensor.detach),) * 2
-        groups = [{"params": [tensor], "rate": self._rates[name]} for name, tensor in leaves.named().items()]
-        self._adam = torch.optim.Adam(groups, lr=self._lr, fused=True)
+        self._variables, self._decode = leaves, decode
+        super().__init__({leaf: self._rates[name] for name, leaf in leaves.named().items()}, lr, fused=True)
 
 
 def finite(some: list[Tensor]) -> bool:
