@@ -27,12 +27,10 @@ def scene_points(posed: PosedViews) -> SparsePoints | None:
 def _colours(posed: PosedViews, places: torch.Tensor, view: torch.Tensor, point: torch.Tensor) -> torch.Tensor:
     """Mean colour [n, 3], of 255, of the pixels that show each place. `view` does not fall."""
     total, weight = torch.zeros(len(places), 3), torch.zeros(len(places), 1)
-    fx, fy, cx, cy = posed.cameras.intrinsics
     of_views = point.split(torch.bincount(view, minlength=len(posed.views)).tolist())
     for i, ((height, width), seen) in enumerate(zip(posed.views.sizes, of_views, strict=True)):
-        x, y, z = posed.cameras.local(places[seen], i).T
-        column = (x / z * fx[i] + cx[i]).long().clamp(0, width - 1)
-        row = (y / z * fy[i] + cy[i]).long().clamp(0, height - 1)
+        x, y, _ = posed.cameras.project(places[seen], i)
+        column, row = x.long().clamp(0, width - 1), y.long().clamp(0, height - 1)
         total.index_add_(0, seen, posed.views.picture(i)[:, row, column].T)
         weight.index_add_(0, seen, torch.ones(len(seen), 1))
     return (255 * total / weight).round().clamp(0, 255).to(torch.uint8)

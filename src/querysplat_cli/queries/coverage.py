@@ -9,11 +9,8 @@ from torch.nn import functional as F
 
 from querysplat_cli.queries.cells import CELLS, Cells, from_blocks, to_blocks
 from querysplat_cli.queries.policy import QUERY_POLICY
-from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.cameras import NEAREST_DEPTH, Cameras
 from querysplat_cli.scene.views import Views
-
-NEAREST_DEPTH = 1e-6
-"""Points at a smaller camera z, in scene units, count as behind the camera."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +83,7 @@ def find_pixels(
     points: Float[Tensor, "n 3"], view: int, views: Views, cameras: Cameras
 ) -> tuple[Bool[Tensor, "n"], Int[Tensor, "n"], Int[Tensor, "n"], Float[Tensor, "n"]]:
     """Whether points fall on the photo, occluded or not; the row and column of their pixel, and camera z."""
-    x, y, z = _project(points, view, cameras)
+    x, y, z = cameras.project(points, view)
     inside = (z > NEAREST_DEPTH) & (x >= 0) & (y >= 0) & (x < cameras.width) & (y < cameras.height)
     column = x.clamp(0, cameras.width - 1).long()
     row = y.clamp(0, cameras.height - 1).long()
@@ -136,7 +133,7 @@ def _covered(
     footprint: Float[Tensor, "n"],
 ) -> Bool[Tensor, "rows columns cells"]:
     """Which cells of a view show a surface that one of `points` covers, from a cell that is about as fine."""
-    x, y, z = _project(points, own, cameras)
+    x, y, z = cameras.project(points, own)
     depth, size = (from_blocks(part[own]) for part in (cells.depth, cells.footprint))
     column = torch.floor(x / cell).clamp(-1, depth.shape[1]).long()
     row = torch.floor(y / cell).clamp(-1, depth.shape[0]).long()
@@ -149,11 +146,3 @@ def _covered(
     # Points that are a little coarser than the cells leave gaps between them, so a neighbour's hit counts, too.
     near = F.max_pool2d(hits[None, None], 3, 1, 1)[0, 0]
     return to_blocks(near[None])[0] > 0
-
-
-def _project(points: Tensor, view: int, cameras: Cameras) -> tuple[Tensor, Tensor, Tensor]:
-    """Pixel coordinates and camera z. Behind the camera the coordinates are finite and mean nothing."""
-    fx, fy, cx, cy = (part[view] for part in cameras.intrinsics)
-    local = cameras.local(points, view)
-    z = local[:, 2].clamp_min(NEAREST_DEPTH)
-    return local[:, 0] / z * fx + cx, local[:, 1] / z * fy + cy, local[:, 2]

@@ -22,6 +22,8 @@ FOCAL_RANGE = 0.01, 10_000.0
 FARTHEST_PRINCIPAL = 10.0
 """How far from the picture's corner a principal point may lie, in longer sides of the picture."""
 STRONGEST_DISTORTION = 20.0
+NEAREST_DEPTH = 1e-6
+"""Points at a smaller camera z, in scene units, count as behind the camera."""
 FARTHEST_CENTRE = 1e12
 """In units of the file. Beyond it, float32 holds no useful difference between two cameras."""
 
@@ -146,6 +148,15 @@ class Cameras:
     def local(self, points: Float[Tensor, "n 3"], view: int) -> Float[Tensor, "n 3"]:
         """World points in the coordinates of the camera of `view`: x right, y down, z forward."""
         return points @ self.w2c[view, :3, :3].T + self.w2c[view, :3, 3]
+
+    def project(
+        self, points: Float[Tensor, "n 3"], view: int
+    ) -> tuple[Float[Tensor, "n"], Float[Tensor, "n"], Float[Tensor, "n"]]:
+        """Pixels x and y of world points, and camera z. Where z < NEAREST_DEPTH, pixels are finite and mean nothing."""
+        fx, fy, cx, cy = (part[view] for part in self.intrinsics)
+        x, y, z = self.local(points, view).unbind(1)
+        ahead = z.clamp_min(NEAREST_DEPTH)
+        return x / ahead * fx + cx, y / ahead * fy + cy, z
 
     def sees(self, points: Float[Tensor, "n 3"], view: int) -> Bool[Tensor, "n"]:
         """Which world points lie in front of the camera of `view` and inside its picture."""

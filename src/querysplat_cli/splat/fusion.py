@@ -15,7 +15,7 @@ from torch import Tensor
 
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Progress
-from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.cameras import NEAREST_DEPTH, Cameras
 from querysplat_cli.scene.formats.mesh import TriangleMesh, mesh_part
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.quantiles import picked
@@ -110,15 +110,12 @@ def _near_surfaces(shown: _Shown, policy: FusionPolicy) -> tuple[_Grid, Int[Tens
     A voxel is as large as a pixel at the median depth, or larger where there would be too many.
     """
     points, depths, footprints = [], [], []
-    for view, (depth, confidence) in enumerate(zip(shown.depth, shown.confidence, strict=True)):
-        row, column = torch.nonzero(confidence, as_tuple=True)
-        z = depth[row, column]
-        fx, fy, cx, cy = (part[view] for part in shown.cameras.intrinsics)
-        local = torch.stack([(column + 0.5 - cx) / fx * z, (row + 0.5 - cy) / fy * z, z], 1)
-        c2w = shown.cameras.c2w[view]
-        points.append(local @ c2w[:3, :3].T + c2w[:3, 3])
-        depths.append(z)
-        footprints.append(z / fx)
+    y, x = (torch.arange(size) + 0.5 for size in shown.depth.shape[1:])
+    for view, confidence in enumerate(shown.confidence):
+        camera, depth, sure = shown.cameras[[view]], shown.depth[[view]], confidence[None] != 0
+        points.append(camera.unproject(depth, x, y)[sure])
+        depths.append(depth[sure])
+        footprints.append(depth[sure] / camera.K[0, 0, 0])
     cloud, z = torch.cat(points), torch.cat(depths)
     if len(cloud) < BLOCK:
         raise NO_SURFACE
@@ -140,14 +137,11 @@ def _near_surfaces(shown: _Shown, policy: FusionPolicy) -> tuple[_Grid, Int[Tens
 
 def _seen(shown: _Shown, view: int, places: Float[Tensor, "n 3"]) -> tuple[Tensor, Tensor, Tensor]:
     """Which places lie in front of a camera inside its picture, and their (row, column) and z; all of those alone."""
-    local = shown.cameras.local(places, view)
-    z = local[:, 2]
-    fx, fy, cx, cy = (part[view] for part in shown.cameras.intrinsics)
-    column = (local[:, 0] / z * fx + cx).floor()
-    row = (local[:, 1] / z * fy + cy).floor()
+    x, y, z = shown.cameras.project(places, view)
     height, width = shown.depth.shape[1:]
-    rows = torch.nonzero((z > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height))[:, 0]
-    return rows, torch.stack([row[rows], column[rows]]).long(), z[rows]
+    inside = (z > NEAREST_DEPTH) & (x >= 0) & (x < width) & (y >= 0) & (y < height)
+    rows = torch.nonzero(inside)[:, 0]
+    return rows, torch.stack([y[rows], x[rows]]).long(), z[rows]
 
 
 def _distances(shown: _Shown, grid: _Grid, voxels: Tensor, policy: FusionPolicy) -> Float[Tensor, "n"]:
