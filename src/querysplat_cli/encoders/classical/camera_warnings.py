@@ -81,16 +81,16 @@ def is_forward(model: SparseModel) -> bool:
 def has_ordinary_lens(model: SparseModel) -> bool:
     """Whether every photo spans an angle that ordinary lenses have."""
     low, high = CAMERA_POLICY.field_of_view
-    return all(low <= _field_of_view(camera) <= high for camera in model.cameras.values())
+    return all(low <= field_of_view(camera) <= high for camera in model.cameras.values())
 
 
-def _field_of_view(camera: PhotoCamera) -> float:
+def field_of_view(camera: PhotoCamera) -> float:
     """Degrees along the longer side."""
     return float(np.degrees(2 * np.arctan(max(camera.height, camera.width) / max(camera.focal) / 2)))
 
 
 def _focal_warnings(model: SparseModel, matches: Matches) -> list[tuple[bool, str]]:
-    fields = [_field_of_view(camera) for camera in model.cameras.values()]
+    fields = [field_of_view(camera) for camera in model.cameras.values()]
     stated = [(camera.focal[0], matches.focals[photo]) for photo, camera in model.cameras.items()]
     stated_focals = [exif for _, exif in stated if exif]
     apart = [found / exif - 1 for found, exif in stated if exif]

@@ -171,6 +171,18 @@ class CameraPolicy:
     """Standard deviation of the principal point around the middle of the photo, in longer sides."""
     distortion_spread: tuple[float, float] = (0.1, 0.1)
     """Standard deviations of the distortion terms k1 and k2 around zero."""
+    lens_apart_photos: int = 100
+    """Up to so many photos, it is tested whether they share a lens. The test takes as long as the final adjustment."""
+    lens_difference: float = 0.05
+    """Photos share no lens where one of them has a focal length that differs by more, given a lens of its own,"""
+    lens_apart_error: float = 0.85
+    """and the mean error of its observations falls below this share then (docs/tried.md)."""
+    wrong_error: float = 4.0
+    """In pixels; larger errors of observations count as this."""
+    lens_gaps: tuple[float, ...] = (0.12, 0.06, 0.03)
+    """Focal lengths of one lens differ by less from the next one. The first gap is taken for which"""
+    lens_tolerance: float = 1.05
+    """the mean error with these lenses is at most so many times that with a lens for each photo."""
     few_photos: int = 4
     """With so few photos or fewer the mapper keeps the lens of the prior, and only the adjustment fits it."""
     tried_focals: tuple[float, ...] = (-1.0, 0.0, 1.0)

@@ -17,6 +17,7 @@ from querysplat_cli.encoders.classical.mapping import Mapped, map_photos
 from querysplat_cli.encoders.classical.matches import Matches, matched
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
 from querysplat_cli.encoders.classical.pure_rotation import placed_by_rotation
+from querysplat_cli.encoders.classical.several_lenses import with_lenses_apart
 from querysplat_cli.encoders.classical.sparse_model import SparseModel
 from querysplat_cli.encoders.classical.support_policy import SUPPORT_POLICY
 from querysplat_cli.encoders.classical.supported_matches import with_supported_matches
@@ -53,11 +54,15 @@ AUTOMATIC = MatcherChoice()
 
 @dataclass(frozen=True)
 class Found:
-    """Matches and their model, None where there is none. `matching` is what a network did, if one was wanted."""
+    """Matches and their model, None where there is none. `matching` is what a network did, if one was wanted.
+
+    `warning` says that the photos do not share a lens, where they do not.
+    """
 
     matches: Matches
     model: SparseModel | None
     matching: Matching | None
+    warning: str = ""
 
 
 @dataclass(frozen=True)
@@ -72,6 +77,7 @@ class _Trial:
     def of(matches: Matches, photos: Sequence[Photo], seed: int) -> "_Trial":
         """The matches mapped; of two photos, those that the cameras explain."""
         mapped = map_photos(matches, photos, seed=seed)
+        mapped = mapped and with_lenses_apart(mapped, matches, photos, seed)
         return _Trial(replace(matches, pairs=mapped.pairs) if mapped else matches, mapped)
 
     @property
@@ -79,7 +85,9 @@ class _Trial:
         return len(self.matches.sizes) <= CAMERA_POLICY.few_photos
 
     def refined(self) -> Found:
-        return Found(self.matches, self.mapped.refined(self.matches) if self.mapped else None, self.matching)
+        if self.mapped is None:
+            return Found(self.matches, None, self.matching)
+        return Found(self.matches, self.mapped.refined(self.matches), self.matching, self.mapped.warning)
 
 
 def search(photos: Sequence[Photo], choice: MatcherChoice, *, seed: int, progress: Progress) -> Found:

@@ -19,19 +19,20 @@ def self_calibrated(model: pycolmap.Reconstruction, *, fit_lens: bool) -> pycolm
     length, which a handful of photos of a shallow scene hardly determine. A lens gets the second term of COLMAP's
     RADIAL model where that lowers the error enough. With `fit_lens` False, lenses stay as they are.
     """
-    plain = _adjusted(model, second_term=False, fit_lens=fit_lens)
+    plain = adjusted(model, second_term=False, fit_lens=fit_lens)
     if not fit_lens:
         return plain
-    richer = _adjusted(model, second_term=True, fit_lens=True)
+    richer = adjusted(model, second_term=True, fit_lens=True)
     limit = CAMERA_POLICY.largest_distortion
     plausible = all(np.abs(camera.params[3:]).max() < limit for camera in richer.cameras.values())
     return richer if plausible and _error(richer) < CAMERA_POLICY.second_term_error * _error(plain) else plain
 
 
-def _adjusted(model: pycolmap.Reconstruction, *, second_term: bool, fit_lens: bool) -> pycolmap.Reconstruction:
-    adjusted = deepcopy(model)
-    photos = Counter(image.camera_id for image in adjusted.images.values() if image.has_pose)
-    for number, camera in adjusted.cameras.items():
+def adjusted(model: pycolmap.Reconstruction, *, second_term: bool, fit_lens: bool) -> pycolmap.Reconstruction:
+    """A copy of the model after one bundle adjustment; with `second_term`, lenses of enough photos have it."""
+    copy = deepcopy(model)
+    photos = Counter(image.camera_id for image in copy.images.values() if image.has_pose)
+    for number, camera in copy.cameras.items():
         if second_term and photos[number] >= CAMERA_POLICY.second_term_photos:
             parameters = [*camera.params, 0.0]
             camera.model = pycolmap.CameraModelId.RADIAL
@@ -44,12 +45,12 @@ def _adjusted(model: pycolmap.Reconstruction, *, second_term: bool, fit_lens: bo
     options.ceres.solver_options.max_num_iterations = 50
     options.ceres.solver_options.function_tolerance = 1e-6
     config = pycolmap.BundleAdjustmentConfig()
-    for image in adjusted.reg_image_ids():
+    for image in copy.reg_image_ids():
         config.add_image(image)
     config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
     # `pycolmap.bundle_adjustment` does the same, but writes to the terminal at any log level.
-    pycolmap.create_default_bundle_adjuster(options, config, adjusted).solve()
-    return adjusted
+    pycolmap.create_default_bundle_adjuster(options, config, copy).solve()
+    return copy
 
 
 def _error(model: pycolmap.Reconstruction) -> float:

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
+import cv2
 import numpy as np
 import torch
 
@@ -29,6 +30,14 @@ class SparseModel:
         """Camera z of the points that a photo's camera observes, in scene units."""
         w2c = self.cameras[photo].w2c
         return np.asarray(self.points[self.seen[photo]] @ w2c[2, :3] + w2c[2, 3])
+
+    def errors(self, photo: int) -> np.ndarray:
+        """Distances [n] in pixels between what a photo observes and the projections of these points."""
+        camera = self.cameras[photo]
+        turn, shift = cv2.Rodrigues(camera.w2c[:3, :3])[0], camera.w2c[:3, 3]
+        places = self.points[self.seen[photo]]
+        projected, _ = cv2.projectPoints(places, turn, shift, camera.K, np.array(camera.distortion))
+        return np.asarray(np.linalg.norm(projected.reshape(-1, 2) - self.pixels[photo], axis=1))
 
     def centre(self, photo: int) -> np.ndarray:
         """The camera centre of a photo [3], in the world."""

@@ -1,0 +1,161 @@
+"""Photos of one size that do not share a lens, though no EXIF says so: zoomed photos, or cropped ones."""
+
+import shutil
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pycolmap
+
+from querysplat_cli.encoders.classical.camera_warnings import field_of_view
+from querysplat_cli.encoders.classical.epipolar import epipolar_support
+from querysplat_cli.encoders.classical.mapping import Mapped, from_colmap, map_photos
+from querysplat_cli.encoders.classical.matches import Matches
+from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
+from querysplat_cli.encoders.classical.self_calibration import adjusted
+from querysplat_cli.encoders.classical.sparse_model import SparseModel
+from querysplat_cli.scene.views import Photo
+
+
+def with_lenses_apart(mapped: Mapped, matches: Matches, photos: Sequence[Photo], seed: int) -> Mapped:
+    """The model with a lens for each group of photos of one focal length, where that explains as many matches.
+
+    It is looked for where a photo fits much better with a lens of its own. All are then placed once with a lens each,
+    which tells their focal lengths, and once more with those lenses. The database of `matches` follows. A warning says
+    so. Where such a model explains fewer matches, the warning of `mapped` says that it may be wrong.
+    """
+    if not _differ(mapped):
+        return mapped
+    with TemporaryDirectory(dir=matches.folder) as folder:
+        trial = replace(matches, folder=Path(folder))
+        shutil.copy(matches.database, trial.database)
+        shared = _lenses(trial)
+        _divide_lenses(trial, list(range(len(photos))))
+        alone = map_photos(trial, photos, seed=seed)
+        if alone and alone.reconstruction:
+            _divide_lenses(trial, _groups(alone.reconstruction, shared))
+            apart = map_photos(trial, photos, seed=seed)
+            if apart and _explains_as_much(apart.model, mapped.model, matches):
+                shutil.copy(trial.database, matches.database)
+                return replace(apart, warning=f"the photos do not share a lens: {_spans(apart.model)}")
+    return replace(mapped, warning="the photos do not seem to share a lens, so the cameras may be wrong")
+
+
+def focal_groups(focals: Mapping[int, float], shared: Sequence[int], gap: float) -> list[int]:
+    """A lens number for each photo: photos of one number in `shared` are divided where focal lengths leave a gap.
+
+    `focals` are in pixels, by photo. Across a gap they differ by a larger share than `gap`. Photos without a focal
+    length stay with the last group of their lens.
+    """
+    step = np.log1p(gap)
+    groups = [0] * len(shared)
+    count = 0
+    for lens in sorted(set(shared)):
+        theirs = [photo for photo in range(len(shared)) if shared[photo] == lens]
+        last = None
+        for focal, photo in sorted((np.log(focals[photo]), photo) for photo in theirs if photo in focals):
+            if last is not None and focal - last > step:
+                count += 1
+            groups[photo], last = count, focal
+        for photo in theirs:
+            if photo not in focals:
+                groups[photo] = count
+        count += 1
+    return groups
+
+
+def with_lenses(model: pycolmap.Reconstruction, groups: Sequence[int]) -> pycolmap.Reconstruction:
+    """The same placed images and points, with a camera for each group of photos, which starts as its first image's."""
+    apart = pycolmap.Reconstruction()
+    for number in model.reg_image_ids():
+        image, lens = model.images[number], groups[number - 1] + 1
+        if lens not in apart.cameras:
+            camera = pycolmap.Camera(model.cameras[image.camera_id].todict())
+            camera.camera_id = lens
+            apart.add_camera_with_trivial_rig(camera)
+        keypoints = np.array([point.xy for point in image.points2D]).reshape(-1, 2)
+        copy = pycolmap.Image(name=image.name, keypoints=keypoints, camera_id=lens, image_id=number)
+        apart.add_image_with_trivial_frame(copy, image.cam_from_world())
+    for point in model.points3D.values():
+        apart.add_point3D(point.xyz, point.track)
+    return apart
+
+
+def _differ(mapped: Mapped) -> bool:
+    """Whether a photo has another focal length, and far smaller errors, where each has a lens of its own."""
+    model, policy = mapped.reconstruction, CAMERA_POLICY
+    if model is None or not mapped.fit_lens:
+        return False
+    if not policy.few_photos < len(mapped.model.cameras) <= policy.lens_apart_photos:
+        return False
+    together, alone = _adjusted(model), _adjusted(with_lenses(model, range(max(model.images))))
+    for photo, camera in alone.cameras.items():
+        apart = abs(np.log(camera.focal[0] / together.cameras[photo].focal[0])) > np.log1p(policy.lens_difference)
+        if apart and _error(alone, photo) < policy.lens_apart_error * _error(together, photo):
+            return True
+    return False
+
+
+def _groups(model: pycolmap.Reconstruction, shared: Sequence[int]) -> list[int]:
+    """The fewest lenses with which photos fit as well as with one each. `model` has one each."""
+    alone = _adjusted(model)
+    focals = {photo: camera.focal[0] for photo, camera in alone.cameras.items()}
+    groups: list[int] = []
+    for gap in CAMERA_POLICY.lens_gaps:
+        groups = focal_groups(focals, shared, gap)
+        if _mean_error(_adjusted(with_lenses(model, groups))) < CAMERA_POLICY.lens_tolerance * _mean_error(alone):
+            break
+    return groups
+
+
+def _adjusted(model: pycolmap.Reconstruction) -> SparseModel:
+    return from_colmap(adjusted(model, second_term=False, fit_lens=True))
+
+
+def _spans(model: SparseModel) -> str:
+    """The angle that each lens spans, in words."""
+    count = Counter(round(field_of_view(camera)) for camera in model.cameras.values())
+    return ", ".join(f"{number} span {angle}°" for angle, number in sorted(count.items()))
+
+
+def _mean_error(model: SparseModel) -> float:
+    return float(np.mean([_error(model, photo) for photo in model.cameras]))
+
+
+def _error(model: SparseModel, photo: int) -> float:
+    """The mean error of a photo's observations in pixels, each cut off where it says only that a match is wrong."""
+    return float(np.minimum(model.errors(photo), CAMERA_POLICY.wrong_error).mean())
+
+
+def _lenses(matches: Matches) -> list[int]:
+    with pycolmap.Database.open(matches.database) as store:
+        return [store.read_image(photo + 1).camera_id for photo in range(len(matches.sizes))]
+
+
+def _divide_lenses(matches: Matches, groups: Sequence[int]) -> None:
+    """Give the photos of each group a camera of their own, which starts as that of the group's first photo."""
+    with pycolmap.Database.open(matches.database) as store:
+        numbers = dict[int, int]()
+        for photo, group in enumerate(groups):
+            image = store.read_image(photo + 1)
+            if group not in numbers:
+                camera = store.read_camera(image.camera_id)
+                numbers[group] = camera.camera_id = 1 + max(each.camera_id for each in store.read_all_cameras())
+                rig = pycolmap.Rig(rig_id=camera.camera_id)
+                rig.add_ref_sensor(camera.sensor_id)
+                store.write_camera(camera, use_camera_id=True)
+                store.write_rig(rig, use_rig_id=True)
+            image.camera_id = numbers[group]
+            frame = pycolmap.Frame(frame_id=photo + 1, rig_id=numbers[group])
+            frame.add_data_id(image.data_id)
+            store.update_frame(frame)
+            store.update_image(image)
+
+
+def _explains_as_much(new: SparseModel, old: SparseModel, matches: Matches) -> bool:
+    if len(new.cameras) < len(old.cameras):
+        return False
+    return epipolar_support(new, matches).explained >= epipolar_support(old, matches).explained
