@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from synthetic import FOCAL, arc, photographs, room
 
 from querysplat_cli.encoders.base import CameraRequest
+from querysplat_cli.encoders.classical import several_lenses
 from querysplat_cli.encoders.classical.cameras import estimate_cameras
 from querysplat_cli.encoders.classical.several_lenses import focal_groups
 from querysplat_cli.encoders.classical.sparse_model import SparseModel
@@ -40,6 +41,14 @@ def test_zoomed_photos_have_a_lens_of_their_own() -> None:
     zoom = [camera.focal[0] / FOCAL for camera in posed.photo_cameras]
     assert zoom == pytest.approx([1, 1 / SHARE] * 4, rel=0.02)
     assert any("4 span" in warning for warning in posed.warnings)
+
+
+def test_a_warning_where_no_lenses_explain_as_many_matches(monkeypatch: pytest.MonkeyPatch) -> None:
+    photos = photographs(room(), arc(6))
+    mixed = [cropped(photo) if number % 2 else photo for number, photo in enumerate(photos)]
+    monkeypatch.setattr(several_lenses, "_explains_as_much", lambda *models: False)
+    posed = estimate_cameras(mixed, CameraRequest(448, seed=0), quiet)
+    assert any("do not seem to share a lens" in warning for warning in posed.warnings)
 
 
 def test_photos_of_one_lens_keep_it() -> None:

@@ -189,13 +189,24 @@ def write_images(store: pycolmap.Database, keyed: Sequence[tuple[Hashable, pycol
     numbers = dict[Hashable, int]()
     for photo, (key, camera) in enumerate(keyed):
         if key not in numbers:
-            numbers[key] = camera.camera_id = len(numbers) + 1
-            rig = pycolmap.Rig(rig_id=camera.camera_id)
-            rig.add_ref_sensor(camera.sensor_id)
-            store.write_camera(camera, use_camera_id=True)
-            store.write_rig(rig, use_rig_id=True)
+            numbers[key] = len(numbers) + 1
+            write_lens(store, camera, numbers[key])
         image = pycolmap.Image(name=image_name(photo), camera_id=numbers[key], image_id=photo + 1)
-        frame = pycolmap.Frame(frame_id=photo + 1, rig_id=numbers[key])
-        frame.add_data_id(image.data_id)
-        store.write_frame(frame, use_frame_id=True)
+        store.write_frame(frame_of(image), use_frame_id=True)
         store.write_image(image, use_image_id=True)
+
+
+def write_lens(store: pycolmap.Database, camera: pycolmap.Camera, number: int) -> None:
+    """Write a camera under a new number, alone on a rig of the same number."""
+    camera.camera_id = number
+    rig = pycolmap.Rig(rig_id=number)
+    rig.add_ref_sensor(camera.sensor_id)
+    store.write_camera(camera, use_camera_id=True)
+    store.write_rig(rig, use_rig_id=True)
+
+
+def frame_of(image: pycolmap.Image) -> pycolmap.Frame:
+    """The frame that holds an image alone, on the rig of its camera."""
+    frame = pycolmap.Frame(frame_id=image.image_id, rig_id=image.camera_id)
+    frame.add_data_id(image.data_id)
+    return frame

@@ -13,7 +13,7 @@ import pycolmap
 from querysplat_cli.encoders.classical.camera_warnings import field_of_view
 from querysplat_cli.encoders.classical.epipolar import epipolar_support
 from querysplat_cli.encoders.classical.mapping import Mapped, from_colmap, map_photos
-from querysplat_cli.encoders.classical.matches import Matches
+from querysplat_cli.encoders.classical.matches import Matches, frame_of, write_lens
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
 from querysplat_cli.encoders.classical.self_calibration import adjusted
 from querysplat_cli.encoders.classical.sparse_model import SparseModel
@@ -127,7 +127,7 @@ def _mean_error(model: SparseModel) -> float:
 
 def _error(model: SparseModel, photo: int) -> float:
     """The mean error of a photo's observations in pixels, each cut off where it says only that a match is wrong."""
-    return float(np.minimum(model.errors(photo), CAMERA_POLICY.wrong_error).mean())
+    return float(np.fmin(model.errors(photo), CAMERA_POLICY.wrong_error).mean())
 
 
 def _lenses(matches: Matches) -> list[int]:
@@ -142,16 +142,10 @@ def _divide_lenses(matches: Matches, groups: Sequence[int]) -> None:
         for photo, group in enumerate(groups):
             image = store.read_image(photo + 1)
             if group not in numbers:
-                camera = store.read_camera(image.camera_id)
-                numbers[group] = camera.camera_id = 1 + max(each.camera_id for each in store.read_all_cameras())
-                rig = pycolmap.Rig(rig_id=camera.camera_id)
-                rig.add_ref_sensor(camera.sensor_id)
-                store.write_camera(camera, use_camera_id=True)
-                store.write_rig(rig, use_rig_id=True)
+                numbers[group] = 1 + max(camera.camera_id for camera in store.read_all_cameras())
+                write_lens(store, store.read_camera(image.camera_id), numbers[group])
             image.camera_id = numbers[group]
-            frame = pycolmap.Frame(frame_id=photo + 1, rig_id=numbers[group])
-            frame.add_data_id(image.data_id)
-            store.update_frame(frame)
+            store.update_frame(frame_of(image))
             store.update_image(image)
 
 
