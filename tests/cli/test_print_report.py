@@ -65,6 +65,13 @@ def test_before_and_after() -> None:
     )
 
 
+def test_a_stage_that_was_not_kept_has_a_line() -> None:
+    stages = {"level": "high", "ended": "every planned step was taken", "not_kept": [1600]}
+    said = list(lines(replace(REPORT, full_size=stages)))
+    assert said[1] == "optimisation on photos of 1,600 px made them look worse, and was not kept"
+    assert len(list(lines(replace(REPORT, full_size={**stages, "not_kept": []})))) == 5
+
+
 def test_what_comes_next_after_an_optimisation_that_gained_nothing() -> None:
     matching = {"pairs": 3, "matcher": None}
     worse = {**REPORT.quality, "before": {"input": 24.5, "heldout": None}}

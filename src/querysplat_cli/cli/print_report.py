@@ -44,6 +44,9 @@ def lines(report: Report) -> Iterator[str]:
     yield from (f"warning: {warning}" for warning in report.warnings)
     if report.scale:
         yield _scale(report.scale)
+    if sizes := (report.full_size or {}).get("not_kept"):
+        shown = ", ".join(f"{size:,}" for size in sizes)
+        yield f"optimisation on photos of {shown} px made them look worse, and was not kept"
     yield "; ".join(_quality(report))
     yield _time(report)
     preview = Path(report.scene) / "preview.png"

@@ -84,8 +84,8 @@ class FullSize:
 
     size: the longer side of the largest pictures, in pixels.
     runs: one entry for each stage and round, as for other runs.
-    summary: the level, the plan, why the optimisation ended, and how many Gaussians were left out because they hid what
-        photos show.
+    summary: the level, the plan, why the optimisation ended, how many Gaussians were left out because they hid what
+        photos show, and the sizes of stages that were not kept.
     exposures: the colour transforms of the input photos, where the scene had any.
     """
 
@@ -189,4 +189,5 @@ def _summary(plan: FullSizePlan, result: FullSizeResult, left_out: int) -> dict[
         "stages": [asdict(stage) for stage in plan.stages],
         "most_rounds": plan.most_rounds,
         "hiding": left_out,
+        "not_kept": list(result.not_kept),
     }

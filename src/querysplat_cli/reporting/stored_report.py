@@ -1,6 +1,6 @@
 """The report in a scene folder, checked before anything uses it."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -31,6 +31,7 @@ class _FullSize:
 
     level: str
     ended: str
+    not_kept: list[int] = field(default_factory=list)
 
 
 @dataclass(frozen=True)

@@ -38,13 +38,15 @@ class PhotoFacts:
 class FullSizeResult:
     """A scene after its stages and rounds, with their results, and why no more followed (a phrase).
 
-    `exposures` are the colour transforms of its photos, where it has them.
+    `exposures` are the colour transforms of its photos, where it has them. `not_kept` are the picture sizes of planned
+    stages that made the photos look worse, and whose Gaussians were dropped.
     """
 
     gaussians: Gaussians
     runs: tuple[tuple[FullSizeStage, TtoResult[Changes]], ...]
     ended: str
     exposures: Exposures | None = None
+    not_kept: tuple[int, ...] = ()
 
     @property
     def interrupted(self) -> bool:
@@ -107,7 +109,9 @@ def optimise_full_size(
     assert target
     sharp = bounded(drawn_in(runs[-1][1].gaussians, target.cameras), target.cameras)
     lean = tuple((stage, _lean(result)) for stage, result in runs)
-    return FullSizeResult(sharp, lean, ended, refitted.current if refitted else None)
+    stages = runs[: len(plan.stages)]
+    not_kept = tuple(stage.max_size for stage, result in stages if not result.loss_after < result.loss_before)
+    return FullSizeResult(sharp, lean, ended, refitted.current if refitted else None, not_kept)
 
 
 def _rounds(run: Callable[[FullSizeStage], TtoResult[Changes]], each: FullSizeStage, most: int) -> str:

@@ -1,0 +1,38 @@
+"""A stage that makes the photos look worse leaves the scene as it was, and the result says so."""
+
+import torch
+from tto_scenes import wall
+
+from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.views import Views
+from querysplat_cli.splat.render import render
+from querysplat_cli.tto.full_size import optimise_full_size
+from querysplat_cli.tto.full_size_plan import FullSizePlan, FullSizeStage
+from querysplat_cli.tto.options import TtoSettings
+
+SIZE = 48
+
+
+def views_at(size: int) -> tuple[Views, Cameras]:
+    w2c = torch.eye(4)[None]
+    K = torch.tensor([[[1.25 * size, 0, size / 2], [0, 1.25 * size, size / 2], [0, 0, 1]]])
+    cameras = Cameras(w2c, K, size, size)
+    images = (render(wall(12, size=1.2, opacity=0.97), cameras).colour.clamp(0, 1) * 255).round().to(torch.uint8)
+    return Views(images, torch.ones(1, size, size, dtype=torch.bool), ("a",), ((size, size),)), cameras
+
+
+def test_a_stage_that_makes_photos_look_worse_is_not_kept() -> None:
+    """The scene is what the photos show, and the step is far too long."""
+    start = wall(12, size=1.2, opacity=0.97)
+    wild = FullSizeStage(SIZE, TtoSettings(1, 8.0, views_per_step=1), len(start))
+    found = optimise_full_size(start, views_at, FullSizePlan((wild,), 1.0), seed=0)
+    assert found.not_kept == (SIZE,)
+    assert found.runs[0][1].gaussians.means.equal(start.means)
+
+
+def test_a_stage_that_improves_them_is() -> None:
+    start = wall(4, size=1.2, opacity=0.97)
+    good = FullSizeStage(SIZE, TtoSettings(10, 0.02, views_per_step=1), len(start))
+    found = optimise_full_size(start, views_at, FullSizePlan((good,), 1.0), seed=0)
+    assert found.not_kept == ()
+    assert not found.runs[0][1].gaussians.means.equal(start.means)
