@@ -5,7 +5,6 @@
 NOTE describes the experiment. docs/stability.md holds the table.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 
 import torch
@@ -14,6 +13,7 @@ from torch.nn import functional as F
 
 from common.output import markdown
 from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.tensor_dataclass import TensorDataclass
 from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.render import render
 from querysplat_cli.tto.gaussians import optimise_gaussians
@@ -49,7 +49,7 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Plain:
+class Plain(TensorDataclass):
     """Gaussians in their own units; only a clamp keeps a step inside their range."""
 
     means: Tensor
@@ -57,9 +57,6 @@ class Plain:
     scales: Tensor
     opacities: Tensor
     sh: Tensor
-
-    def map(self, change: Callable[[Tensor], Tensor]) -> "Plain":
-        return Plain(**{each.name: change(getattr(self, each.name)) for each in fields(self)})
 
     def gaussians(self) -> Gaussians:
         return Gaussians(
