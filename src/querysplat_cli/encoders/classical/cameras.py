@@ -96,7 +96,7 @@ def _place(photos: Sequence[Photo], choice: MatcherChoice, *, seed: int, progres
     return Placement(
         model,
         _left_out(photos, matches, model),
-        (*([found.warning] if found.warning else []), *camera_warnings(model, matches)),
+        (*found.warnings, *camera_warnings(model, matches)),
         median_epipolar_error(model, matches),
         found.matching,
         matches.chance_pairs,

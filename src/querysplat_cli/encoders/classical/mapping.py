@@ -28,15 +28,15 @@ from querysplat_cli.scene.views import Photo
 class Mapped:
     """A model of some photos, and COLMAP's form of it where the final bundle adjustment is still to be made.
 
-    `fit_lens`: whether COLMAP fitted the lenses. `pairs` are the matches that belong to the model. `warning` says that
-    the photos do not share a lens, where they do not.
+    `fit_lens`: whether COLMAP fitted the lenses. `pairs` are the matches that belong to the model. `warnings` say
+    that the photos do not share a lens, where they do not.
     """
 
     model: SparseModel
     pairs: tuple[Pair, ...]
     reconstruction: pycolmap.Reconstruction | None = None
     fit_lens: bool = True
-    warning: str = ""
+    warnings: tuple[str, ...] = ()
 
     def refined(self, matches: Matches) -> SparseModel:
         """The model after the final bundle adjustment.

@@ -56,13 +56,13 @@ AUTOMATIC = MatcherChoice()
 class Found:
     """Matches and their model, None where there is none. `matching` is what a network did, if one was wanted.
 
-    `warning` says that the photos do not share a lens, where they do not.
+    `warnings` say that the photos do not share a lens, where they do not.
     """
 
     matches: Matches
     model: SparseModel | None
     matching: Matching | None
-    warning: str = ""
+    warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class _Trial:
     def refined(self) -> Found:
         if self.mapped is None:
             return Found(self.matches, None, self.matching)
-        return Found(self.matches, self.mapped.refined(self.matches), self.matching, self.mapped.warning)
+        return Found(self.matches, self.mapped.refined(self.matches), self.matching, self.mapped.warnings)
 
 
 def search(photos: Sequence[Photo], choice: MatcherChoice, *, seed: int, progress: Progress) -> Found:

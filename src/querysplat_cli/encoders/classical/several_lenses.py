@@ -4,6 +4,7 @@ import shutil
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -25,7 +26,7 @@ def with_lenses_apart(mapped: Mapped, matches: Matches, photos: Sequence[Photo],
 
     It is looked for where a photo fits much better with a lens of its own. All are then placed once with a lens each,
     which tells their focal lengths, and once more with those lenses. The database of `matches` follows. A warning says
-    so. Where such a model explains fewer matches, the warning of `mapped` says that it may be wrong.
+    so. Where such a model explains fewer matches, a warning with `mapped` says that it may be wrong.
     """
     if not _differ(mapped):
         return mapped
@@ -40,8 +41,8 @@ def with_lenses_apart(mapped: Mapped, matches: Matches, photos: Sequence[Photo],
             apart = map_photos(trial, photos, seed=seed)
             if apart and _explains_as_much(apart.model, mapped.model, matches):
                 shutil.copy(trial.database, matches.database)
-                return replace(apart, warning=f"the photos do not share a lens: {_spans(apart.model)}")
-    return replace(mapped, warning="the photos do not seem to share a lens, so the cameras may be wrong")
+                return replace(apart, warnings=(f"the photos do not share a lens: {_spans(apart.model)}",))
+    return replace(mapped, warnings=("the photos do not seem to share a lens, so the cameras may be wrong",))
 
 
 def focal_groups(focals: Mapping[int, float], shared: Sequence[int], gap: float) -> list[int]:
@@ -50,20 +51,13 @@ def focal_groups(focals: Mapping[int, float], shared: Sequence[int], gap: float)
     `focals` are in pixels, by photo. Across a gap they differ by a larger share than `gap`. Photos without a focal
     length stay with the last group of their lens.
     """
-    step = np.log1p(gap)
+    ordered = sorted(range(len(shared)), key=lambda photo: (shared[photo], focals.get(photo, np.inf)))
     groups = [0] * len(shared)
-    count = 0
-    for lens in sorted(set(shared)):
-        theirs = [photo for photo in range(len(shared)) if shared[photo] == lens]
-        last = None
-        for focal, photo in sorted((np.log(focals[photo]), photo) for photo in theirs if photo in focals):
-            if last is not None and focal - last > step:
-                count += 1
-            groups[photo], last = count, focal
-        for photo in theirs:
-            if photo not in focals:
-                groups[photo] = count
-        count += 1
+    for before, photo in pairwise(ordered):
+        starts = shared[photo] != shared[before]
+        if not starts and photo in focals:
+            starts = bool(np.log(focals[photo]) - np.log(focals[before]) > np.log1p(gap))
+        groups[photo] = groups[before] + starts
     return groups
 
 
@@ -102,11 +96,12 @@ def _differ(mapped: Mapped) -> bool:
 def _groups(model: pycolmap.Reconstruction, shared: Sequence[int]) -> list[int]:
     """The fewest lenses with which photos fit as well as with one each. `model` has one each."""
     alone = _adjusted(model)
+    limit = CAMERA_POLICY.lens_tolerance * _mean_error(alone)
     focals = {photo: camera.focal[0] for photo, camera in alone.cameras.items()}
     groups: list[int] = []
     for gap in CAMERA_POLICY.lens_gaps:
         groups = focal_groups(focals, shared, gap)
-        if _mean_error(_adjusted(with_lenses(model, groups))) < CAMERA_POLICY.lens_tolerance * _mean_error(alone):
+        if _mean_error(_adjusted(with_lenses(model, groups))) < limit:
             break
     return groups
 
@@ -138,11 +133,12 @@ def _lenses(matches: Matches) -> list[int]:
 def _divide_lenses(matches: Matches, groups: Sequence[int]) -> None:
     """Give the photos of each group a camera of their own, which starts as that of the group's first photo."""
     with pycolmap.Database.open(matches.database) as store:
+        highest = max(camera.camera_id for camera in store.read_all_cameras())
         numbers = dict[int, int]()
         for photo, group in enumerate(groups):
             image = store.read_image(photo + 1)
             if group not in numbers:
-                numbers[group] = 1 + max(camera.camera_id for camera in store.read_all_cameras())
+                numbers[group] = highest + len(numbers) + 1
                 write_lens(store, store.read_camera(image.camera_id), numbers[group])
             image.camera_id = numbers[group]
             store.update_frame(frame_of(image))
