@@ -1,14 +1,17 @@
 """A stage that makes the photos look worse leaves the scene as it was, and the result says so."""
 
+import pytest
 import torch
 from tto_scenes import wall
 
 from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.render import render
 from querysplat_cli.tto.full_size import optimise_full_size
 from querysplat_cli.tto.full_size_plan import FullSizePlan, FullSizeStage
 from querysplat_cli.tto.options import TtoSettings
+from querysplat_cli.tto.rendering_loss import LossAndGradient, RenderingLoss
 
 SIZE = 48
 
@@ -36,3 +39,15 @@ def test_a_stage_that_improves_them_is() -> None:
     found = optimise_full_size(start, views_at, FullSizePlan((good,), 1.0), seed=0)
     assert found.not_kept == ()
     assert not found.runs[0][1].gaussians.means.equal(start.means)
+
+
+def test_a_stage_that_ctrl_c_ended_before_its_first_step_made_nothing_worse(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(target: RenderingLoss, gaussians: Gaussians, chosen: list[int]) -> LossAndGradient:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(RenderingLoss, "value_and_gradient", interrupt)
+    start = wall(4, size=1.2, opacity=0.97)
+    stage = FullSizeStage(SIZE, TtoSettings(10, 0.02, views_per_step=1), len(start))
+    found = optimise_full_size(start, views_at, FullSizePlan((stage,), 1.0), seed=0)
+    assert found.interrupted
+    assert found.not_kept == ()

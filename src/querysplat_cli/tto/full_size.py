@@ -39,7 +39,7 @@ class FullSizeResult:
     """A scene after its stages and rounds, with their results, and why no more followed (a phrase).
 
     `exposures` are the colour transforms of its photos, where it has them. `not_kept` are the picture sizes of planned
-    stages that made the photos look worse, and whose Gaussians were dropped.
+    stages that made the photos look worse, and whose Gaussians were dropped. One that took no step is not among them.
     """
 
     gaussians: Gaussians
@@ -109,7 +109,7 @@ def optimise_full_size(
     assert target
     sharp = bounded(drawn_in(runs[-1][1].gaussians, target.cameras), target.cameras)
     lean = tuple((stage, _lean(result)) for stage, result in runs)
-    stages = runs[: len(plan.stages)]
+    stages = [(stage, result) for stage, result in runs[: len(plan.stages)] if result.history]
     not_kept = tuple(stage.max_size for stage, result in stages if not result.loss_after < result.loss_before)
     return FullSizeResult(sharp, lean, ended, refitted.current if refitted else None, not_kept)
 
