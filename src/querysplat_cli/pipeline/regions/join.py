@@ -194,7 +194,7 @@ def _summary(scenes: Sequence[RegionScene], gaussians: int) -> dict[str, Any]:
     """What the report says of the optimisation on large photos, all regions together; nothing where there was none."""
     found = [each.entries["full_size"] for each in scenes if each.entries["full_size"]]
     sums = {name: sum(each[name] for each in found) for name in ("planned_seconds", "hiding")}
-    not_kept = [size for each in found for size in each["not_kept"]]
+    not_kept = [size for each in found for size in each.get("not_kept", ())]
     return {**found[0], **sums, "gaussians": gaussians, "not_kept": not_kept} if found else {}
 
 
