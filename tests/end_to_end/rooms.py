@@ -12,7 +12,7 @@ SMALL = ["--max-size", "192", "--tto", "24", "--quiet"]
 
 
 def take_photos(folder: Path, seed: int, count: int = PHOTOS, *, mirrored: bool = False) -> list[Path]:
-    """Photos of a procedural room, 448 × 336. Rooms share patterns, but a mirrored room matches none that is not."""
+    """Photos of a procedural room, 640 × 480. Rooms share patterns, but a mirrored room matches none that is not."""
     folder.mkdir(parents=True, exist_ok=True)
     scene = make_room(seed)
     cameras = walk(scene, count, seed)

@@ -8,7 +8,7 @@ from typing import Any
 from querysplat_cli.cli.terminal import say
 from querysplat_cli.cli.verb import Printing
 from querysplat_cli.cli.words import decibels, left_out
-from querysplat_cli.reporting.omissions import PRECISION
+from querysplat_cli.reporting.omissions import OVERLAYS, PRECISION
 from querysplat_cli.reporting.report import Report
 from querysplat_cli.runtime import current_folder, signals
 from querysplat_cli.runtime.errors import QuerySplatError
@@ -36,6 +36,9 @@ def lines(report: Report) -> Iterator[str]:
     """Five lines, and one more each for photos that were left out, for what a network matched, and for a warning."""
     yield f"{report.gaussians:,} Gaussians from {counted(len(report.views['used']), 'photo')}"
     yield from left_out(report.views["left_out"])
+    for entry in report.left_out:
+        if entry["what"] == OVERLAYS:
+            yield f"left out: {entry['saved']}, where {entry['why']}"
     if report.matching and not report.quality.get("before"):
         yield _matching(report.matching)
     yield from report.resumed

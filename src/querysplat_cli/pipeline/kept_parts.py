@@ -23,13 +23,14 @@ from querysplat_cli.scene.cameras import Cameras, PhotoCamera
 from querysplat_cli.scene.exposures import Exposures
 from querysplat_cli.scene.files import atomic_path
 from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.masks import Overlay
 from querysplat_cli.scene.resample import PinholeView
 from querysplat_cli.scene.views import LeftOut, PhotoSource, Views
 
 CLASSES: list[Any] = [
     *(Geometry, Matching, PosedViews, HoldoutCameras, PosedSplit, PoseDifference),
     *(Anchors, Neighbours, Reading, Memories, MemoryMap, PreparedQueries, Gaussians, Exposures, Cameras, PhotoCamera),
-    *(Views, LeftOut, PhotoSource, PinholeView, RegionTask, RegionScene, ReconstructSettings),
+    *(Views, LeftOut, PhotoSource, PinholeView, Overlay, RegionTask, RegionScene, ReconstructSettings),
     *(PosixPath, WindowsPath, np.ndarray, np.dtype, type(np.dtype(np.float64)), _reconstruct),
 ]
 

@@ -5,10 +5,17 @@ from querysplat_cli.pipeline.perceptual import optimisation_lpips
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.prune.resolution import Blurred
 from querysplat_cli.reporting import omissions
+from querysplat_cli.scene.overlays import Overlaid
 
 
-def omissions_of(settings: ReconstructSettings, scene: BuiltScene, finest: Blurred | None) -> list[omissions.Omission]:
-    """One entry for each part. `finest` is the size that holds all detail of blurred photos (None: they are sharp)."""
+def omissions_of(
+    settings: ReconstructSettings, scene: BuiltScene, finest: Blurred | None = None, overlaid: Overlaid | None = None
+) -> list[omissions.Omission]:
+    """One entry for each part.
+
+    `finest` is the size that holds all detail of blurred photos (None: they are sharp), `overlaid` what lies over the
+    photos.
+    """
     used = optimisation_lpips(settings.lpips, official=scene.prepared.anchors is None) is not None
     found = omissions.lpips(scene.adapted, used=used, further=bool(scene.full_size))
     found += omissions.of_adapted(scene.adapted)
@@ -18,6 +25,8 @@ def omissions_of(settings: ReconstructSettings, scene: BuiltScene, finest: Blurr
         found.append(omissions.UNUSED_DEPTH)
     if finest:
         found.append(omissions.resolution(finest))
+    if overlaid:
+        found.append(omissions.overlays(overlaid))
     if scene.posed.chance_pairs:
         found.append(omissions.chance_pairs(scene.posed.chance_pairs))
     if settings.poses:

@@ -57,6 +57,7 @@ from querysplat_cli.scene.formats.known import read_known_cameras
 from querysplat_cli.scene.inputs import load_inputs
 from querysplat_cli.scene.lenses import pinhole_photos
 from querysplat_cli.scene.match_cameras import cameras_of_photos
+from querysplat_cli.scene.overlays import Overlaid, without_overlays
 from querysplat_cli.scene.photo_files import photo_files
 from querysplat_cli.scene.photos import find_photos
 from querysplat_cli.scene.views import LeftOut, Photo, PhotoSource, forget_pixels
@@ -68,6 +69,7 @@ class _Inputs:
 
     photos: list[Photo]
     left_out: tuple[LeftOut, ...]
+    overlaid: Overlaid | None
     model: QuerySplat
     encoder: Encoder
     known: Mapping[str, PhotoCamera] | None
@@ -167,6 +169,7 @@ def _read_inputs(settings: ReconstructSettings, device: torch.device, stages: St
         keep = FiledPixels(without_steps(settings.ply).parent, PIPELINE_POLICY.pixel_bytes)
         paths = find_photos(settings.inputs)
         photos, unread = load_inputs(paths, settings.film_frames, progress=progress, keep=keep)
+        photos, overlaid = (photos, None) if settings.overlays == "off" else without_overlays(photos)
     if device.type == "cpu":
         start_compiling(*SCENE_KERNELS)
     with stages("model") as progress:
@@ -189,7 +192,7 @@ def _read_inputs(settings: ReconstructSettings, device: torch.device, stages: St
         photos, too_many, expected = within_memory(photos, needs, free, settings.max_views)
         if expected:
             progress(f"{len(photos)} views will take about {expected / 2**30:.1f} GiB", 1.0)
-    return _Inputs(photos, (*unread, *too_many), model, encoder, known, budget, size, finest, expected)
+    return _Inputs(photos, (*unread, *too_many), overlaid, model, encoder, known, budget, size, finest, expected)
 
 
 def _find_cameras(inputs: _Inputs, settings: ReconstructSettings, stages: Stages) -> HoldoutCameras:
@@ -253,7 +256,7 @@ def _report(
             "heldout": heldout_entry(passes.split.protocol, scores.heldout, passes.difference),
             **({"full_size": scores.large} if scores.large else {}),
         },
-        left_out=[asdict(omission) for omission in omissions_of(settings, scene, inputs.finest)],
+        left_out=[asdict(omission) for omission in omissions_of(settings, scene, inputs.finest, inputs.overlaid)],
         warnings=[*passes.warnings, *scene.geometry.warnings],
         tto=[*tto_entries(scene.adapted.runs), *(further.runs if further else [])],
         settings=settings_entry(asdict(settings)),

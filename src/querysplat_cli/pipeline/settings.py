@@ -14,6 +14,7 @@ from querysplat_cli.runtime.choices import (
     HoldoutProtocol,
     Lens,
     Matcher,
+    Overlays,
     Quality,
     Space,
     Target,
@@ -234,6 +235,13 @@ class ReconstructSettings:
         Option(
             "Give each photo a colour transform where exposure or white balance changes from photo to photo. off: the "
             "scene has to show the colours of every photo itself."
+        ),
+    ] = "auto"
+    overlays: Annotated[
+        Overlays,
+        Option(
+            "Leave out what lies over all photos of one size: text, logos, date stamps, frames, bars. off: it takes "
+            "part."
         ),
     ] = "auto"
 

@@ -37,7 +37,7 @@ Part = TypeVar("Part")
 MADE_OF, CAMERAS, REGION = "made_of.json", "cameras.pt", "region-"
 OF_CAMERAS = (
     "holdout_every", "holdout_cameras", "film_frames", "max_size", "max_views", "fit", "preset", "encoder", "matcher",
-    "weights", "precision", "poses", "lens", "seed", "keep_everything", "device",
+    "weights", "precision", "poses", "lens", "overlays", "seed", "keep_everything", "device",
 )  # fmt: skip
 """Settings that the cameras depend on."""
 OF_FILES = ("inputs", "ply", "force", "frame", "metres_by", "backdrop", "cluster")

@@ -10,6 +10,7 @@ from querysplat_cli.prune.resolution import Blurred
 from querysplat_cli.queries.cells import CELLS
 from querysplat_cli.queries.coverage import AnchorReport
 from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.overlays import Overlaid
 from querysplat_cli.tto.adapt import Adapted
 from querysplat_cli.tto.optimise import TtoResult
 
@@ -33,7 +34,7 @@ class Omission:
 
 
 PRUNED_GAUSSIANS, IDLE_BANDS = "Gaussians", "SH bands"
-LPIPS, PRECISION = "LPIPS loss", "precision"
+LPIPS, PRECISION, OVERLAYS = "LPIPS loss", "precision", "overlays"
 UNUSED_DEPTH = Omission("depth", "learned queries do not need it", "the depth head")
 
 
@@ -59,6 +60,11 @@ def sfm(poses: object) -> Omission:
 def chance_pairs(count: int) -> Omission:
     why = "they have few matches, and no third photo confirms them: photos of different places that look alike"
     return Omission("pairs of photos", why, f"{count:,} from structure from motion")
+
+
+def overlays(found: Overlaid) -> Omission:
+    why = f"text, a logo, a stamp or a frame stays where it is in {found.photos} photos"
+    return Omission(OVERLAYS, why, f"{found.share:.1%} of the pixels")
 
 
 def resolution(finest: Blurred) -> Omission:

@@ -1,6 +1,12 @@
-"""Masks: which pixels of a photo take part. They are files in a folder `masks`, or the photo's own alpha channel."""
+"""Masks: which pixels of a photo take part.
+
+They are files in a folder `masks`, or the photo's own alpha channel. What lies over all photos takes no part, either
+(`scene/overlays.py`).
+"""
 
 import os
+from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 
 import cv2
@@ -12,6 +18,33 @@ from querysplat_cli.scene.cameras import same_shape
 MASKS, IMAGES = "masks", "images"
 WHOLLY = 0.99
 """A reduced pixel takes part when at least this share of it does, so that no masked colour is mixed in."""
+ROUNDED = 0.01
+"""Pixels by which the edges of a box may be off, because its numbers are rounded."""
+MOST = 1000.0
+"""Largest number of a box."""
+
+
+@dataclass(frozen=True)
+class Overlay:
+    """What an overlay covers, whatever size the photo is read at: boxes (left, top, right, bottom) in photo widths."""
+
+    boxes: tuple[tuple[float, float, float, float], ...]
+
+    def fault(self) -> str:
+        """Why no photo has such an overlay, or ""."""
+        inside = all(0 <= left < right <= MOST and 0 <= top < bottom <= MOST for left, top, right, bottom in self.boxes)
+        return "" if inside else "a box of its overlay lies outside of it"
+
+    @lru_cache(maxsize=8)  # noqa: B019 - photos of one size share the array
+    def shown(self, height: int, width: int) -> np.ndarray:
+        """True [height, width] where a photo of this size shows the scene."""
+        shown = np.ones((height, width), bool)
+        if self.boxes:
+            edges = np.array(self.boxes) * width
+            starts, ends = np.floor(edges[:, :2] + ROUNDED), np.ceil(edges[:, 2:] - ROUNDED)
+            for left, top, right, bottom in np.hstack([starts, ends]).astype(int):
+                shown[top:bottom, left:right] = False
+        return shown
 
 
 class BadMask(Exception):

@@ -18,6 +18,7 @@ from querysplat_cli.scene.cameras import Cameras, PhotoCamera, same_shape
 from querysplat_cli.scene.decoding import longer_side, reduced
 from querysplat_cli.scene.films import film_size, frame_pixels
 from querysplat_cli.scene.lenses import shown_part
+from querysplat_cli.scene.masks import Overlay
 from querysplat_cli.scene.photos import load_photo
 from querysplat_cli.scene.resample import PinholeView
 from querysplat_cli.scene.undistort import on_canvas, undistorted
@@ -33,7 +34,8 @@ Straightening blurs by about a pixel of its own size."""
 class PhotoFile:
     """One photo's file and lens. `pts` is the presentation time stamp of a film's frame; None for a photo.
 
-    `view` is the part of a wide photo that this one shows; None for the whole of an ordinary one.
+    `view` is the part of a wide photo that this one shows; None for the whole of an ordinary one. `overlay` is what
+    lies over the picture of the file.
 
     focal, principal: (fx, fy) and (cx, cy) in pixels of a photo of `height` × `width`, pixel centres at +0.5. The file
     may hold more pixels of the same shape.
@@ -49,13 +51,14 @@ class PhotoFile:
     width: int
     pts: int | None = None
     view: PinholeView | None = None
+    overlay: Overlay | None = None
 
     @classmethod
     def of(cls, name: str, source: PhotoSource, camera: PhotoCamera) -> "PhotoFile":
         focal, principal = tuple(map(float, camera.focal)), tuple(map(float, camera.principal))
         distortion = tuple(map(float, camera.distortion))
         lens = focal, principal, distortion, camera.height, camera.width
-        return cls(name, source.path.absolute(), *lens, source.pts, source.view)  # type: ignore[arg-type]
+        return cls(name, source.path.absolute(), *lens, source.pts, source.view, source.overlay)  # type: ignore[arg-type]
 
     @property
     def lens(self) -> PhotoCamera:
@@ -73,7 +76,7 @@ class PhotoFile:
 
     def load(self, max_side: int) -> Photo:
         """The photo, reduced to a longer side of at most `max_side`. Raises QuerySplatError when it has changed."""
-        photo = self._load(self.view.photo_side(max_side) if self.view else max_side)
+        photo = self._load(self.view.photo_side(max_side) if self.view else max_side).under(self.overlay)
         if self.view:
             photo = shown_part(photo, self.view)
         if not same_shape((photo.height, photo.width), (self.height, self.width)):
@@ -105,6 +108,7 @@ class _Entry:
     width: int
     pts: int | None = None
     view: PinholeView | None = None
+    overlay: Overlay | None = None
 
 
 @dataclass(frozen=True)
@@ -124,7 +128,7 @@ def photo_files(
 def write_photo_files(path: Path, files: Sequence[PhotoFile]) -> None:
     entries = [{**asdict(file), "path": str(file.path)} for file in files]
     for entry in entries:
-        for key in ("pts", "view"):
+        for key in ("pts", "view", "overlay"):
             if entry[key] is None:
                 del entry[key]
     path.write_text(json.dumps({"photos": entries}, indent=1) + "\n")
@@ -139,6 +143,7 @@ def read_photo_files(path: Path) -> dict[str, PhotoFile]:
     for entry in entries:
         file = PhotoFile(**{**vars(entry), "path": Path(entry.path)})
         fault = file.lens.fault() or (file.view.fault() if file.view else "")
+        fault = fault or (file.overlay.fault() if file.overlay else "")
         if fault or "\0" in entry.path:
             raise QuerySplatError(f"{path}: the lens of {file.name} makes no sense: {fault}", MAKE_AGAIN)
         found[file.name] = file

@@ -1,4 +1,4 @@
-"""Which frames of a film become photos."""
+"""Which frames of a film become photos, and what lies over photos."""
 
 from dataclasses import dataclass
 
@@ -28,3 +28,52 @@ class FilmPolicy:
 
 
 FILM_POLICY = FilmPolicy()
+
+
+@dataclass(frozen=True)
+class OverlayPolicy:
+    """How overlays are found. The values were chosen on fox, kermit and fortress, with text laid over them."""
+
+    size: int = 640
+    """Longer side, in pixels, of the pictures that are looked at."""
+    fewest: int = 5
+    """In fewer photos of one size, edges of a scene stay in place by chance."""
+    most: int = 16
+    """So many photos of one size are looked at, evenly spaced."""
+    least_gradient: float = 6.0
+    """Length, in grey levels per pixel, of the mean gradient of an edge that stays in place."""
+    deviation: float = 0.5
+    """By so many of its lengths a picture's gradient may differ from it."""
+    agreeing: float = 0.8
+    """Share of the pictures whose gradients differ by less."""
+    enough: int = 10
+    """In so many pictures, what is half transparent is found, too: there the gradients of a scene seldom agree in
+    direction."""
+    coherent: float = 0.88
+    """Length of the mean gradient, in mean lengths of the gradients, from which on they agree in direction."""
+    gap: int = 5
+    """Pixels across which edges are connected, such as those of letters."""
+    fewest_edges: int = 30
+    """Pixels of connected edges, in `enough` pictures. In half as many it takes eight times as many pixels."""
+    aside: int = 3
+    """Pixels up to which the edges of a part are looked for aside of it."""
+    registered: float = 0.75
+    """Share of the pictures that a part fits nowhere better than where it is."""
+    tied: float = 0.98
+    """Of edges across the whole picture, a fit of so much of the best one counts as well: along the straight edge of a
+    bar all places fit alike."""
+    across: float = 0.95
+    """Share of the picture's height or width that such edges reach over."""
+    alike: float = 0.6
+    """Median over the pictures of the cosine of a part's gradients and their means."""
+    most_edges: float = 0.5
+    """Share of all edges that an overlay has at most."""
+    same_colour: int = 12
+    """Grey levels by which a pixel of a bar or logo differs at most from picture to picture."""
+    enclosed: float = 0.7
+    """Share of the border of such an area that lies at edges of the overlay."""
+    cell: int = 4
+    """Side of the cells, in pixels, in whose boxes an overlay is kept."""
+
+
+OVERLAY_POLICY = OverlayPolicy()

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from querysplat_cli.scene.exif import Gps
+from querysplat_cli.scene.masks import Overlay
 from querysplat_cli.scene.resample import PinholeView
 
 
@@ -18,12 +19,14 @@ from querysplat_cli.scene.resample import PinholeView
 class PhotoSource:
     """Where a photo comes from: a picture file, or the frame of a film with this presentation time stamp.
 
-    `view` is the part of it that the photo shows, where its lens is too wide for a pinhole camera.
+    `view` is the part of it that the photo shows, where its lens is too wide for a pinhole camera. `overlay` is what
+    lies over the whole picture.
     """
 
     path: Path
     pts: int | None = None
     view: PinholeView | None = None
+    overlay: Overlay | None = None
 
 
 @dataclass(frozen=True)
@@ -35,7 +38,8 @@ class Photo:
     of a film's frame; None for a photo. `mask` [height, width] is True where the photo takes part; None: everywhere.
     `panorama` is whether the file says that it shows 360°, `gps` where it was taken. `view` is the part of a wide photo
     that this one shows. `cut_from` is the (height, width), in pixels of this photo, of the picture that it is
-    the middle of, where the program cut it. `orientation` is EXIF's, by which the stored pixels were turned.
+    the middle of, where the program cut it. `orientation` is EXIF's, by which the stored pixels were turned. `overlay`
+    is what lies over the whole picture; `mask` has it.
     """
 
     name: str
@@ -49,10 +53,18 @@ class Photo:
     view: PinholeView | None = None
     cut_from: tuple[int, int] | None = None
     orientation: int = 1
+    overlay: Overlay | None = None
 
     @property
     def source(self) -> PhotoSource:
-        return PhotoSource(self.path, self.pts, self.view)
+        return PhotoSource(self.path, self.pts, self.view, self.overlay)
+
+    def under(self, overlay: Overlay | None) -> "Photo":
+        """The same photo, in which what `overlay` covers takes no part."""
+        if overlay is None:
+            return self
+        shown = overlay.shown(self.height, self.width)
+        return replace(self, overlay=overlay, mask=shown if self.mask is None else self.mask & shown)
 
     @property
     def height(self) -> int:

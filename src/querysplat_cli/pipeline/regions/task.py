@@ -100,7 +100,7 @@ def _scene(task: RegionTask, scene: BuiltScene, stages: Stages) -> RegionScene:
         "seconds": seconds_entry(stages.seconds),
         "tto": [*tto_entries(scene.adapted.runs), *(further.runs if further else [])],
         "full_size": further.summary if further else None,
-        "left_out": [asdict(omission) for omission in omissions_of(task.settings, scene, None)],
+        "left_out": [asdict(omission) for omission in omissions_of(task.settings, scene)],
         "warnings": list(scene.geometry.warnings),
     }
     return RegionScene(
