@@ -42,12 +42,11 @@ def test_text_over_photos_takes_no_part(photos: Path, capsys: pytest.CaptureFixt
     assert auto["quality"]["input"]["psnr"] > off["quality"]["input"]["psnr"] + 1
 
     listed = json.loads((photos.parent / "auto" / "photos.json").read_text())["photos"]
-    overlays = {Overlay(tuple(map(tuple, each["overlay"]["boxes"]))) for each in listed}
-    (overlay,) = overlays
-    hidden = ~overlay.shown(480, 640)
-    assert hidden[155:185, 45:315].mean() > 0.85
-    assert hidden[295:325, 155:425].mean() > 0.85
-    assert hidden[:130].mean() < 0.01
+    for each in listed:
+        hidden = ~Overlay(tuple(map(tuple, each["overlay"]["boxes"]))).shown(480, 640)
+        assert hidden[155:180, 45:315].mean() > 0.85
+        assert hidden[295:320, 155:425].mean() > 0.85
+        assert hidden[:130].mean() < 0.01
     assert not any(
         "overlay" in each for each in json.loads((photos.parent / "off" / "photos.json").read_text())["photos"]
     )

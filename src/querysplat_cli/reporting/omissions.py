@@ -63,7 +63,7 @@ def chance_pairs(count: int) -> Omission:
 
 
 def overlays(found: Overlaid) -> Omission:
-    why = f"text, a logo, a stamp or a frame stays where it is in {found.photos} photos"
+    why = f"text, a frame, or the surroundings of a turntable stay where they are in {found.photos} photos"
     return Omission(OVERLAYS, why, f"{found.share:.1%} of the pixels")
 
 

@@ -1,7 +1,8 @@
-"""Overlays: text, logos, date stamps, frames and bars that lie over the photos and stay where they are.
+"""Overlays: what stays where it is in all photos, while the rest moves.
 
-An overlay has the same edges at the same pixels of all photos, while the scene moves behind it. Structure from motion
-would take it for a scene that a resting camera sees, and a scene would hold a copy of it before every camera.
+These are text, logos, date stamps, frames and bars that lie over the photos, and the surroundings of a turntable before
+a resting camera. An overlay has the same edges at the same pixels of all photos. Structure from motion would take it
+for a scene that a resting camera sees, and a scene would hold a copy of it before every camera.
 """
 
 from collections.abc import Sequence
@@ -26,6 +27,40 @@ class Overlaid:
     share: float
 
 
+@dataclass(frozen=True)
+class StaticPart:
+    """What stays where it is.
+
+    covered: its pixels.
+    steady: those that have their median colour, `usual`, in most pictures.
+    edges: the pixels of its edges, whose mean gradients are `expected`.
+    """
+
+    covered: Bool[np.ndarray, "height width"]
+    steady: Bool[np.ndarray, "height width"]
+    usual: Float[np.ndarray, "height width 3"]
+    edges: Bool[np.ndarray, "height width"]
+    expected: Float[np.ndarray, "height width 3 2"]
+
+    def overlay(self, picture: np.ndarray) -> Overlay:
+        """What it covers in one picture of this size: not where something stands before it."""
+        return Overlay(_boxes(self.covered & ~_spread(cv2.MORPH_DILATE, self._before(picture), OVERLAY_POLICY.gap)))
+
+    def _before(self, picture: np.ndarray) -> Bool[np.ndarray, "height width"]:
+        """Where steady pixels have another colour and the edges are gone. What is half transparent keeps its edges."""
+        policy = OVERLAY_POLICY
+        other = (np.abs(picture - self.usual).max(-1) > 2 * policy.same_colour) & self.steady & self.covered
+        large = _spread(cv2.MORPH_OPEN, _spread(cv2.MORPH_CLOSE, other, policy.before), policy.before)
+        count, labels = cv2.connectedComponents(large.astype(np.uint8))
+        gradients, found = _gradients(picture), np.zeros_like(large)
+        for label in range(1, count):
+            area = labels == label
+            edges = area & self.edges
+            if _cosines(gradients[edges][None], self.expected[edges])[0] < policy.gone:
+                found |= area
+        return found
+
+
 def without_overlays(photos: Sequence[Photo]) -> tuple[list[Photo], Overlaid | None]:
     """The photos with what an overlay covers masked, and what was found; None where there is none.
 
@@ -35,34 +70,38 @@ def without_overlays(photos: Sequence[Photo]) -> tuple[list[Photo], Overlaid | N
     sizes = [(photo.height, photo.width) for photo in photos]
     for size in dict.fromkeys(sizes):
         rows = [row for row, other in enumerate(sizes) if other == size]
-        overlay = find_overlay(_pictures([photos[row] for row in rows]))
-        if overlay:
-            covered += [1 - float(overlay.shown(*size).mean())] * len(rows)
-            for row in rows:
-                found[row] = photos[row].under(overlay)
+        static = _static_part([photos[row] for row in rows])
+        if not static:
+            continue
+        for row in rows:
+            overlay = static.overlay(_picture(photos[row]))
+            covered.append(1 - float(overlay.shown(*size).mean()))
+            found[row] = photos[row].under(overlay)
     return found, Overlaid(len(covered), sum(covered) / len(photos)) if covered else None
 
 
-def _pictures(photos: Sequence[Photo]) -> list[np.ndarray]:
-    """Small copies of some of the photos, evenly spaced; none where there are too few."""
+def _static_part(photos: Sequence[Photo]) -> StaticPart | None:
+    """That of some of the photos, evenly spaced; None where there are too few."""
     if len(photos) < OVERLAY_POLICY.fewest:
-        return []
+        return None
     count = min(len(photos), OVERLAY_POLICY.most)
-    some = [photos[row] for row in np.linspace(0, len(photos) - 1, count).round().astype(int)]
-    pictures = []
-    for photo in some:
-        pictures.append(reduced(photo.pixels, OVERLAY_POLICY.size))
-        release(photo)
-    return pictures
+    return find_static_part(
+        [_picture(photos[row]) for row in np.linspace(0, len(photos) - 1, count).round().astype(int)]
+    )
 
 
-def find_overlay(pictures: Sequence[np.ndarray]) -> Overlay | None:
+def _picture(photo: Photo) -> np.ndarray:
+    """A small copy."""
+    picture = reduced(photo.pixels, OVERLAY_POLICY.size)
+    release(photo)
+    return picture
+
+
+def find_static_part(pictures: Sequence[np.ndarray]) -> StaticPart | None:
     """What stays where it is in all of the pictures [height, width, 3], 8-bit and of one size; None where nothing does.
 
-    Where most edges stay, the camera hardly moved, and nothing is an overlay.
+    Where most edges stay, the camera hardly moved, and nothing is static.
     """
-    if not pictures:
-        return None
     policy = OVERLAY_POLICY
     gradients = np.stack([_gradients(picture) for picture in pictures])
     mean = gradients.mean(0)
@@ -73,8 +112,16 @@ def find_overlay(pictures: Sequence[np.ndarray]) -> Overlay | None:
     still = _registered((alike & (clear > policy.least_gradient)).any(-1), gradients, mean)
     if not still.any() or still.sum() > policy.most_edges * (strength > policy.least_gradient).any(-1).sum():
         return None
-    around = cv2.dilate(still.astype(np.uint8), np.ones((5, 5), np.uint8)) > 0
-    return Overlay(_boxes(around | _enclosed(around, pictures)))
+    around = _spread(cv2.MORPH_DILATE, still, 5)
+    usual = np.median(np.stack(pictures), 0)
+    near = [np.abs(picture - usual).max(-1) <= policy.same_colour for picture in pictures]
+    steady = np.mean(near, 0) >= policy.steady
+    return StaticPart(around | _enclosed(around, steady), steady, usual, still, mean)
+
+
+def _spread(operation: int, area: Bool[np.ndarray, "height width"], side: int) -> Bool[np.ndarray, "height width"]:
+    """A morphological operation of OpenCV's with a square of `side` pixels."""
+    return np.asarray(cv2.morphologyEx(area.astype(np.uint8), operation, np.ones((side, side), np.uint8)) > 0)
 
 
 def _lengths(vectors: Float[np.ndarray, "... 2"]) -> Float[np.ndarray, "..."]:
@@ -97,8 +144,7 @@ def _registered(
     Far things move little from photo to photo, but they move.
     """
     policy = OVERLAY_POLICY
-    closed = cv2.morphologyEx(still.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((policy.gap, policy.gap), np.uint8))
-    count, labels = cv2.connectedComponents(closed)
+    count, labels = cv2.connectedComponents(_spread(cv2.MORPH_CLOSE, still, policy.gap).astype(np.uint8))
     kept = np.zeros_like(still)
     steps = range(-policy.aside, policy.aside + 1)
     height, width = still.shape
@@ -126,16 +172,14 @@ def _cosines(found: Float[np.ndarray, "pictures n 3 2"], expected: Float[np.ndar
     return np.asarray(products / np.sqrt((found**2).sum((1, 2, 3)) * (expected**2).sum() + 1e-9))
 
 
-def _enclosed(around: Bool[np.ndarray, "height width"], pictures: Sequence[np.ndarray]) -> Bool[np.ndarray, "h w"]:
-    """Areas of a colour that is the same in all pictures, between the edges of an overlay, such as bars and logos."""
-    policy = OVERLAY_POLICY
-    span = np.ptp(np.stack(pictures), axis=0).max(-1)
-    count, labels = cv2.connectedComponents(((span <= policy.same_colour) & ~around).astype(np.uint8), connectivity=4)
+def _enclosed(around: Bool[np.ndarray, "height width"], steady: Bool[np.ndarray, "height width"]) -> np.ndarray:
+    """Areas of steady colour between the edges of an overlay, such as bars and logos."""
+    count, labels = cv2.connectedComponents((steady & ~around).astype(np.uint8), connectivity=4)
     found = np.zeros_like(around)
     for label in range(1, count):
         area = labels == label
-        border = (cv2.dilate(area.astype(np.uint8), np.ones((3, 3), np.uint8)) > 0) & ~area
-        if border.any() and around[border].mean() >= policy.enclosed:
+        border = _spread(cv2.MORPH_DILATE, area, 3) & ~area
+        if border.any() and around[border].mean() >= OVERLAY_POLICY.enclosed:
             found |= area
     return found
 

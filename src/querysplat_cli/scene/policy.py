@@ -66,10 +66,16 @@ class OverlayPolicy:
     """Share of the picture's height or width that such edges reach over."""
     alike: float = 0.6
     """Median over the pictures of the cosine of a part's gradients and their means."""
-    most_edges: float = 0.5
+    most_edges: float = 0.85
     """Share of all edges that an overlay has at most."""
     same_colour: int = 12
-    """Grey levels by which a pixel of a bar or logo differs at most from picture to picture."""
+    """Grey levels by which a pixel of a bar or logo differs at most from its median over the pictures."""
+    steady: float = 0.6
+    """Share of the pictures that do so."""
+    before: int = 15
+    """Side, in pixels, of a square that fits into what stands before a steady area."""
+    gone: float = 0.5
+    """Cosine of gradients and mean gradients below which the edges of an area are gone."""
     enclosed: float = 0.7
     """Share of the border of such an area that lies at edges of the overlay."""
     cell: int = 4
