@@ -1,5 +1,7 @@
 """Which features of a photo are kept, and cameras of large photos from those."""
 
+from dataclasses import replace
+
 import numpy as np
 import pycolmap
 import pytest
@@ -8,7 +10,7 @@ from synthetic import FOCAL, WIDTH, arc, photographs, room
 from querysplat_cli.encoders.base import CameraRequest
 from querysplat_cli.encoders.classical import verified_pairs
 from querysplat_cli.encoders.classical.cameras import estimate_cameras
-from querysplat_cli.encoders.classical.features import are_large, spread_features
+from querysplat_cli.encoders.classical.features import are_large, spread_features, stretched
 from querysplat_cli.encoders.classical.matches import matched
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
 from querysplat_cli.encoders.classical.verified_pairs import matching_options
@@ -98,3 +100,28 @@ def test_cores_share_the_matching_and_find_what_one_finds(large: list[Photo], mo
     monkeypatch.setattr("os.cpu_count", lambda: 3)
     assert database_of(large) == alone
     assert len(alone[0]) == len(alone[1]) == 6
+
+
+def test_photos_of_little_contrast_are_stretched_and_others_are_left() -> None:
+    ramp = np.tile(np.linspace(20, 60, 201).round().astype(np.uint8), (10, 1))
+    found = stretched(ramp)
+    low, high = np.percentile(ramp, (1, 99))
+    expected = CAMERA_POLICY.usual_contrast / (high - low) * (ramp - low)
+    assert np.abs(found - expected.clip(0, 255)).max() <= 0.5
+    plain = np.full((10, 10), 7, np.uint8)
+    assert not stretched(plain).any()
+    usual = np.tile(np.arange(100, dtype=np.uint8), (10, 1))
+    assert stretched(usual) is usual
+
+
+def test_dark_photos_among_others_are_placed() -> None:
+    """Every other photo has an eighth of the light."""
+    views = arc(6)
+    photos = photographs(room(), views)
+    mixed = [
+        replace(photo, pixels=(photo.pixels * 0.125).round().astype(np.uint8)) if row % 2 else photo
+        for row, photo in enumerate(photos)
+    ]
+    with matched(mixed, seed=0, progress=lambda *_: None) as matches:
+        assert min(matches.features[1::2]) > 0.6 * min(matches.features[::2])
+    assert len(estimate_cameras(mixed, CameraRequest(224, seed=0), lambda *_: None).views) == 6

@@ -28,12 +28,22 @@ def write_grey(photos: Sequence[Photo], folder: Path, size: int) -> tuple[tuple[
     """Write the photos as grey pictures of a longer side of at most `size`, and return their sizes."""
     sizes = []
     for number, photo in enumerate(photos):
-        picture = reduced(cv2.cvtColor(photo.pixels, cv2.COLOR_RGB2GRAY), size)
+        picture = stretched(reduced(cv2.cvtColor(photo.pixels, cv2.COLOR_RGB2GRAY), size))
         release(photo)
         if not cv2.imwrite(str(folder / image_name(number)), picture):
             raise OSError(f"cannot write to {folder}")
         sizes.append((picture.shape[0], picture.shape[1]))
     return tuple(sizes)
+
+
+def stretched(picture: np.ndarray) -> np.ndarray:
+    """A grey picture, 8-bit, with the usual contrast where it has little: one that is dark, or taken in fog."""
+    policy = CAMERA_POLICY
+    low, high = np.percentile(picture, (1, 99))
+    if high - low >= policy.least_contrast:
+        return picture
+    scale = min(policy.most_stretched, policy.usual_contrast / max(high - low, 1.0))
+    return np.asarray((scale * (picture - low)).round().clip(0, 255).astype(np.uint8))
 
 
 def write_masks(photos: Sequence[Photo], sizes: Sequence[tuple[int, int]], folder: Path) -> None:
