@@ -169,7 +169,8 @@ def _read_inputs(settings: ReconstructSettings, device: torch.device, stages: St
         keep = FiledPixels(without_steps(settings.ply).parent, PIPELINE_POLICY.pixel_bytes)
         paths = find_photos(settings.inputs)
         photos, unread = load_inputs(paths, settings.film_frames, progress=progress, keep=keep)
-        photos, overlaid = (photos, None) if settings.overlays == "off" else without_overlays(photos)
+        keeps = settings.overlays == "off" or settings.keep_everything
+        photos, overlaid = (photos, None) if keeps else without_overlays(photos)
     if device.type == "cpu":
         start_compiling(*SCENE_KERNELS)
     with stages("model") as progress:

@@ -240,8 +240,8 @@ class ReconstructSettings:
     overlays: Annotated[
         Overlays,
         Option(
-            "Leave out what lies over all photos of one size: text, logos, date stamps, frames, bars. off: it takes "
-            "part."
+            "Leave out what stays where it is in all photos of one size: text, logos, date stamps, frames, bars, and "
+            "the surroundings of a turntable. off: it takes part."
         ),
     ] = "auto"
 
