@@ -161,6 +161,7 @@ def test_an_encoder_that_looks_at_squares_is_shown_whole_photos(
         assert row["psnr"] > 0
 
 
+@pytest.mark.slow
 def test_official_models_are_optimised_with_lpips_where_its_weights_are(room: Path, tmp_path: Path) -> None:
     """The release's loss has it. Results with and without it do not mix."""
     write_lpips_weights(tmp_path / "lpips", "vgg")

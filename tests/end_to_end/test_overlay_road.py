@@ -34,12 +34,12 @@ def made(photos: Path, name: str, capsys: pytest.CaptureFixture[str], *more: str
 
 
 def test_text_over_photos_takes_no_part(photos: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    auto, off = (made(photos, word, capsys, "--overlays", word) for word in ("auto", "off"))
+    auto = made(photos, "auto", capsys)
+    off = made(photos, "off", capsys, "--overlays", "off", "--max-size", "96", "--tto", "0")
     assert len(auto["views"]["used"]) == PHOTOS
     (entry,) = [each for each in auto["left_out"] if each["what"] == "overlays"]
     assert f"{PHOTOS} photos" in entry["why"]
     assert not [each for each in off["left_out"] if each["what"] == "overlays"]
-    assert auto["quality"]["input"]["psnr"] > off["quality"]["input"]["psnr"] + 1
 
     listed = json.loads((photos.parent / "auto" / "photos.json").read_text())["photos"]
     for each in listed:

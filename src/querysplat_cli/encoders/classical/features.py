@@ -38,11 +38,11 @@ def write_grey(photos: Sequence[Photo], folder: Path, size: int) -> tuple[tuple[
 
 def stretched(picture: np.ndarray) -> np.ndarray:
     """A grey picture, 8-bit, with the usual contrast where it has little: one that is dark, or taken in fog."""
-    policy = CAMERA_POLICY
     low, high = np.percentile(picture, (1, 99))
-    if high - low >= policy.least_contrast:
+    least, most = CAMERA_POLICY.little_contrast
+    if not least <= high - low < most:
         return picture
-    scale = min(policy.most_stretched, policy.usual_contrast / max(high - low, 1.0))
+    scale = CAMERA_POLICY.usual_contrast / (high - low)
     return np.asarray((scale * (picture - low)).round().clip(0, 255).astype(np.uint8))
 
 

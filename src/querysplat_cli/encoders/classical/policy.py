@@ -56,13 +56,11 @@ class CameraPolicy:
     # Matches.
     ordinary: MatchEffort = MatchEffort(1600, False, None, 0.8, False, 15, most_features=4000)
     """The usual search; ratio and inliers are COLMAP's. More than 1,600 pixels cost time and find no better matches."""
-    least_contrast: int = 80
-    """Grey levels between the darkest and the brightest hundredth of a photo, below which it is stretched: SIFT's
-    contrast threshold is meant for photos that use all levels."""
+    little_contrast: tuple[int, int] = (25, 80)
+    """Grey levels between the darkest and the brightest hundredth of a photo, from and up to which it is stretched.
+    SIFT's contrast threshold is meant for photos that use all levels. Below, only noise would become larger."""
     usual_contrast: int = 200
     """Grey levels between them then."""
-    most_stretched: float = 8.0
-    """Factor of the contrast at most: beyond it, noise becomes features."""
     thorough: MatchEffort = MatchEffort(800, True, 0.003, 0.9, False, 25)
     """A second, slow search, for photos that the first one did not place. It finds many features in few pixels; among
     many more candidates more agree by chance, so it needs more inliers."""
