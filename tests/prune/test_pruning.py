@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from querysplat_cli.prune.bands import without_idle_bands
 from querysplat_cli.prune.gaussians import importance, prune, target_count
 from querysplat_cli.prune.policy import PRUNE_POLICY
-from querysplat_cli.prune.views import evenly_spaced, near_duplicates
+from querysplat_cli.prune.views import near_duplicates
+from querysplat_cli.runtime.sequences import evenly_spaced
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
 from querysplat_cli.scene.views import Views

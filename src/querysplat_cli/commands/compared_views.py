@@ -8,8 +8,8 @@ import torch
 from querysplat_cli.pipeline.gaussian_files import folder_of_scene
 from querysplat_cli.pipeline.read_scene import read_scene
 from querysplat_cli.prune.policy import PRUNE_POLICY
-from querysplat_cli.prune.views import evenly_spaced
 from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.sequences import evenly_spaced
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.formats.transforms import NamedCameras, read_working_cameras
 from querysplat_cli.scene.gaussians import Gaussians

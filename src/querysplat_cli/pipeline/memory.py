@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from querysplat_cli.encoders.base import Encoder
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.pipeline.policy import PIPELINE_POLICY
-from querysplat_cli.prune.views import evenly_spaced
 from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.sequences import evenly_spaced
 from querysplat_cli.scene.views import LeftOut, Photo
 
 

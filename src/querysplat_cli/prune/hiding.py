@@ -10,7 +10,7 @@ from jaxtyping import Bool
 from torch import Tensor
 
 from querysplat_cli.prune.policy import PRUNE_POLICY
-from querysplat_cli.prune.views import evenly_spaced
+from querysplat_cli.runtime.sequences import evenly_spaced
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.paths import on_the_line

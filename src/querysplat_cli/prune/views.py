@@ -1,7 +1,6 @@
-"""Near-duplicate views, and a few views in place of all."""
+"""Near-duplicate views."""
 
 from collections.abc import Sequence
-from typing import TypeVar
 
 import numpy as np
 import torch
@@ -10,8 +9,6 @@ from torch import Tensor
 from querysplat_cli.prune.policy import PRUNE_POLICY
 from querysplat_cli.scene.cameras import Cameras, project_points
 from querysplat_cli.scene.sparse_points import shared_points
-
-Item = TypeVar("Item")
 
 
 def near_duplicates(cameras: Cameras, points: Tensor, visibility: Sequence[Tensor]) -> dict[int, int]:
@@ -28,14 +25,6 @@ def near_duplicates(cameras: Cameras, points: Tensor, visibility: Sequence[Tenso
                 found[view] = other
                 break
     return found
-
-
-def evenly_spaced(items: Sequence[Item], count: int) -> list[Item]:
-    """`count` of the items, the first and the last included; all where there are no more."""
-    if count >= len(items):
-        return list(items)
-    step = (len(items) - 1) / max(count - 1, 1)
-    return [items[round(i * step)] for i in range(count)]
 
 
 def _near(cameras: Cameras, points: Tensor, visibility: Sequence[Tensor], view: int, other: int) -> bool:

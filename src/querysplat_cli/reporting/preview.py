@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import torch
 
+from querysplat_cli.runtime.sequences import evenly_spaced
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.pictures import eight_bit, write_picture
@@ -24,7 +25,7 @@ def preview(gaussians: Gaussians, groups: dict[str, tuple[Views, Cameras]]) -> n
     """
     strips = []
     for caption, (views, cameras) in groups.items():
-        rows = np.unique(np.linspace(0, len(views) - 1, min(PREVIEW_ROWS, len(views))).round().astype(int)).tolist()
+        rows = evenly_spaced(range(len(views)), PREVIEW_ROWS)
         with torch.no_grad():
             renders = render(gaussians, cameras[rows], background=torch.full((3,), MID_GREY)).colour.clamp(0, 1)
         for row, picture in zip(rows, renders, strict=True):

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float
 
+from querysplat_cli.runtime.sequences import evenly_spaced
 from querysplat_cli.scene.decoding import reduced
 from querysplat_cli.scene.filed_pixels import release
 from querysplat_cli.scene.masks import Overlay
@@ -84,10 +85,7 @@ def _static_part(photos: Sequence[Photo]) -> StaticPart | None:
     """That of some of the photos, evenly spaced; None where there are too few."""
     if len(photos) < OVERLAY_POLICY.fewest:
         return None
-    count = min(len(photos), OVERLAY_POLICY.most)
-    return find_static_part(
-        [_picture(photos[row]) for row in np.linspace(0, len(photos) - 1, count).round().astype(int)]
-    )
+    return find_static_part([_picture(photo) for photo in evenly_spaced(photos, OVERLAY_POLICY.most)])
 
 
 def _picture(photo: Photo) -> np.ndarray:

@@ -5,8 +5,8 @@ from typing import Literal
 
 from querysplat_cli.prune.gaussians import Pruned, prune
 from querysplat_cli.prune.policy import PRUNE_POLICY
-from querysplat_cli.prune.views import evenly_spaced
 from querysplat_cli.runtime.choices import Amount
+from querysplat_cli.runtime.sequences import evenly_spaced
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.tto.options import Pruning
 from querysplat_cli.tto.rendering_loss import RenderingLoss

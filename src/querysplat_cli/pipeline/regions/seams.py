@@ -10,9 +10,9 @@ import torch
 from querysplat_cli.pipeline.full_size import LargePhotos
 from querysplat_cli.pipeline.policy import PIPELINE_POLICY
 from querysplat_cli.pipeline.regions.groups import Group
-from querysplat_cli.prune.views import evenly_spaced
 from querysplat_cli.runtime.errors import ImpossibleScene
 from querysplat_cli.runtime.progress import Progress
+from querysplat_cli.runtime.sequences import evenly_spaced
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.paths import halfway
