@@ -5,7 +5,7 @@ a resting camera. An overlay has the same edges at the same pixels of all photos
 for a scene that a resting camera sees, and a scene would hold a copy of it before every camera.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -18,6 +18,9 @@ from querysplat_cli.scene.filed_pixels import release
 from querysplat_cli.scene.masks import Overlay
 from querysplat_cli.scene.policy import OVERLAY_POLICY
 from querysplat_cli.scene.views import Photo
+
+Place = tuple[slice, slice]
+"""Rows and columns of a part of a picture."""
 
 
 @dataclass(frozen=True)
@@ -52,13 +55,11 @@ class StaticPart:
         policy = OVERLAY_POLICY
         other = (np.abs(picture - self.usual).max(-1) > 2 * policy.same_colour) & self.steady & self.covered
         large = _spread(cv2.MORPH_OPEN, _spread(cv2.MORPH_CLOSE, other, policy.before), policy.before)
-        count, labels = cv2.connectedComponents(large.astype(np.uint8))
         gradients, found = _gradients(picture), np.zeros_like(large)
-        for label in range(1, count):
-            area = labels == label
-            edges = area & self.edges
-            if _cosines(gradients[edges][None], self.expected[edges])[0] < policy.gone:
-                found |= area
+        for place, part in _parts(large):
+            edges = part & self.edges[place]
+            if _cosines(gradients[place][edges][None], self.expected[place][edges])[0] < policy.gone:
+                found[place] |= part
         return found
 
 
@@ -110,7 +111,7 @@ def find_static_part(pictures: Sequence[np.ndarray]) -> StaticPart | None:
     still = _registered((alike & (clear > policy.least_gradient)).any(-1), gradients, mean)
     if not still.any() or still.sum() > policy.most_edges * (strength > policy.least_gradient).any(-1).sum():
         return None
-    around = _spread(cv2.MORPH_DILATE, still, 5)
+    around = _spread(cv2.MORPH_DILATE, still, policy.around)
     usual = np.median(np.stack(pictures), 0)
     near = [np.abs(picture - usual).max(-1) <= policy.same_colour for picture in pictures]
     steady = np.mean(near, 0) >= policy.steady
@@ -120,6 +121,14 @@ def find_static_part(pictures: Sequence[np.ndarray]) -> StaticPart | None:
 def _spread(operation: int, area: Bool[np.ndarray, "height width"], side: int) -> Bool[np.ndarray, "height width"]:
     """A morphological operation of OpenCV's with a square of `side` pixels."""
     return np.asarray(cv2.morphologyEx(area.astype(np.uint8), operation, np.ones((side, side), np.uint8)) > 0)
+
+
+def _parts(area: Bool[np.ndarray, "height width"], connectivity: int = 8) -> Iterator[tuple[Place, np.ndarray]]:
+    """The connected parts of an area, each as the place of its box with a pixel around it, and its pixels there."""
+    _, labels, boxes, _ = cv2.connectedComponentsWithStats(area.astype(np.uint8), connectivity=connectivity)
+    for label, (left, top, width, height, _) in enumerate(boxes[1:].tolist(), 1):
+        place = slice(max(top - 1, 0), top + height + 1), slice(max(left - 1, 0), left + width + 1)
+        yield place, labels[place] == label
 
 
 def _lengths(vectors: Float[np.ndarray, "... 2"]) -> Float[np.ndarray, "..."]:
@@ -142,15 +151,15 @@ def _registered(
     Far things move little from photo to photo, but they move.
     """
     policy = OVERLAY_POLICY
-    count, labels = cv2.connectedComponents(_spread(cv2.MORPH_CLOSE, still, policy.gap).astype(np.uint8))
     kept = np.zeros_like(still)
     steps = range(-policy.aside, policy.aside + 1)
     height, width = still.shape
     fewest = policy.fewest_edges * max(1.0, policy.enough / len(gradients)) ** 3
-    for label in range(1, count):
-        rows, columns = np.nonzero((labels == label) & still)
+    for (down, along), part in _parts(_spread(cv2.MORPH_CLOSE, still, policy.gap)):
+        rows, columns = np.nonzero(part & still[down, along])
         if len(rows) < fewest:
             continue
+        rows, columns = rows + down.start, columns + along.start
         expected = mean[rows, columns]
         fits = np.zeros((len(steps), len(steps), len(gradients)))
         for i, dy in enumerate(steps):
@@ -172,13 +181,11 @@ def _cosines(found: Float[np.ndarray, "pictures n 3 2"], expected: Float[np.ndar
 
 def _enclosed(around: Bool[np.ndarray, "height width"], steady: Bool[np.ndarray, "height width"]) -> np.ndarray:
     """Areas of steady colour between the edges of an overlay, such as bars and logos."""
-    count, labels = cv2.connectedComponents((steady & ~around).astype(np.uint8), connectivity=4)
     found = np.zeros_like(around)
-    for label in range(1, count):
-        area = labels == label
-        border = _spread(cv2.MORPH_DILATE, area, 3) & ~area
-        if border.any() and around[border].mean() >= OVERLAY_POLICY.enclosed:
-            found |= area
+    for place, part in _parts(steady & ~around, connectivity=4):
+        border = _spread(cv2.MORPH_DILATE, part, 3) & ~part
+        if border.any() and around[place][border].mean() >= OVERLAY_POLICY.enclosed:
+            found[place] |= part
     return found
 
 

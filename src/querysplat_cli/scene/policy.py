@@ -72,6 +72,8 @@ class OverlayPolicy:
     """Median over the pictures of the cosine of a part's gradients and their means."""
     most_edges: float = 0.85
     """Share of all edges that an overlay has at most."""
+    around: int = 5
+    """Side, in pixels, of the square by which edges are widened."""
     same_colour: int = 12
     """Grey levels by which a pixel of a bar or logo differs at most from its median over the pictures."""
     steady: float = 0.6
