@@ -36,9 +36,8 @@ def lines(report: Report) -> Iterator[str]:
     """Five lines, and one more each for photos that were left out, for what a network matched, and for a warning."""
     yield f"{report.gaussians:,} Gaussians from {counted(len(report.views['used']), 'photo')}"
     yield from left_out(report.views["left_out"])
-    for entry in report.left_out:
-        if entry["what"] == OVERLAYS:
-            yield f"left out: {entry['saved']}, where {entry['why']}"
+    overlays = (entry for entry in report.left_out if entry["what"] == OVERLAYS)
+    yield from (f"left out: {entry['saved']}, where {entry['why']}" for entry in overlays)
     if report.matching and not report.quality.get("before"):
         yield _matching(report.matching)
     yield from report.resumed

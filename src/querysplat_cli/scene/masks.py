@@ -14,14 +14,13 @@ import numpy as np
 from PIL import Image, ImageOps
 
 from querysplat_cli.scene.cameras import same_shape
+from querysplat_cli.scene.resample import MOST
 
 MASKS, IMAGES = "masks", "images"
 WHOLLY = 0.99
 """A reduced pixel takes part when at least this share of it does, so that no masked colour is mixed in."""
 ROUNDED = 0.01
 """Pixels by which the edges of a box may be off, because its numbers are rounded."""
-MOST = 1000.0
-"""Largest number of a box."""
 
 
 @dataclass(frozen=True)
@@ -39,11 +38,10 @@ class Overlay:
     def shown(self, height: int, width: int) -> np.ndarray:
         """True [height, width] where a photo of this size shows the scene."""
         shown = np.ones((height, width), bool)
-        if self.boxes:
-            edges = np.array(self.boxes) * width
-            starts, ends = np.floor(edges[:, :2] + ROUNDED), np.ceil(edges[:, 2:] - ROUNDED)
-            for left, top, right, bottom in np.hstack([starts, ends]).astype(int):
-                shown[top:bottom, left:right] = False
+        edges = np.reshape(self.boxes, (-1, 4)) * width
+        starts, ends = np.floor(edges[:, :2] + ROUNDED), np.ceil(edges[:, 2:] - ROUNDED)
+        for left, top, right, bottom in np.hstack([starts, ends]).astype(int):
+            shown[top:bottom, left:right] = False
         return shown
 
 

@@ -142,8 +142,7 @@ def read_photo_files(path: Path) -> dict[str, PhotoFile]:
     entries = from_tables(_Listing, read_json(path, MAKE_AGAIN), what="list of photos", docs="docs/cli.md").photos
     for entry in entries:
         file = PhotoFile(**{**vars(entry), "path": Path(entry.path)})
-        fault = file.lens.fault() or (file.view.fault() if file.view else "")
-        fault = fault or (file.overlay.fault() if file.overlay else "")
+        fault = next(filter(None, (part.fault() for part in (file.lens, file.view, file.overlay) if part)), "")
         if fault or "\0" in entry.path:
             raise QuerySplatError(f"{path}: the lens of {file.name} makes no sense: {fault}", MAKE_AGAIN)
         found[file.name] = file

@@ -11,7 +11,7 @@ from querysplat_cli.runtime.errors import QuerySplatError
 WIDEST = np.radians(60.0)
 """Angle from the optical axis up to which a fisheye photo is used. A pinhole view stretches what lies farther out."""
 MOST = 1000.0
-"""Largest number of a view."""
+"""Largest number of a view, or of what lies over a photo, in widths of the photo."""
 LARGEST_VIEW = 5.0
 """Longer side of the largest view, in widths of its photo."""
 FACE_FIELD = 100.0
