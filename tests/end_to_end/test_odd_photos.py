@@ -223,6 +223,7 @@ def test_a_full_disk_leaves_nothing(room: Path, tmp_path: Path) -> None:
         *((stage, signal.SIGINT) for stage in ("photos", "cameras", "depth", "score", "write")),
         ("cameras", signal.SIGTERM),
         ("depth", signal.SIGHUP),
+        pytest.param("write", signal.SIGTERM, marks=pytest.mark.slow),
     ],
 )
 def test_a_signal_leaves_what_was_there(stage: str, number: int, room: Path, tmp_path: Path) -> None:

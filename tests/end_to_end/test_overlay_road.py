@@ -41,12 +41,13 @@ def test_text_over_photos_takes_no_part(photos: Path, capsys: pytest.CaptureFixt
     assert f"{PHOTOS} photos" in entry["why"]
     assert not [each for each in off["left_out"] if each["what"] == "overlays"]
 
-    listed = json.loads((photos.parent / "auto" / "photos.json").read_text())["photos"]
+    listed, without = (
+        json.loads((photos.parent / each / "photos.json").read_text())["photos"] for each in ("auto", "off")
+    )
+    assert len(listed) == PHOTOS
     for each in listed:
         hidden = ~Overlay(tuple(map(tuple, each["overlay"]["boxes"]))).shown(480, 640)
         assert hidden[155:180, 45:315].mean() > 0.85
         assert hidden[295:320, 155:425].mean() > 0.85
         assert hidden[:130].mean() < 0.01
-    assert not any(
-        "overlay" in each for each in json.loads((photos.parent / "off" / "photos.json").read_text())["photos"]
-    )
+    assert not any("overlay" in each for each in without)

@@ -16,7 +16,7 @@ from querysplat_cli.scene.masks import Overlay
 from querysplat_cli.scene.overlays import find_static_part, without_overlays
 from querysplat_cli.scene.photo_files import PhotoFile, large_views, read_photo_files, write_photo_files
 from querysplat_cli.scene.undistort import undistorted
-from querysplat_cli.scene.views import Photo
+from querysplat_cli.scene.views import Photo, PhotoSource
 
 HEIGHT, WIDTH = 240, 320
 Draw = Callable[[np.ndarray], np.ndarray]
@@ -144,7 +144,7 @@ def test_large_photos_are_masked_too(tmp_path: Path) -> None:
     overlay = Overlay(((0.25, 0.125, 0.5, 0.25),))
     cv2.imwrite(str(tmp_path / "a.png"), textures(1)[0])
     lens = PhotoCamera(np.eye(4), (150.0, 150.0), (80.0, 60.0), (0.0, 0.0, 0.0, 0.0), HEIGHT // 2, WIDTH // 2)
-    file = PhotoFile.of("a.png", Photo("a.png", tmp_path / "a.png", textures(1)[0], overlay=overlay).source, lens)
+    file = PhotoFile.of("a.png", PhotoSource(tmp_path / "a.png", overlay=overlay), lens)
     write_photo_files(tmp_path / "photos.json", [file])
     assert read_photo_files(tmp_path / "photos.json")["a.png"] == file
     small, cameras = undistorted([file.load(160)], [lens], max_size=160)
@@ -159,9 +159,7 @@ def test_large_photos_are_masked_too(tmp_path: Path) -> None:
 def test_damaged_boxes_are_refused(tmp_path: Path) -> None:
     lens = PhotoCamera(np.eye(4), (150.0, 150.0), (80.0, 60.0), (0.0, 0.0, 0.0, 0.0), HEIGHT, WIDTH)
     for box in ((0.5, 0.1, 0.4, 0.2), (-0.5, 0.1, 0.4, 0.2), (0.0, 0.1, 1e9, 0.2)):
-        file = PhotoFile.of(
-            "a.png", Photo("a.png", Path("a.png"), textures(1)[0], overlay=Overlay((box,))).source, lens
-        )
+        file = PhotoFile.of("a.png", PhotoSource(Path("a.png"), overlay=Overlay((box,))), lens)
         write_photo_files(tmp_path / "photos.json", [file])
         with pytest.raises(QuerySplatError, match=r"photos\.json"):
             read_photo_files(tmp_path / "photos.json")
