@@ -1,5 +1,6 @@
 """Shared fixtures. Every jaxtyping annotation outside compiled code is checked while the tests run."""
 
+import os
 import signal
 from pathlib import Path
 
@@ -19,6 +20,10 @@ install_import_hook(
     ],
     "beartype.beartype",
 )
+
+# Where `CI` is set, pytest works out the whole difference of two values, which takes hours for those of two files.
+for variable in ("CI", "BUILD_NUMBER"):
+    os.environ.pop(variable, None)
 
 hypothesis.settings.register_profile("querysplat", deadline=None, derandomize=True)
 hypothesis.settings.load_profile("querysplat")

@@ -1,13 +1,8 @@
 """Pairs of photos in COLMAP's database: matched, verified by a two-view geometry, and read as arrays of pixels."""
 
-import os
-import shutil
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass
 from pathlib import Path
-from queue import SimpleQueue
-from tempfile import TemporaryDirectory
 
 import numpy as np
 import pycolmap
@@ -23,8 +18,8 @@ UNRELATED = {
     pycolmap.TwoViewGeometryConfiguration.WATERMARK,
 }
 
-PAIR_BLOCK = 25
-"""Pairs that are matched at once. Ctrl-C waits for them."""
+PAIR_BLOCK = 50
+"""Pairs of one call of COLMAP. Ctrl-C waits for it."""
 
 
 @dataclass(frozen=True)
@@ -87,66 +82,29 @@ def match_pairs(
 ) -> None:
     """Match the features of these pairs of photos; without `verification`, matches are kept as they are found.
 
-    Each core works on a copy of the database, because COLMAP's own threads lose matches (`matching_options`). `done`
-    is told the share of the pairs that are matched.
+    One block of pairs after the other, never two at once: see `matching_options`. `done` is told the share of the
+    pairs that are matched.
     """
-    blocks = [pairs[start : start + PAIR_BLOCK] for start in range(0, len(pairs), PAIR_BLOCK)]
-    cores = min(os.cpu_count() or 1, len(blocks))
-    if not cores:
-        return
-    with TemporaryDirectory(dir=folder) as scratch, ThreadPoolExecutor(cores) as pool:
-        copies = [Path(shutil.copy(database, Path(scratch, f"{core}.db"))) for core in range(cores)]
-        idle: SimpleQueue[Path] = SimpleQueue()
-        for copy in copies:
-            idle.put(copy)
-
-        def match(number: int, block: Sequence[tuple[int, int]]) -> None:
-            own = idle.get()
-            try:
-                _match_block(own, _listing(Path(scratch, f"{number}.txt"), block), effort, verification)
-            finally:
-                idle.put(own)
-
-        jobs = [pool.submit(match, number, block) for number, block in enumerate(blocks)]
-        try:
-            for number, job in enumerate(as_completed(jobs), 1):
-                job.result()
-                done(number / len(jobs))
-        finally:
-            pool.shutdown(cancel_futures=True)  # after Ctrl-C, only blocks under way are finished
-        for copy in copies:
-            _gather(database, copy)
-
-
-def _match_block(database: Path, listing: Path, effort: MatchEffort, verification: Verification | None) -> None:
     matching = matching_options(effort)
     matching.skip_geometric_verification = verification is None
-    pairing = pycolmap.ImportedPairingOptions()
-    pairing.match_list_path = listing
     options = verification.options() if verification else pycolmap.TwoViewGeometryOptions()
-    pycolmap.match_image_pairs(
-        database, matching_options=matching, pairing_options=pairing, verification_options=options
-    )
-
-
-def _gather(database: Path, copy: Path) -> None:
-    """Put into the database what its copy has in addition: matches of pairs, and their two-view geometries."""
-    with pycolmap.Database.open(database) as store, pycolmap.Database.open(copy) as other:
-        for pair_id, rows in zip(*other.read_all_matches(), strict=True):
-            numbers = pycolmap.pair_id_to_image_pair(pair_id)
-            if not store.exists_matches(*numbers):
-                store.write_matches(*numbers, rows)
-        for pair_id, geometry in zip(*other.read_two_view_geometries(), strict=True):
-            numbers = pycolmap.pair_id_to_image_pair(pair_id)
-            if not store.exists_two_view_geometry(*numbers):
-                store.write_two_view_geometry(*numbers, geometry)
+    pairing = pycolmap.ImportedPairingOptions()
+    pairing.match_list_path = folder / "pairs.txt"
+    for start in range(0, len(pairs), PAIR_BLOCK):
+        block = pairs[start : start + PAIR_BLOCK]
+        _listing(pairing.match_list_path, block)
+        pycolmap.match_image_pairs(
+            database, matching_options=matching, pairing_options=pairing, verification_options=options
+        )
+        done((start + len(block)) / len(pairs))
 
 
 def matching_options(effort: MatchEffort) -> pycolmap.FeatureMatchingOptions:
     """How features are matched, on one thread.
 
-    Several threads of COLMAP 4.2.1 share an index of features without enough of a lock: about once in a thousand runs
-    a pair loses some or all of its matches.
+    The OpenBLAS inside the wheels of pycolmap is built for one thread and takes no lock. Where two threads match at
+    once, COLMAP's own or ours, a pair loses some or all of its matches now and then. Verification, which needs no
+    BLAS, has its own thread beside.
     """
     options = pycolmap.FeatureMatchingOptions()
     options.use_gpu = False
