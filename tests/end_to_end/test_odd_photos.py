@@ -22,7 +22,7 @@ from querysplat_cli.runtime.errors import ExitCode
 
 
 def test_photos_that_lie_in_a_file_make_the_same_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    photos = take_photos(tmp_path / "photos", 3, 2)
+    photos = take_photos(tmp_path / "photos", 3, 3)
     made = ["reconstruct", *map(str, photos), "--max-size", "96", "--tto", "2", "--quality", "draft", "-q", "-o"]
     assert run([*made, str(tmp_path / "a.ply")]) == 0
     policy = replace(PIPELINE_POLICY, pixel_bytes=photos[0].stat().st_size)  # only the first stays in memory, if any
@@ -228,7 +228,8 @@ def test_a_full_disk_leaves_nothing(room: Path, tmp_path: Path) -> None:
 )
 def test_a_signal_leaves_what_was_there(stage: str, number: int, room: Path, tmp_path: Path) -> None:
     (tmp_path / "a.ply").write_text("mine")
-    arguments = ["reconstruct", str(room), "-o", str(tmp_path / "a.ply"), "--force", *SMALL[:-1]]
+    photos = [str(file) for file in sorted(room.iterdir())[:3]]
+    arguments = ["reconstruct", *photos, "-o", str(tmp_path / "a.ply"), "--force", "--max-size", "192", "--tto", "4"]
     with subprocess.Popen(
         [sys.executable, "-m", "querysplat_cli", *arguments], stderr=subprocess.PIPE, text=True
     ) as process:

@@ -178,7 +178,9 @@ def sparse_file(path: Path, config: ModelConfig) -> None:
         file.truncate(8 + len(text) + end)
 
 
-@pytest.mark.parametrize(("degree", "values"), [(1, 1_117_923_780), (0, 1_116_743_556)])
+@pytest.mark.parametrize(
+    ("degree", "values"), [(1, 1_117_923_780), pytest.param(0, 1_116_743_556, marks=pytest.mark.slow)]
+)
 def test_a_full_size_file_is_mapped_not_read(tmp_path: Path, degree: int, values: int) -> None:
     """A file of 4.2 GiB is loaded without taking its memory, and each of its 521 tensors is required."""
     sparse_file(tmp_path / "full.safetensors", ModelConfig(sh_degree=degree))

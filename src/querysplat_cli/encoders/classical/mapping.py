@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -16,7 +16,7 @@ from querysplat_cli.encoders.classical.dense_agreement import dense_agreement
 from querysplat_cli.encoders.classical.epipolar import epipolar_support
 from querysplat_cli.encoders.classical.matches import Matches
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY, Attempt
-from querysplat_cli.encoders.classical.self_calibration import self_calibrated
+from querysplat_cli.encoders.classical.self_calibration import adjusted, self_calibrated
 from querysplat_cli.encoders.classical.sparse_model import SparseModel
 from querysplat_cli.encoders.classical.two_views import map_two_photos
 from querysplat_cli.encoders.classical.verified_pairs import Pair, read_candidates
@@ -38,6 +38,12 @@ class Mapped:
     fit_lens: bool = True
     warnings: tuple[str, ...] = ()
 
+    @cached_property
+    def adjusted(self) -> pycolmap.Reconstruction:
+        """COLMAP's form after a bundle adjustment without priors."""
+        assert self.reconstruction is not None
+        return adjusted(self.reconstruction, second_term=False, fit_lens=self.fit_lens)
+
     def refined(self, matches: Matches) -> SparseModel:
         """The model after the final bundle adjustment.
 
@@ -47,7 +53,7 @@ class Mapped:
         if self.reconstruction is None:
             return self.model
         if len(self.model.cameras) > CAMERA_POLICY.few_photos:
-            found = from_colmap(self_calibrated(self.reconstruction, fit_lens=self.fit_lens))
+            found = from_colmap(self_calibrated(self.adjusted, fit_lens=self.fit_lens))
             if len(self.model.cameras) > CAMERA_POLICY.adjusted_photos or _keeps_stated_focals(found, matches):
                 return found
         return bundle_adjusted(self.reconstruction, matches.focals, matches.usual_focals)

@@ -9,27 +9,27 @@ import pycolmap
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
 
 
-def self_calibrated(model: pycolmap.Reconstruction, *, fit_lens: bool) -> pycolmap.Reconstruction:
-    """The model after bundle adjustment of all cameras, points and lenses with a robust loss, without priors.
+def self_calibrated(plain: pycolmap.Reconstruction, *, fit_lens: bool) -> pycolmap.Reconstruction:
+    """The adjusted model, or that of richer lenses: with the second term of COLMAP's RADIAL model, if that pays.
 
-    Priors of the weight that a handful of photos needs bend the lens of more: held out, kermit's eight photos lose
-    0.3 dB in feature space and 0.8 dB after Gaussian space.
-
-    Most features scatter by 0.2 px, but some are wrong by pixels. Under a squared loss those would bend the focal
-    length, which a handful of photos of a shallow scene hardly determine. A lens gets the second term of COLMAP's
-    RADIAL model where that lowers the error enough. With `fit_lens` False, lenses stay as they are.
+    It does where it lowers the error enough. With `fit_lens` False, lenses stay as they are.
     """
-    plain = adjusted(model, second_term=False, fit_lens=fit_lens)
     if not fit_lens:
         return plain
-    richer = adjusted(model, second_term=True, fit_lens=True)
+    richer = adjusted(plain, second_term=True, fit_lens=True)
     limit = CAMERA_POLICY.largest_distortion
     plausible = all(np.abs(camera.params[3:]).max() < limit for camera in richer.cameras.values())
     return richer if plausible and _error(richer) < CAMERA_POLICY.second_term_error * _error(plain) else plain
 
 
 def adjusted(model: pycolmap.Reconstruction, *, second_term: bool, fit_lens: bool) -> pycolmap.Reconstruction:
-    """A copy of the model after one bundle adjustment; with `second_term`, lenses of enough photos have it."""
+    """A copy after bundle adjustment of all cameras, points and lenses with a robust loss, without priors.
+
+    With `second_term`, lenses of enough photos have it; with `fit_lens` False, all stay as they are. Priors of the
+    weight that a handful of photos needs bend the lens of more: held out, kermit's eight photos lose 0.3 dB in feature
+    space and 0.8 dB after Gaussian space. Most features scatter by 0.2 px, but some are wrong by pixels. Under a
+    squared loss those would bend the focal length, which a handful of photos of a shallow scene hardly determine.
+    """
     copy = deepcopy(model)
     photos = Counter(image.camera_id for image in copy.images.values() if image.has_pose)
     for number, camera in copy.cameras.items():

@@ -80,12 +80,13 @@ def with_lenses(model: pycolmap.Reconstruction, groups: Sequence[int]) -> pycolm
 
 def _differ(mapped: Mapped) -> bool:
     """Whether a photo has another focal length, and far smaller errors, where each has a lens of its own."""
-    model, policy = mapped.reconstruction, CAMERA_POLICY
-    if model is None or not mapped.fit_lens:
+    policy = CAMERA_POLICY
+    if mapped.reconstruction is None or not mapped.fit_lens:
         return False
     if not policy.few_photos < len(mapped.model.cameras) <= policy.lens_apart_photos:
         return False
-    together, alone = _adjusted(model), _adjusted(with_lenses(model, range(max(model.images))))
+    model = mapped.adjusted
+    together, alone = from_colmap(model), _adjusted(with_lenses(model, range(max(model.images))))
     for photo, camera in alone.cameras.items():
         apart = abs(np.log(camera.focal[0] / together.cameras[photo].focal[0])) > np.log1p(policy.lens_difference)
         if apart and _error(alone, photo) < policy.lens_apart_error * _error(together, photo):
