@@ -141,6 +141,14 @@ class CameraPolicy:
     """Share of the matches between placed photos that a sound model explains."""
     covered_share: float = 0.3
     """Share of the matched features that are points of a sound model."""
+    resting: float = 1.0
+    """Pixels that a match moves by at most where it rests."""
+    moving: float = 0.01
+    """Share of the longer side of a photo that most matches move by where the camera moved."""
+    resting_tolerance: float = 2.0
+    """Distance in pixels from the epipolar line up to which a match that moved counts."""
+    moving_cover: float = 0.5
+    """Matches that moved cover at least this many times the cells of a photo that those cover which rest."""
 
     # Bundle adjustment.
     adjustment_loss_scale: float = 0.5

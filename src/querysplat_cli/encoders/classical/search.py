@@ -17,6 +17,7 @@ from querysplat_cli.encoders.classical.mapping import Mapped, map_photos
 from querysplat_cli.encoders.classical.matches import Matches, matched
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
 from querysplat_cli.encoders.classical.pure_rotation import placed_by_rotation
+from querysplat_cli.encoders.classical.resting_matches import without_resting_matches
 from querysplat_cli.encoders.classical.several_lenses import with_lenses_apart
 from querysplat_cli.encoders.classical.sparse_model import SparseModel
 from querysplat_cli.encoders.classical.support_policy import SUPPORT_POLICY
@@ -76,6 +77,7 @@ class _Trial:
     @staticmethod
     def of(matches: Matches, photos: Sequence[Photo], seed: int) -> "_Trial":
         """The matches mapped; of two photos, those that the cameras explain."""
+        matches = without_resting_matches(matches, seed=seed)
         mapped = map_photos(matches, photos, seed=seed)
         mapped = mapped and with_lenses_apart(mapped, matches, photos, seed)
         return _Trial(replace(matches, pairs=mapped.pairs) if mapped else matches, mapped)
@@ -99,6 +101,7 @@ def search(photos: Sequence[Photo], choice: MatcherChoice, *, seed: int, progres
     """
     with matched(photos, seed=seed, progress=progress) as matches:
         progress("placing cameras", 0.6)
+        matches = without_resting_matches(matches, seed=seed)
         if placed_by_rotation(matches):  # more matches of such photos would be wrong ones
             return Found(matches, None, None)
         trial = _Trial.of(matches, photos, seed)

@@ -1,0 +1,77 @@
+"""Matches of a few photos that rest though the camera moved: those of text, logos and frames over the photos."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import combinations
+
+import cv2
+import numpy as np
+import pycolmap
+
+from querysplat_cli.encoders.classical.matches import Matches
+from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
+from querysplat_cli.encoders.classical.verified_pairs import Verification, read_candidates, read_pairs, verify_pairs
+
+
+def without_resting_matches(matches: Matches, *, seed: int) -> Matches:
+    """The matches of a few photos, without those that rest where the others of their pair say that the camera moved.
+
+    COLMAP's database follows.
+    """
+    photos = len(matches.sizes)
+    if photos > CAMERA_POLICY.few_photos:
+        return matches
+    with pycolmap.Database.open(matches.database) as store:
+        changed = [pair for pair in combinations(range(photos), 2) if _remove_resting(store, pair, matches.sizes)]
+    if not changed:
+        return matches
+    verification = Verification.of(matches.sizes, CAMERA_POLICY.ordinary, seed)
+    verify_pairs(matches.database, matches.folder, changed, verification)
+    with pycolmap.Database.open(matches.database) as store:
+        return replace(matches, pairs=read_pairs(store, photos))
+
+
+def _remove_resting(store: pycolmap.Database, pair: tuple[int, int], sizes: Sequence[tuple[int, int]]) -> bool:
+    """Whether the pair had resting matches. They are gone then, with what verified the pair."""
+    first, second = pair
+    numbers = first + 1, second + 1
+    if sizes[first] != sizes[second] or not store.exists_matches(*numbers):
+        return False
+    candidates = read_candidates(store, first, second)
+    resting = resting_matches(candidates.first_pixels, candidates.second_pixels, sizes[first])
+    if not resting.any():
+        return False
+    rows = store.read_matches(*numbers)
+    store.delete_matches(*numbers)
+    if store.exists_two_view_geometry(*numbers):
+        store.delete_two_view_geometry(*numbers)
+    store.write_matches(*numbers, rows[~resting])
+    return True
+
+
+def resting_matches(first: np.ndarray, second: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """Which matches [n], of pixels [n, 2] in two photos of this size (height, width), rest though the camera moved.
+
+    None do where the others, as far as one epipolar geometry explains them, are few, moved little, or cover much less
+    of the photo, as those of a car before a resting camera do.
+    """
+    policy = CAMERA_POLICY
+    shift = np.linalg.norm(first - second, axis=1)
+    resting = shift < policy.resting
+    nothing = np.zeros_like(resting)
+    if not resting.any() or np.count_nonzero(~resting) < policy.fewest_two_view_points:
+        return nothing
+    one, two = first[~resting], second[~resting]
+    _, inside = cv2.findFundamentalMat(one, two, cv2.FM_RANSAC, policy.resting_tolerance, 0.9999, 10_000)
+    good = nothing[~resting] if inside is None else inside[:, 0] > 0
+    if good.sum() < policy.fewest_two_view_points or np.median(shift[~resting][good]) < policy.moving * max(size):
+        return nothing
+    wide = _cells(one[good], size) >= policy.moving_cover * _cells(first[resting], size)
+    return resting if wide else nothing
+
+
+def _cells(pixels: np.ndarray, size: tuple[int, int]) -> int:
+    """How many cells of a grid over the photo hold a pixel."""
+    height, width = size
+    cells = (pixels / [width, height] * CAMERA_POLICY.spread_cells).astype(np.int64)
+    return len(np.unique(cells, axis=0))
