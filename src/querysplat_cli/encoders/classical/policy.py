@@ -148,7 +148,7 @@ class CameraPolicy:
     resting_tolerance: float = 2.0
     """Distance in pixels from the epipolar line up to which a match that moved counts."""
     moving_cover: float = 0.5
-    """Matches that moved cover at least this many times the cells of a photo that those cover which rest."""
+    """Matches that moved cover at least this share of the number of cells that resting ones cover."""
 
     # Bundle adjustment.
     adjustment_loss_scale: float = 0.5
