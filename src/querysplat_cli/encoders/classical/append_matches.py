@@ -1,9 +1,11 @@
-"""Features and matches of other kinds, beside those of SIFT in COLMAP's database."""
+"""Features and matches in COLMAP's database beside those of SIFT, or in their place."""
 
 from collections.abc import Mapping
 
 import numpy as np
 import pycolmap
+
+from querysplat_cli.encoders.classical.verified_pairs import matched_rows
 
 
 def append_features(store: pycolmap.Database, features: Mapping[int, np.ndarray]) -> None:
@@ -24,17 +26,26 @@ def append_features(store: pycolmap.Database, features: Mapping[int, np.ndarray]
 def append_matches(store: pycolmap.Database, matches: Mapping[tuple[int, int], np.ndarray]) -> list[tuple[int, int]]:
     """Put matches (rows of features [m, 2]) behind those of each pair of photos, and return the pairs in order.
 
+    See `replace_matches`.
+    """
+    return replace_matches(
+        store, {pair: np.concatenate([matched_rows(store, *pair), rows]) for pair, rows in matches.items()}
+    )
+
+
+def replace_matches(store: pycolmap.Database, matches: Mapping[tuple[int, int], np.ndarray]) -> list[tuple[int, int]]:
+    """Put matches (rows of features [m, 2]) in place of those of each pair of photos, and return the pairs in order.
+
     A feature is matched once at most, so that no correspondence counts twice: the earlier match stays. What verified
     the pair is deleted.
     """
     for (first, second), rows in matches.items():
         numbers = first + 1, second + 1
-        own = store.read_matches(*numbers) if store.exists_matches(*numbers) else np.zeros((0, 2), np.uint32)
         if store.exists_matches(*numbers):
             store.delete_matches(*numbers)
         if store.exists_two_view_geometry(*numbers):
             store.delete_two_view_geometry(*numbers)
-        store.write_matches(*numbers, _once(np.concatenate([own, rows.astype(np.uint32)])))
+        store.write_matches(*numbers, _once(rows.astype(np.uint32)))
     return sorted(matches)
 
 

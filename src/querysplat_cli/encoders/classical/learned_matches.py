@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import pycolmap
@@ -13,7 +12,6 @@ from querysplat_cli.encoders.classical.learned_matchers import LearnedMatcher
 from querysplat_cli.encoders.classical.learned_policy import LEARNED_POLICY
 from querysplat_cli.encoders.classical.matches import Matches
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
-from querysplat_cli.encoders.classical.verified_pairs import Verification, read_pairs, verify_pairs
 from querysplat_cli.scene.lenses import same_panorama
 from querysplat_cli.scene.views import Photo
 
@@ -40,11 +38,7 @@ def with_learned_matches(
             rows[one, two] = new[kept]
         append_features(store, places)
         changed = append_matches(store, rows)
-    verify_pairs(
-        matches.database, matches.folder, changed, Verification.of(matches.sizes, CAMERA_POLICY.ordinary, seed)
-    )
-    with pycolmap.Database.open(matches.database) as store:
-        return replace(matches, pairs=read_pairs(store, len(matches.sizes)))
+    return matches.verified_again(changed, CAMERA_POLICY.ordinary, seed)
 
 
 def weak_pairs(matches: Matches, weak: Sequence[int]) -> list[tuple[int, int]]:

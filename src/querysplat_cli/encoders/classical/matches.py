@@ -26,6 +26,7 @@ from querysplat_cli.encoders.classical.verified_pairs import (
     connected_groups,
     match_pairs,
     read_pairs,
+    verify_pairs,
 )
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Progress
@@ -59,6 +60,12 @@ class Matches:
     def focal(self, photo: int) -> float:
         """The focal length to start from, in pixels: EXIF's, or else an assumed one."""
         return self.focals[photo] or CAMERA_POLICY.assumed_focal * max(self.sizes[photo])
+
+    def verified_again(self, changed: Sequence[tuple[int, int]], effort: MatchEffort, seed: int) -> "Matches":
+        """With these pairs verified, whose matches in the database changed and have no two-view geometry."""
+        verify_pairs(self.database, self.folder, changed, Verification.of(self.sizes, effort, seed))
+        with pycolmap.Database.open(self.database) as store:
+            return replace(self, pairs=read_pairs(store, len(self.sizes)))
 
     def partners(self, photo: int) -> list[int]:
         """Numbers of the photos that have matches with this one."""

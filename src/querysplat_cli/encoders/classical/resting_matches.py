@@ -1,16 +1,15 @@
 """Matches of a few photos that rest though the camera moved: those of text, logos and frames over the photos."""
 
-from collections.abc import Sequence
-from dataclasses import replace
 from itertools import combinations
 
 import cv2
 import numpy as np
 import pycolmap
 
+from querysplat_cli.encoders.classical.append_matches import replace_matches
 from querysplat_cli.encoders.classical.matches import Matches
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
-from querysplat_cli.encoders.classical.verified_pairs import Verification, read_candidates, read_pairs, verify_pairs
+from querysplat_cli.encoders.classical.verified_pairs import matched_rows, read_candidates
 
 
 def without_resting_matches(matches: Matches, *, seed: int) -> Matches:
@@ -18,35 +17,19 @@ def without_resting_matches(matches: Matches, *, seed: int) -> Matches:
 
     COLMAP's database follows.
     """
-    photos = len(matches.sizes)
-    if photos > CAMERA_POLICY.few_photos:
+    if len(matches.sizes) > CAMERA_POLICY.few_photos:
         return matches
+    kept = {}
     with pycolmap.Database.open(matches.database) as store:
-        changed = [pair for pair in combinations(range(photos), 2) if _remove_resting(store, pair, matches.sizes)]
-    if not changed:
-        return matches
-    verification = Verification.of(matches.sizes, CAMERA_POLICY.ordinary, seed)
-    verify_pairs(matches.database, matches.folder, changed, verification)
-    with pycolmap.Database.open(matches.database) as store:
-        return replace(matches, pairs=read_pairs(store, photos))
-
-
-def _remove_resting(store: pycolmap.Database, pair: tuple[int, int], sizes: Sequence[tuple[int, int]]) -> bool:
-    """Whether the pair had resting matches. They are gone then, with what verified the pair."""
-    first, second = pair
-    numbers = first + 1, second + 1
-    if sizes[first] != sizes[second] or not store.exists_matches(*numbers):
-        return False
-    candidates = read_candidates(store, first, second)
-    resting = resting_matches(candidates.first_pixels, candidates.second_pixels, sizes[first])
-    if not resting.any():
-        return False
-    rows = store.read_matches(*numbers)
-    store.delete_matches(*numbers)
-    if store.exists_two_view_geometry(*numbers):
-        store.delete_two_view_geometry(*numbers)
-    store.write_matches(*numbers, rows[~resting])
-    return True
+        for one, two in combinations(range(len(matches.sizes)), 2):
+            if matches.sizes[one] != matches.sizes[two]:
+                continue
+            pair = read_candidates(store, one, two)
+            resting = resting_matches(pair.first_pixels, pair.second_pixels, matches.sizes[one])
+            if resting.any():
+                kept[one, two] = matched_rows(store, one, two)[~resting]
+        changed = replace_matches(store, kept)
+    return matches.verified_again(changed, CAMERA_POLICY.ordinary, seed) if changed else matches
 
 
 def resting_matches(first: np.ndarray, second: np.ndarray, size: tuple[int, int]) -> np.ndarray:

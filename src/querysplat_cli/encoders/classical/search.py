@@ -77,7 +77,6 @@ class _Trial:
     @staticmethod
     def of(matches: Matches, photos: Sequence[Photo], seed: int) -> "_Trial":
         """The matches mapped; of two photos, those that the cameras explain."""
-        matches = without_resting_matches(matches, seed=seed)
         mapped = map_photos(matches, photos, seed=seed)
         mapped = mapped and with_lenses_apart(mapped, matches, photos, seed)
         return _Trial(replace(matches, pairs=mapped.pairs) if mapped else matches, mapped)
@@ -109,7 +108,8 @@ def search(photos: Sequence[Photo], choice: MatcherChoice, *, seed: int, progres
             return trial.refined()
         if trial.few and _wants_support(trial, choice.matcher):
             progress("matching again", 0.65)
-            trial = _better(trial, _Trial.of(with_supported_matches(trial.matches, photos, seed=seed), photos, seed))
+            supported = with_supported_matches(trial.matches, photos, seed=seed)
+            trial = _better(trial, _Trial.of(without_resting_matches(supported, seed=seed), photos, seed))
         if choice.matcher != "sift-affine":
             trial = _with_network(photos, trial, choice, seed, progress)
         affine = _for_affine(trial, choice.matcher, large=are_large(photos))
@@ -168,7 +168,7 @@ def _with_network(
     more = with_learned_matches(trial.matches, photos, pairs, matcher, seed=seed)
     seconds = time.monotonic() - start
     progress("placing cameras", 0.7)
-    second = _Trial.of(more, photos, seed)
+    second = _Trial.of(without_resting_matches(more, seed=seed), photos, seed)
     kept = second if chosen and second.mapped else _better(trial, second)
     agreeing = _agreeing(trial.matches, pairs), _agreeing(second.matches, pairs)
     return replace(kept, matching=Matching(matcher.name, len(pairs), agreeing, round(seconds, 2), kept is second))

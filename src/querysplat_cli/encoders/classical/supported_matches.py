@@ -16,12 +16,11 @@ import pycolmap
 import torch
 from scipy.spatial import cKDTree
 
-from querysplat_cli.encoders.classical.append_matches import append_features, append_matches
+from querysplat_cli.encoders.classical.append_matches import append_features, replace_matches
 from querysplat_cli.encoders.classical.features import extract_features, write_grey, write_masks
 from querysplat_cli.encoders.classical.matches import Matches, shared_cameras, write_images
 from querysplat_cli.encoders.classical.policy import MatchEffort
 from querysplat_cli.encoders.classical.support_policy import SUPPORT_POLICY
-from querysplat_cli.encoders.classical.verified_pairs import Verification, read_pairs, verify_pairs
 from querysplat_cli.scene.lenses import same_panorama
 from querysplat_cli.scene.views import Photo
 
@@ -76,15 +75,9 @@ def with_supported_matches(matches: Matches, photos: Sequence[Photo], *, seed: i
     with pycolmap.Database.open(matches.database) as store:
         first_new = [store.num_keypoints_for_image(photo + 1) for photo in range(len(photos))]
         append_features(store, {photo: some.scaled(matches.sizes[photo]) for photo, some in enumerate(found)})
-        for one, two in enough:
-            if store.exists_matches(one + 1, two + 1):
-                store.delete_matches(one + 1, two + 1)
         moved = {(one, two): some + np.array([first_new[one], first_new[two]]) for (one, two), some in enough.items()}
-        changed = append_matches(store, moved)
-    verification = Verification.of(matches.sizes, SUPPORT_POLICY.effort, seed)
-    verify_pairs(matches.database, matches.folder, changed, verification)
-    with pycolmap.Database.open(matches.database) as store:
-        return replace(matches, pairs=read_pairs(store, len(photos)))
+        changed = replace_matches(store, moved)
+    return matches.verified_again(changed, SUPPORT_POLICY.effort, seed)
 
 
 def supported_rows(first: ShapedFeatures, second: ShapedFeatures) -> np.ndarray:

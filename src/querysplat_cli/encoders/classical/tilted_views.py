@@ -7,7 +7,7 @@ placed are searched no second time.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
@@ -18,7 +18,7 @@ from querysplat_cli.encoders.classical.append_matches import append_features, ap
 from querysplat_cli.encoders.classical.features import extract_features, image_name, takes_part
 from querysplat_cli.encoders.classical.matches import Matches, shared_cameras, write_images
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
-from querysplat_cli.encoders.classical.verified_pairs import Verification, match_pairs, read_pairs, verify_pairs
+from querysplat_cli.encoders.classical.verified_pairs import match_pairs
 from querysplat_cli.scene.decoding import reduced
 
 
@@ -47,10 +47,7 @@ def with_tilted_views(matches: Matches, weak: Sequence[int], *, seed: int) -> Ma
     found = _matched_views(matches, views, folder)
     with pycolmap.Database.open(matches.database) as store:
         changed = _append(store, found)
-    verification = Verification.of(matches.sizes, CAMERA_POLICY.tilted, seed)
-    verify_pairs(matches.database, matches.folder, changed, verification)
-    with pycolmap.Database.open(matches.database) as store:
-        return replace(matches, pairs=read_pairs(store, len(matches.sizes)))
+    return matches.verified_again(changed, CAMERA_POLICY.tilted, seed)
 
 
 def tilted(grey: np.ndarray, tilt: float, degrees: float) -> tuple[np.ndarray, np.ndarray]:

@@ -89,10 +89,9 @@ def match_pairs(
     matching.skip_geometric_verification = verification is None
     options = verification.options() if verification else pycolmap.TwoViewGeometryOptions()
     pairing = pycolmap.ImportedPairingOptions()
-    pairing.match_list_path = folder / "pairs.txt"
     for start in range(0, len(pairs), PAIR_BLOCK):
         block = pairs[start : start + PAIR_BLOCK]
-        _listing(pairing.match_list_path, block)
+        pairing.match_list_path = _listing(folder / "pairs.txt", block)
         pycolmap.match_image_pairs(
             database, matching_options=matching, pairing_options=pairing, verification_options=options
         )
@@ -120,11 +119,16 @@ def verify_pairs(database: Path, folder: Path, pairs: Iterable[tuple[int, int]],
     pycolmap.verify_matches(database, listing, options=verification.options())
 
 
+def matched_rows(store: pycolmap.Database, first: int, second: int) -> np.ndarray:
+    """Rows [m, 2] of the features of two photos in the database that match, right and wrong ones."""
+    numbers = first + 1, second + 1
+    return np.asarray(store.read_matches(*numbers) if store.exists_matches(*numbers) else np.zeros((0, 2), np.uint32))
+
+
 def read_candidates(store: pycolmap.Database, first: int, second: int) -> Pair:
     """All matches of two photos in the database, right and wrong ones."""
-    numbers = first + 1, second + 1
-    rows = store.read_matches(*numbers) if store.exists_matches(*numbers) else np.zeros((0, 2), np.int64)
-    sides = [store.read_keypoints(number)[:, :2].astype(np.float64) for number in numbers]
+    rows = matched_rows(store, first, second)
+    sides = [store.read_keypoints(photo + 1)[:, :2].astype(np.float64) for photo in (first, second)]
     return Pair(first, second, sides[0][rows[:, 0]], sides[1][rows[:, 1]])
 
 
