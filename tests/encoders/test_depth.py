@@ -6,7 +6,7 @@ import torch
 from synthetic import Plane, camera, photograph, texture
 
 from querysplat_cli.encoders.base import Geometry, PosedViews
-from querysplat_cli.encoders.classical.consistency import carve, confirm, lent
+from querysplat_cli.encoders.classical.consistency import DepthMaps, carve, confirm, lent
 from querysplat_cli.encoders.classical.depth import estimate_geometry
 from querysplat_cli.encoders.classical.depth_policy import DEPTH_POLICY
 from querysplat_cli.encoders.classical.neighbours import choose_sources, inverse_range
@@ -66,6 +66,11 @@ def posed(planes, places, look=(0, 0, 1000.0), points=True) -> tuple[PosedViews,
     views = Views(images, torch.ones(len(places), *SIZE, dtype=torch.bool), names, (SIZE,) * len(places))
     seen = tuple(torch.arange(len(cloud)) for _ in places)
     return PosedViews(views, Cameras(w2c, K, *SIZE), cloud, seen), depth
+
+
+def everywhere(maps: np.ndarray) -> np.ndarray:
+    """Masks of pictures that fill their canvas."""
+    return np.ones(maps.shape, bool)
 
 
 def seen_depth(scene: PosedViews) -> Geometry:
@@ -232,14 +237,20 @@ def test_confirmation_counts_views_and_carving_clears_free_space():
     w2c[1, 0, 3] = -0.5
     inverse = np.full((2, 24, 24), 0.5, np.float32)
     inverse[0, 8:16, 14:22] = 1.0
-    confidence = confirm(inverse, np.zeros_like(inverse), K, w2c, [[1], [0]])
+    confidence = confirm(inverse, everywhere(inverse), np.zeros_like(inverse), K, w2c, [[1], [0]])
     # A pixel at depth 2 falls 6 pixels further left in the other view, one at depth 1 falls 12: on depth 2.
     assert confidence[0, 2:6, 8:].min() == 1
     assert confidence[0, 8:16, 14:22].max() == 0
     assert confidence[0, :, :6].max() == 0
     sure = np.ones_like(inverse)
     sure[0, 8:16, 14:22] = 0
-    carved = carve(inverse, sure, np.zeros((2, 24, 24, 3), np.float32), K, w2c, [[1], [0]], [0.01, 0.01])
+    carved = carve(
+        DepthMaps(inverse, sure, np.zeros((2, 24, 24, 3), np.float32), everywhere(inverse)),
+        K,
+        w2c,
+        [[1], [0]],
+        [0.01, 0.01],
+    )
     assert carved[0, 8:16, 14:22].max() <= 0.5 / 0.95 + 1e-6
     np.testing.assert_array_equal(carved[sure == 1], inverse[sure == 1])
 
@@ -253,7 +264,7 @@ def test_a_view_borrows_what_another_measured_in_the_same_colour(own: float, exp
     confidence = np.stack([np.zeros((24, 24)), np.ones((24, 24))]).astype(np.float32)
     pictures = np.full((2, 24, 24, 3), 0.5, np.float32)
     pictures[0] = own
-    borrowed = lent(inverse, confidence, pictures, K, w2c, [[1], [0]])
+    borrowed = lent(DepthMaps(inverse, confidence, pictures, everywhere(inverse)), K, w2c, [[1], [0]])
     # A pixel at depth 2 lies 6 pixels further right in the first view; the second measured nothing for the left ones.
     np.testing.assert_allclose(borrowed[0, :, 6:], expected)
     assert not borrowed[0, :, :6].any()
@@ -269,6 +280,8 @@ def test_a_guess_moves_back_behind_guesses_of_another_colour(own: float, other: 
     inverse[0, 8:16, 14:22] = 1.0
     pictures = np.full((2, 24, 24, 3), other, np.float32)
     pictures[0] = own
-    carved = carve(inverse, np.zeros_like(inverse), pictures, K, w2c, [[1], [0]], [0.01, 0.01])
+    carved = carve(
+        DepthMaps(inverse, np.zeros_like(inverse), pictures, everywhere(inverse)), K, w2c, [[1], [0]], [0.01, 0.01]
+    )
     inside = carved[0, 10:14, 16:20]
     assert (inside.max() < 0.6) if cleared else (inside.min() == 1.0)

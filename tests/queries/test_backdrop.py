@@ -8,7 +8,7 @@ import torch
 from querysplat_cli.queries.backdrop import backdrop
 from querysplat_cli.queries.policy import QUERY_POLICY
 from querysplat_cli.scene.cameras import Cameras
-from querysplat_cli.scene.gaussians import Gaussians, joined
+from querysplat_cli.scene.gaussians import SH_0, Gaussians, joined
 from querysplat_cli.scene.rotations import quaternion_to_matrix
 from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.render import render
@@ -134,3 +134,17 @@ def test_masked_pixels_have_no_colour(bands: int) -> None:
     picture = render(behind, cameras).colour[0]
     torch.testing.assert_close(picture, RED[:, None, None].expand_as(picture), atol=0.02, rtol=0)
     assert behind.sh.shape[1] == bands
+
+
+@pytest.mark.parametrize("side", [0, 1])
+def test_the_last_columns_and_rows_of_a_photo_are_continued_too(side: int) -> None:
+    """448 × 336 pixels were cut into cells of 42, so that the last 28 columns were no part of any cell."""
+    size = [336, 448] if side else [448, 336]
+    edge = torch.zeros(3, *size)
+    edge[0].narrow(side, size[side] - 28, 28).fill_(1.0)
+    K = torch.tensor([[[400.0, 0, size[1] / 2], [0, 400.0, size[0] / 2], [0, 0, 1]]])
+    cameras = Cameras(torch.eye(4)[None], K, *size)
+    views = Views(edge[None], torch.ones(1, *size, dtype=torch.bool), ("a",), (tuple(size),))
+    behind = backdrop(some_gaussians(bands=1), views, cameras)
+    red = 0.5 + SH_0 * behind.sh[:, 0, 0]
+    assert float(red.max()) > 0.5

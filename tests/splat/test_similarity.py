@@ -122,3 +122,14 @@ def test_the_loss_repeats_bit_for_bit() -> None:
         loss = photometric_loss(leaf, target)
         results.append((loss.detach(), torch.autograd.grad(loss, leaf)[0]))
     assert all(torch.equal(a, b) for a, b in zip(*results, strict=True))
+
+
+@pytest.mark.parametrize("share", [1.0, 0.5, 0.1])
+def test_only_masked_pixels_count_in_the_reported_ssim(share: float) -> None:
+    """Noise against noise; where all pixels counted, nine masked tenths gave 0.9."""
+    noise = torch.rand(2, 3, 80, 80, generator=torch.Generator().manual_seed(0))
+    mask = torch.zeros(80, 80, dtype=torch.bool)
+    mask[:, : round(80 * share)] = True
+    assert abs(ssim_metric(noise[0], noise[1], mask)) < 0.4
+    outside = torch.where(mask, noise[0], torch.zeros(()))
+    assert ssim_metric(outside, noise[1], mask) == ssim_metric(noise[0], noise[1], mask)

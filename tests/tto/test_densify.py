@@ -102,7 +102,7 @@ def test_disagreement_is_the_error_under_each_gaussian() -> None:
     )
     photos = torch.rand(2, 3, SIZE, SIZE, generator=torch.Generator().manual_seed(0))
     confirmed = torch.rand(2, SIZE // 2, SIZE // 2, generator=torch.Generator().manual_seed(1)) < 0.3
-    target = RenderingLoss(views(photos), cameras(2), confirmed=confirmed)
+    target = RenderingLoss(views(photos), cameras(2), confirmed=tuple(confirmed))
     alpha = render(one, cameras(2)).alpha
     error, guessed = disagreement(one, target)
     torch.testing.assert_close(error, (alpha * photos.mean(1)).sum()[None], rtol=1e-4, atol=0)
@@ -134,10 +134,11 @@ def test_faint_gaussians_of_guessed_pixels_go_and_others_are_split_instead() -> 
     photos, right = views(render(some, cameras(3)).colour), torch.zeros(3, SIZE, SIZE, dtype=torch.bool)
     right[:, :, SIZE // 2 :] = True
     for confirmed, gone in ((right, [0, 30]), (~right, [5]), (None, [])):
-        more = densify(replace(some, opacities=opacities), RenderingLoss(photos, cameras(3), confirmed=confirmed), 40)
+        target = RenderingLoss(photos, cameras(3), confirmed=None if confirmed is None else tuple(confirmed))
+        more = densify(replace(some, opacities=opacities), target, 40)
         assert len(more.gaussians) == 40
         assert sorted(set(range(36)) - set(more.origin.tolist())) == gone
-    nothing = RenderingLoss(photos, cameras(3), confirmed=torch.zeros_like(right))
+    nothing = RenderingLoss(photos, cameras(3), confirmed=tuple(~right & right))
     assert len(densify(replace(some, opacities=opacities.clamp_max(0.05)), nothing, 40).gaussians) == 40
 
 
@@ -145,7 +146,7 @@ def optimised(
     densify_to: int | None,
     steps: int = 90,
     lr: float = 0.1,
-    confirmed: torch.Tensor | None = None,
+    confirmed: tuple[torch.Tensor, ...] | None = None,
     **options: object,
 ) -> TtoResult:
     """Sixteen Gaussians, of one grey, on photos of 144 colours."""
@@ -181,7 +182,7 @@ def test_opacity_has_a_price_in_guessed_pixels_alone(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(policy.format("densify"), replace(TTO_POLICY, faint=0.0))
     left = torch.zeros(4, SIZE, SIZE, dtype=torch.bool)
     left[:, :, : SIZE // 2] = True
-    free, all_confirmed, priced = (optimised(100, confirmed=each) for each in (None, torch.ones_like(left), left))
+    free, all_confirmed, priced = (optimised(100, confirmed=each) for each in (None, tuple(left | ~left), tuple(left)))
     assert all(a.equal(b) for a, b in zip(all_confirmed.gaussians.tensors(), free.gaussians.tensors(), strict=True))
 
     def opacity(result: TtoResult, side: int) -> float:

@@ -268,7 +268,7 @@ def test_a_given_time_ends_the_stages_by_the_clock() -> None:
 
 def test_depth_is_kept_smooth_in_all_stages_where_no_view_confirms_it() -> None:
     def means(confirmed: torch.Tensor | None) -> torch.Tensor:
-        facts = PhotoFacts(confirmed=confirmed)
+        facts = PhotoFacts(confirmed=None if confirmed is None else tuple(confirmed))
         return optimise_full_size(coarse(), views_at, TWO_STAGES, seed=0, facts=facts).gaussians.means
 
     everywhere = torch.ones(4, 36, 36, dtype=torch.bool)

@@ -121,7 +121,7 @@ def test_optimisation_flattens_a_plain_wall_where_no_view_confirms_its_depth() -
             return float(depth_roughness(render(some, cameras), photo, mask, mask))
 
     def optimised(confirmed: Tensor | None) -> float:
-        aim = replace(target, confirmed=confirmed)
+        aim = replace(target, confirmed=None if confirmed is None else tuple(confirmed))
         generator = torch.Generator().manual_seed(0)
         return rough(optimise_gaussians(start, aim, TtoSettings(60, 0.02), generator=generator).gaussians)
 

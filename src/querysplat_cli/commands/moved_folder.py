@@ -91,7 +91,7 @@ def _fitting_memories(source: Path, report: dict[str, Any], kept: Bool[Tensor, "
 
 def _brought_up_to_date(report: dict[str, Any], scene: StoredScene, moved: Moved) -> dict[str, Any]:
     """The report with what is true of the Gaussians that `moved` has. What the making took stays."""
-    hidden = unseen(moved.gaussians, scene.cameras)
+    hidden = unseen(moved.gaussians, scene.cameras, scene.views.sizes)
     backdrop = report.get("backdrop", 0)
     before = [entry for entry in report["left_out"] if entry["what"] != PRECISION]  # that of the old file
     return {

@@ -38,6 +38,11 @@ class OptimisingTime:
         return left if left >= PIPELINE_POLICY.least_full_size_seconds else None
 
 
+SIZE_STEP = 32
+"""Working sizes of a budget are multiples of so many pixels. What a stopped run found is of use to the next one only
+where both have the same size, and the seconds that passed before differ a little."""
+
+
 def working_size(budget: Budget, photos: int, passes: int, shape: tuple[int, int], usual: int) -> int:
     """The longer side, in pixels, of working pictures that leave time to optimise.
 
@@ -47,7 +52,7 @@ def working_size(budget: Budget, photos: int, passes: int, shape: tuple[int, int
     available = PIPELINE_POLICY.encoding_share * budget.left - PIPELINE_POLICY.camera_seconds * photos * passes
     pixels = max(0.0, available) / (PIPELINE_POLICY.pixel_seconds * photos)
     size = math.sqrt(pixels * max(height, width) / min(height, width))
-    return min(usual, max(PRUNE_POLICY.smallest_size, int(size)))
+    return min(usual, max(PRUNE_POLICY.smallest_size, int(size) // SIZE_STEP * SIZE_STEP))
 
 
 def _writing_seconds(gaussians: int) -> float:

@@ -78,7 +78,7 @@ class BuiltScene:
     @property
     def inputs(self) -> LargePhotos:
         """The photos that the scene was made from, with their cameras after optimisation."""
-        theirs = self.posed.views, self.adapted.cameras, self.files, self.adapted.exposures
+        theirs = self.posed.views, self.adapted.cameras, self.files, self.exposures
         return LargePhotos(*theirs, self.prepared.map.confirmed)
 
     def heldout(self, cameras: PosedSplit) -> tuple[Views, Cameras] | None:

@@ -66,6 +66,13 @@ class LargePhotos:
             return self.views, self.cameras
         return large_views(self.files, self.views, self.cameras, size)
 
+    def confirmed_pictures(self) -> tuple[Bool[Tensor, "rows columns"], ...] | None:
+        """`confirmed` of each picture, without the padding of the canvas."""
+        if not len(self.confirmed):
+            return None
+        each = zip(self.confirmed, self.views.sizes, strict=True)
+        return tuple(shown[:height, :width] for shown, (height, width) in each)
+
     def backdrop(self, gaussians: Gaussians) -> Gaussians:
         """What stands behind `gaussians` (`queries/backdrop.py`), in the scene's own colours."""
         return backdrop(gaussians, self.views, self.cameras, self.exposures)
@@ -123,13 +130,13 @@ def take_to_full_size(
         return to_device(photos.at(size), device)
 
     start = to_device(gaussians, device)
-    hidden = hiding(start, to_device(photos.cameras, device))
+    hidden = hiding(start, to_device(photos.cameras, device), photos.views.sizes)
     look = partial(progress.look, views=photos.views, cameras=photos.cameras)
-    facts = PhotoFacts(photos.exposures, to_device(photos.confirmed, device) if len(photos.confirmed) else None)
+    facts = PhotoFacts(photos.exposures, to_device(photos.confirmed_pictures(), device))
     result = optimise_full_size(start[~hidden], views_at, plan, seed=seed, facts=facts, progress=show, look=look)
     return FullSize(
         to_device(result.gaussians, torch.device("cpu")),
-        result.runs[-1][0].max_size,
+        result.runs[-1][0].max_size if result.runs else photos.working,
         _entries(result),
         _summary(plan, result, int(hidden.sum())),
         result.interrupted,

@@ -187,7 +187,8 @@ def _read_inputs(settings: ReconstructSettings, device: torch.device, stages: St
         if budget and adjustable:
             largest = max(photos, key=lambda photo: photo.height * photo.width)
             twice = settings.holdout_every and settings.holdout_cameras == "isolated" and not known
-            size = working_size(budget, len(photos), 2 if twice else 1, (largest.height, largest.width), size)
+            used = min(len(photos), settings.max_views or len(photos))
+            size = working_size(budget, used, 2 if twice else 1, (largest.height, largest.width), size)
         steps_are_planned = settings.tto is None and model.config.queries == "anchored"
         needs = MemoryNeeds(encoder, model, size, optimising=steps_are_planned or bool(settings.tto))
         photos, too_many, expected = within_memory(photos, needs, free, settings.max_views)
@@ -217,7 +218,7 @@ def _score(inputs: _Inputs, split: PosedSplit, scene: BuiltScene, stages: Stages
         quality = score(scene.gaussians, scene.posed.views, scene.adapted.cameras)
         heldout = scene.heldout(split)
         scored = score(scene.gaussians, *heldout) if heldout else None
-        film = unseen(scene.gaussians, scene.adapted.cameras)
+        film = unseen(scene.gaussians, scene.adapted.cameras, scene.posed.views.sizes)
     return _Scores(quality, scored, _score_large(inputs, split, scene, stages), film)
 
 

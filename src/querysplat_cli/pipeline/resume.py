@@ -10,7 +10,7 @@ import torch
 from querysplat_cli.model.checkpoints import load
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.pipeline.full_size import LargePhotos, full_size_quality, stored_photos, take_to_full_size
-from querysplat_cli.pipeline.gaussian_files import file_of_scene, folder_of_scene
+from querysplat_cli.pipeline.gaussian_files import check_target, file_of_scene, folder_of_scene
 from querysplat_cli.pipeline.optimise import optimise_start
 from querysplat_cli.pipeline.perceptual import optimisation_lpips
 from querysplat_cli.pipeline.read_scene import check_model, read_scene, read_scene_gaussians, require_scene
@@ -42,13 +42,15 @@ def optimise_scene(settings: ResumeSettings, stages: Stages | None = None) -> Re
 
     Raises QuerySplatError when the scene is damaged, when feature space is asked for although the Gaussians were
     optimised themselves, when `densify` asks for splitting in feature space or for fewer Gaussians than there are, and
-    when `quality` comes with options that it decides, or needs photos that are gone.
+    when `quality` comes with options that it decides, or needs photos that are gone. So it is with a kind of file that
+    is not written here.
     """
     folder = require_scene(with_name(settings.scene)).parent
     path = with_name(settings.scene)
     beside = file_of_scene(path)
     if folder.is_symlink() and (beside.is_symlink() or not beside.is_file()):
         path = folder.resolve()  # the scene is elsewhere, and not the folder alone
+    check_target(file_of_scene(path))
     settings = replace(settings, scene=path)
     if settings.quality:
         _check_plain(settings)
@@ -146,7 +148,7 @@ def _write_back(
     """
     with stages("score"):
         scores = scores_of(scene, gaussians)
-        film = unseen(gaussians, scene.cameras)
+        film = unseen(gaussians, scene.cameras, scene.views.sizes)
     with stages("write"):
         report = replace(
             Report.from_dict(before),

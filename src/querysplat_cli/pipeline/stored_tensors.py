@@ -14,6 +14,9 @@ from querysplat_cli.model.anchors import Anchors, Neighbours, Reading
 from querysplat_cli.model.memories import Memories
 from querysplat_cli.queries.prepare import NOT_KNOWN, MemoryMap
 
+HALF = {"map.depth", "anchors.reading.geometry", "anchors.reading.appearance"}
+"""Tensors that a new scene has in half precision, and that stay as they are when it is written again."""
+
 
 class DamagedTensors(ValueError):
     """The tensors are not those of a scene. The text says which one is wrong."""
@@ -90,7 +93,7 @@ def _part(kind: Any, name: str, tensors: dict[str, Tensor]) -> Any:
 
 
 def _read(name: str, kind: Any, tensors: dict[str, Tensor], sizes: dict[str, int]) -> Tensor:
-    """One tensor of the jaxtyping annotation `kind`, floats as float32 (the depth of the map as it is).
+    """One tensor of the jaxtyping annotation `kind`, floats as float32 but for those of `HALF`.
 
     `sizes` has the lengths of the axes that are known already, and gets the new ones.
     """
@@ -105,9 +108,9 @@ def _read(name: str, kind: Any, tensors: dict[str, Tensor], sizes: dict[str, int
         found = f"{str(tensor.dtype).removeprefix('torch.')} {list(tensor.shape)}"
         raise DamagedTensors(f"the tensor {name} is {found}, and not {kind.__name__}")
     if tensor.is_floating_point():
-        tensor = tensor.float()
         if not tensor.isfinite().all():
             raise DamagedTensors(f"the tensor {name} has numbers that are not finite")
+        tensor = tensor if name in HALF else tensor.float()
     return tensor
 
 

@@ -5,6 +5,8 @@ too. Where such a guess stands in the open space in front of what other photos s
 no photo looks through it, and a camera beside the photos looks through a fog.
 """
 
+from collections.abc import Sequence
+
 import torch
 from jaxtyping import Bool
 from torch import Tensor
@@ -19,21 +21,20 @@ from querysplat_cli.splat.render import render
 
 
 @torch.no_grad()
-def hiding(gaussians: Gaussians, cameras: Cameras) -> Bool[Tensor, "n"]:
+def hiding(gaussians: Gaussians, cameras: Cameras, sizes: Sequence[tuple[int, int]] | None = None) -> Bool[Tensor, "n"]:
     """Which Gaussians are guesses and hide the others from cameras between and beside the photos.
 
     A guess has its centre outside all photos, or more than `PrunePolicy.one_photo` of its blending weight in one of
     them. It stands in front: it keeps more than `PrunePolicy.in_front` of the weight that it has without the others.
     And it hides them: more than `PrunePolicy.hidden_share` of that weight falls on what they cover without it, farther
     away by more than `PrunePolicy.hidden_depth`.
-    `cameras` are those of the photos; one photo has no neighbour.
+    `cameras` are those of the photos, and `sizes` these pictures' (`Cameras.of_pictures`); one photo has no neighbour.
     """
     shown = torch.zeros_like(gaussians.opacities, dtype=torch.bool)
-    for view in range(len(cameras)):
-        shown |= cameras.sees(gaussians.means, view)
     largest, total = torch.zeros(2, len(shown)).to(gaussians.opacities)
-    for view in range(len(cameras)):
-        weight = blending_weights(gaussians, cameras[[view]])
+    for photo in cameras.of_pictures(sizes):
+        shown |= photo.sees(gaussians.means, 0)
+        weight = blending_weights(gaussians, photo)
         largest, total = torch.maximum(largest, weight), total + weight
     shown &= largest <= PRUNE_POLICY.one_photo * total
     guessed, beside = gaussians[~shown], _beside(cameras)

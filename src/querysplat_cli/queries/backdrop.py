@@ -158,5 +158,6 @@ def _blurred(gaussians: Gaussians, view: Views, camera: Cameras) -> Float[Tensor
     # The mean of the whole photo stands in where a cell shows nothing.
     little = 1e-6
     mean = (photo * weight).sum((1, 2)) / weight.sum().clamp_min(1e-12)
-    cells = F.avg_pool2d(photo * weight, side) + little * mean[:, None, None]
-    return (cells / (F.avg_pool2d(weight[None], side) + little))[None]
+    cells = max(1, round(height / side)), max(1, round(width / side))
+    colours = F.adaptive_avg_pool2d(photo * weight, cells) + little * mean[:, None, None]
+    return (colours / (F.adaptive_avg_pool2d(weight[None], cells) + little))[None]

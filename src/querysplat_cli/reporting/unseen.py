@@ -1,5 +1,6 @@
 """How much of a film around the scene shows what no photo saw."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -39,8 +40,10 @@ class Unseen:
 
 
 @torch.no_grad()
-def unseen(gaussians: Gaussians, cameras: Cameras) -> Unseen | None:
+def unseen(gaussians: Gaussians, cameras: Cameras, sizes: Sequence[tuple[int, int]] | None = None) -> Unseen | None:
     """Of the film of `querysplat render --cameras orbit`, around a scene with these input cameras.
+
+    `sizes` are those of the photos on their canvas (`Cameras.of_pictures`).
 
     None where there is no such film, because the cameras stand at what they look at.
     """
@@ -50,10 +53,12 @@ def unseen(gaussians: Gaussians, cameras: Cameras) -> Unseen | None:
         film = orbit(inputs, scene_middle(gaussians), FRAMES)
     except QuerySplatError:
         return None
+    small = sizes and [(max(1, round(factor * height)), max(1, round(factor * width))) for height, width in sizes]
+    photos = inputs.of_pictures(small)
     # In one block: small pictures among the freed tensors of renders may keep these from being used again.
-    depths = torch.empty(len(inputs), inputs.height, inputs.width)
-    for view in range(len(inputs)):
-        depths[view] = render(gaussians, inputs[[view]]).depth[0]
+    depths = torch.zeros(len(photos), inputs.height, inputs.width)
+    for photo, depth in zip(photos, depths, strict=True):
+        depth[: photo.height, : photo.width] = render(gaussians, photo).depth[0]
     empty, hidden = [], []
     for frame in range(len(film)):
         camera = film[[frame]]
@@ -62,21 +67,21 @@ def unseen(gaussians: Gaussians, cameras: Cameras) -> Unseen | None:
         columns, rows = torch.arange(camera.width) + 0.5, torch.arange(camera.height) + 0.5
         points = camera.unproject(drawn.depth, columns, rows)[0][covered]
         empty.append((~covered).float().mean())
-        hidden.append((~_seen(points, inputs, depths)).sum() / covered.numel())
+        hidden.append((~_seen(points, photos, depths)).sum() / covered.numel())
     return Unseen(float(torch.stack(empty).mean()), float(torch.stack(hidden).mean()))
 
 
 def _seen(
-    points: Float[Tensor, "n 3"], cameras: Cameras, depths: Float[Tensor, "views height width"]
+    points: Float[Tensor, "n 3"], photos: Sequence[Cameras], depths: Float[Tensor, "views height width"]
 ) -> Bool[Tensor, "n"]:
     """Whether any photo shows the points: inside its picture, and with nothing nearer in front of them."""
     seen = torch.zeros(len(points), dtype=torch.bool)
-    fx, fy, cx, cy = cameras.intrinsics
-    for view, depth in enumerate(depths):
-        x, y, z = cameras.local(points, view).unbind(1)
-        inside = cameras.sees(points, view)
+    for photo, depth in zip(photos, depths, strict=True):
+        fx, fy, cx, cy = photo.intrinsics
+        x, y, z = photo.local(points, 0).unbind(1)
+        inside = photo.sees(points, 0)
         near = z.clamp_min(torch.finfo(z.dtype).tiny)
-        column = (fx[view] * x / near + cx[view]).nan_to_num().clamp(0, cameras.width - 1).long()
-        row = (fy[view] * y / near + cy[view]).nan_to_num().clamp(0, cameras.height - 1).long()
+        column = (fx * x / near + cx).nan_to_num().clamp(0, photo.width - 1).long()
+        row = (fy * y / near + cy).nan_to_num().clamp(0, photo.height - 1).long()
         seen |= inside & (z <= BEHIND * depth[row, column])
     return seen

@@ -74,9 +74,9 @@ def score(gaussians: Gaussians, views: Views, cameras: Cameras, background: floa
             photo = views.picture(i)[:, :height, :width]
             mask = views.masks[i][:height, :width]
             rows[name] = {
-                "psnr": float(psnr(picture, photo, mask)),
-                "ssim": float(ssim_metric(torch.where(mask, picture, photo), photo)),
-                "psnr_grey": float(psnr(over[MID_GREY], photo, mask)),
+                "psnr": psnr(picture, photo, mask),
+                "ssim": ssim_metric(picture, photo, mask),
+                "psnr_grey": psnr(over[MID_GREY], photo, mask),
                 **_corrected_scores(picture, photo, mask),
             }
     return Quality.of_views(rows, background)
@@ -89,6 +89,6 @@ def _corrected_scores(
     right = mask & ~left
     return {
         "psnr_cc": psnr(corrected, photo, mask),
-        "ssim_cc": ssim_metric(torch.where(mask, corrected, photo), photo),
+        "ssim_cc": ssim_metric(corrected, photo, mask),
         "psnr_half": psnr(matrix_corrected(picture, photo, left), photo, right if right.any() else mask),
     }

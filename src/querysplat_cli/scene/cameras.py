@@ -105,6 +105,15 @@ class Cameras:
         """The cameras of all `parts`, at least one, in their order. They share one canvas."""
         return replace(parts[0], w2c=torch.cat([part.w2c for part in parts]), K=torch.cat([part.K for part in parts]))
 
+    def of_pictures(self, sizes: Sequence[tuple[int, int]] | None) -> list["Cameras"]:
+        """One camera for each view, whose canvas is its picture alone.
+
+        `sizes` are (height, width) of the pictures, each in the top-left corner; with None, all fill the canvas.
+        """
+        sizes = sizes or [(self.height, self.width)] * len(self)
+        each = zip(self.w2c.split(1), self.K.split(1), sizes, strict=True)
+        return [replace(self, w2c=w2c, K=K, height=height, width=width) for w2c, K, (height, width) in each]
+
     @property
     def c2w(self) -> Float[Tensor, "views 4 4"]:
         """Camera-to-world matrices, by transposing the rotation. A general inverse would be less exact."""

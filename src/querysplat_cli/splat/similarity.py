@@ -53,15 +53,21 @@ def ssim_map(
     return _similarity(image, target, blur, correction)
 
 
-def ssim_metric(image: Float[Tensor, "3 h w"], target: Float[Tensor, "3 h w"]) -> float:
+def ssim_metric(
+    image: Float[Tensor, "3 h w"], target: Float[Tensor, "3 h w"], mask: Bool[Tensor, "h w"] | None = None
+) -> float:
     """The reported SSIM: scikit-image's with an 11-pixel Gaussian window, mean over the interior.
 
-    A picture smaller than the window has no interior; the mean is then over all pixels.
+    Only pixels of `mask` count; around them `image` is taken to be `target`, which windows reach. Where the interior
+    has none, because the picture is smaller than the window, the mean is over all pixels that count.
     """
-    a, b = (picture.detach().cpu().double() for picture in (image, target))
+    if mask is None:
+        mask = torch.ones_like(image[0], dtype=torch.bool)
+    a, b = (picture.detach().cpu().double() for picture in (torch.where(mask, image, target), target))
     similarity = torch.stack([_similarity(*planes, _blurred, SAMPLE_CORRECTION) for planes in zip(a, b, strict=True)])
-    inside = similarity[:, RADIUS:-RADIUS, RADIUS:-RADIUS]
-    return float(inside.mean() if inside.numel() else similarity.mean())
+    counts = mask.cpu()
+    inside = similarity[:, RADIUS:-RADIUS, RADIUS:-RADIUS][:, counts[RADIUS:-RADIUS, RADIUS:-RADIUS]]
+    return float(inside.mean() if inside.numel() else similarity[:, counts].mean())
 
 
 def _similarity(image: Tensor, target: Tensor, blur: Callable[[Tensor], Tensor], correction: float) -> Tensor:

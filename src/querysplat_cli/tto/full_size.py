@@ -27,16 +27,22 @@ class PhotoFacts:
     """What is known of the photos beside their pictures and cameras.
 
     exposures: the colour transforms to start with (None: photos show the scene's own colours).
-    confirmed: where other views agree with the depth of the working pictures (None: that is not known).
+    confirmed: where other views agree with the depth of each working picture (None: that is not known).
     """
 
     exposures: Exposures | None = None
-    confirmed: Bool[Tensor, "views height width"] | None = None
+    confirmed: tuple[Bool[Tensor, "rows columns"], ...] | None = None
+
+
+INTERRUPTED = "Ctrl-C"
+"""Why a scene was optimised no further, where a user ended that."""
 
 
 @dataclass(frozen=True)
 class FullSizeResult:
     """A scene after its stages and rounds, with their results, and why no more followed (a phrase).
+
+    Without a run, because Ctrl-C came while the first photos were read, the Gaussians are those of the start.
 
     `exposures` are the colour transforms of its photos, where it has them. `not_kept` are the picture sizes of planned
     stages that made the photos look worse, and whose Gaussians were dropped. One that took no step is not among them.
@@ -50,7 +56,7 @@ class FullSizeResult:
 
     @property
     def interrupted(self) -> bool:
-        return any(result.interrupted for _, result in self.runs)
+        return self.ended == INTERRUPTED
 
 
 def optimise_full_size(
@@ -73,9 +79,11 @@ def optimise_full_size(
     runs: list[tuple[FullSizeStage, TtoResult[Changes]]] = []
     target: RenderingLoss | None = None
     size = 0
+    sharp = gaussians
 
     def run(stage: FullSizeStage) -> TtoResult[Changes]:
-        nonlocal target, size
+        """Raises KeyboardInterrupt where Ctrl-C came, after what the stage reached by then was taken in."""
+        nonlocal target, size, sharp
         if target is None or size != stage.max_size:
             target = None  # the smaller pictures make room for the larger ones
             views, cameras = views_at(stage.max_size)
@@ -91,39 +99,35 @@ def optimise_full_size(
             densify_to=stage.gaussians if stage.gaussians > len(start) else None,
         )
         # Changes belong to Gaussians that are gone; only the numbers of the run are used.
-        runs.append((stage, result))
+        runs.append((stage, replace(result, variables=result.variables.map(lambda part: part[:0]))))
+        sharp = bounded(drawn_in(result.gaussians, target.cameras), target.cameras)
+        if result.interrupted:
+            raise KeyboardInterrupt
         return result
 
-    ended = "every planned step was taken"
-    for stage in plan.stages:
-        if run(stage).interrupted:
-            ended = "Ctrl-C"
-            break
-    else:
-        short = [stage for stage, result in runs if len(result.history) + result.undone < stage.settings.steps]
-        if short:
-            timed = short[0].settings.seconds is not None
-            ended = "the time was over" if timed else "steps were undone again and again"
-        elif plan.round:
-            ended = _rounds(run, plan.round, plan.most_rounds)
-    assert target
-    sharp = bounded(drawn_in(runs[-1][1].gaussians, target.cameras), target.cameras)
-    lean = tuple((stage, _lean(result)) for stage, result in runs)
+    try:
+        ended = _carried_out(plan, run)
+    except KeyboardInterrupt:
+        ended = INTERRUPTED
     stages = [(stage, result) for stage, result in runs[: len(plan.stages)] if result.history]
     not_kept = tuple(stage.max_size for stage, result in stages if not result.loss_after < result.loss_before)
-    return FullSizeResult(sharp, lean, ended, refitted.current if refitted else None, not_kept)
+    return FullSizeResult(sharp, tuple(runs), ended, refitted.current if refitted else None, not_kept)
 
 
-def _rounds(run: Callable[[FullSizeStage], TtoResult[Changes]], each: FullSizeStage, most: int) -> str:
-    """Rounds until the loss on the input photos stops falling; returns why they ended."""
-    for _ in range(most):
-        result = run(each)
-        if result.interrupted:
-            return "Ctrl-C"
+def _carried_out(plan: FullSizePlan, run: Callable[[FullSizeStage], TtoResult[Changes]]) -> str:
+    """All stages, and rounds until the loss on the input photos stops falling; returns why they ended."""
+    short = [
+        stage
+        for stage, result in [(stage, run(stage)) for stage in plan.stages]
+        if len(result.history) + result.undone < stage.settings.steps
+    ]
+    if short:
+        timed = short[0].settings.seconds is not None
+        return "the time was over" if timed else "steps were undone again and again"
+    if not plan.round:
+        return "every planned step was taken"
+    for _ in range(plan.most_rounds):
+        result = run(plan.round)
         if result.loss_after > (1 - FULL_SIZE_POLICY.least_gain) * result.loss_before:
             return "the loss on the input photos stopped falling"
-    return f"{most} rounds were taken"
-
-
-def _lean(result: TtoResult[Changes]) -> TtoResult[Changes]:
-    return replace(result, variables=result.variables.map(lambda part: part[:0]))
+    return f"{plan.most_rounds} rounds were taken"

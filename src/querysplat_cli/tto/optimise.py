@@ -66,22 +66,25 @@ def optimise(
     Where the same views then show the harm of an earlier step, the run goes back to before they were last seen well.
     Pruning decides which Gaussians the rest of the run goes on with. `refine_cameras` corrects the cameras, too.
     Exposures of the target follow, and go back to where they were unless the scene becomes better. Ctrl-C ends the run,
-    which keeps what was reached. Splitting takes the place of a step. It cannot go with pruning,
-    which marks rows of the Gaussians that there were at the start.
+    which keeps what was reached; before the first step, the losses are those of one view. Splitting takes the place of
+    a step. It cannot go with pruning, which marks rows of the Gaussians that there were at the start.
     """
     assert not (callbacks.prune and start.densify)
     views = list(range(len(target.views)))
     with torch.no_grad():
         first = start.decode(start.variables)
-    losses = target.values(first, views)
+    interrupted = False
+    try:
+        losses = target.values(first, views)
+    except KeyboardInterrupt:
+        losses, interrupted = target.values(first, views[:1]), True
     loss = sum(losses) / len(losses)
-    before = TtoResult(start.variables, first, loss, loss, (), target.cameras, target.cameras)
-    if not settings.steps:
+    before = TtoResult(start.variables, first, loss, loss, (), target.cameras, target.cameras, interrupted=interrupted)
+    if interrupted or not settings.steps:
         return before
     refined = RefinedCameras(target.cameras, first) if refine_cameras else None
     coverage = CoverageLoss.of(first, target.cameras) if settings.keep_cover else None
     run = _Run(start, settings, callbacks, target, losses, refined, coverage, generator)
-    interrupted = False
     try:
         run.take_steps(_draws(len(views), settings.views_per_step, generator))
     except KeyboardInterrupt:
@@ -138,13 +141,17 @@ class _Run(Generic[V]):
                 break
 
     def result(self, found: TtoResult[V]) -> TtoResult[V]:
-        """`found`, which is the start, with the last state if that is better."""
+        """`found`, which is the start, with the last state if that is better. One Ctrl-C does not break this off."""
         variables = self._adam.variables()
         with torch.no_grad():
             gaussians = self._decoded().detach()
-        loss = math.inf
+        loss, views = math.inf, list(range(len(self._target.views)))
         if finite(gaussians.tensors()):
-            loss = self._target.value(gaussians, list(range(len(self._target.views))))
+            try:
+                loss = self._target.value(gaussians, views)
+            except KeyboardInterrupt:
+                found = replace(found, interrupted=True)
+                loss = self._target.value(gaussians, views)
         if not loss < found.loss_before:
             if self._target.exposures and self._exposures_before:
                 self._target.exposures.current = self._exposures_before

@@ -64,8 +64,9 @@ class RenderingLoss:
     halved: share of the gradients that have, beside the views, the same ones at half of the size, by `TtoPolicy.half`;
         `backgrounds` draws them. Gaussians smaller than a pixel are drawn larger than they are, so that a scene of many
         has other colours from farther away.
-    confirmed: where the depth of the working pictures agrees with another view. Elsewhere gradients keep the depth
-        of the scene smooth (`tto/smooth_depth.py`; None: nothing does).
+    confirmed: where the depth of each working picture agrees with another view. These maps may be smaller than the
+        pictures here, and have no padding. Elsewhere gradients keep the depth of the scene smooth
+        (`tto/smooth_depth.py`; None: nothing does).
     """
 
     views: Views
@@ -77,7 +78,7 @@ class RenderingLoss:
     finest: Cameras | None = None
     perceptual: Perceptual | None = None
     halved: float = 0.0
-    confirmed: Bool[Tensor, "views height width"] | None = None
+    confirmed: tuple[Bool[Tensor, "rows columns"], ...] | None = None
 
     @classmethod
     def for_solid_scenes(
@@ -156,10 +157,13 @@ class RenderingLoss:
 
     def guessed(self, view: int) -> Bool[Tensor, "1 height width"]:
         """The pixels of a view whose depth no other view confirms; none where that is not known."""
-        size = self.cameras.height, self.cameras.width
-        if self.confirmed is None:
-            return torch.zeros((1, *size), dtype=torch.bool, device=self.cameras.w2c.device)
-        return F.interpolate((~self.confirmed[[view]])[:, None].float(), size)[:, 0] == 1
+        canvas = self.cameras.height, self.cameras.width
+        found = torch.zeros((1, *canvas), dtype=torch.bool, device=self.cameras.w2c.device)
+        if self.confirmed is not None:
+            height, width = self.views.sizes[view]
+            guesses = (~self.confirmed[view])[None, None].float()
+            found[:, :height, :width] = F.interpolate(guesses, (height, width))[:, 0] == 1
+        return found
 
     def _exposed(self, rendering: Rendering, view: int) -> Rendering:
         return self.exposures.exposed(rendering, view) if self.exposures else rendering

@@ -1,5 +1,7 @@
 """Comparing the depths of all views: which ones others confirm, and which guesses stand in free space."""
 
+from dataclasses import dataclass
+
 import cv2
 import numba as nb
 import numpy as np
@@ -15,16 +17,32 @@ _OTHER_COLOUR, _SAME_COLOUR = DEPTH_POLICY.other_colour, DEPTH_POLICY.same_colou
 _PUSH_BACK = DEPTH_POLICY.push_back
 
 
+@dataclass(frozen=True)
+class DepthMaps:
+    """What is known of all views, [views, height, width].
+
+    `inverse` depth is positive everywhere, and means nothing where `masks` are False. `confidence` is in [0, 1], and
+    `colours` [views, height, width, 3] are pictures that `blurred` made.
+    """
+
+    inverse: np.ndarray
+    confidence: np.ndarray
+    colours: np.ndarray
+    masks: np.ndarray
+
+
 def confirm(
-    inverse: np.ndarray, match: np.ndarray, K: np.ndarray, w2c: np.ndarray, sources: list[list[int]]
+    inverse: np.ndarray, masks: np.ndarray, match: np.ndarray, K: np.ndarray, w2c: np.ndarray, sources: list[list[int]]
 ) -> np.ndarray:
     """Confidence [views, height, width] in [0, 1] of depths that the views' sources confirm.
 
     It is 1 where two sources find the same surface, 1/2 where one of several does, and less where the match is poor.
-    `inverse` depth and matching cost `match` (0 perfect, 1 none) are [views, height, width]. `K` [views, 3, 3] and
-    `w2c` [views, 4, 4] are in float64. `sources` are the views that each view was measured against.
+    `inverse` depth, `masks` and matching cost `match` (0 perfect, 1 none) are [views, height, width]; no depth outside
+    the masks confirms another. `K` [views, 3, 3] and `w2c` [views, 4, 4] are in float64. `sources` are the views that
+    each view was measured against.
     """
     policy = DEPTH_POLICY
+    shown = np.where(masks, inverse, 0)
     confidence = np.zeros(inverse.shape, np.float32)
     for v, others in enumerate(sources):
         if not others:
@@ -32,25 +50,18 @@ def confirm(
         views, leads, shifts = _projections(v, others, K, w2c)
         baselines = np.array([np.linalg.norm((w2c[s] @ np.linalg.inv(w2c[v]))[:3, 3]) * K[s, 0, 0] for s in others])
         votes = np.zeros(inverse.shape[1:], np.float32)
-        _vote(votes, inverse, inverse[v], views, leads, shifts, baselines)
+        _vote(votes, shown, inverse[v], views, leads, shifts, baselines)
         confidence[v] = np.minimum(votes / min(2, len(others)), 1) * np.clip(1 + policy.forgiven_cost - match[v], 0, 1)
         confidence[v] *= _outside_specks(inverse[v], confidence[v] >= policy.guess_confidence)
-    return confidence
+    return confidence * masks
 
 
-def lent(
-    inverse: np.ndarray,
-    confidence: np.ndarray,
-    colours: np.ndarray,
-    K: np.ndarray,
-    w2c: np.ndarray,
-    others: list[list[int]],
-) -> np.ndarray:
+def lent(maps: DepthMaps, K: np.ndarray, w2c: np.ndarray, others: list[list[int]]) -> np.ndarray:
     """Inverse depth [views, height, width] that the other views measured, seen from each view; 0 where there is none.
 
-    A measurement counts where its colour is that of the pixel. Of several on one pixel, the nearest counts. `colours`
-    are pictures that `blurred` made.
+    A measurement counts where its colour is that of the pixel. Of several on one pixel, the nearest counts.
     """
+    inverse, confidence, colours = maps.inverse, maps.confidence, maps.colours
     seeds = np.zeros_like(inverse)
     for v, compared in enumerate(others):
         for s in compared:
@@ -59,28 +70,20 @@ def lent(
     return seeds
 
 
-def carve(
-    inverse: np.ndarray,
-    confidence: np.ndarray,
-    colours: np.ndarray,
-    K: np.ndarray,
-    w2c: np.ndarray,
-    others: list[list[int]],
-    least: list[float],
-) -> np.ndarray:
+def carve(maps: DepthMaps, K: np.ndarray, w2c: np.ndarray, others: list[list[int]], least: list[float]) -> np.ndarray:
     """Inverse depth [views, height, width] in which no guess stands in free space: guesses move back along their rays.
 
     A guess must not hide a surface that another view measured. It must not hide guesses of another colour either,
-    unless as many views agree with it in depth and colour. `colours` are pictures that `blurred` made.
+    unless as many views agree with it in depth and colour. Where a view has no picture, it says nothing.
     For each view, `others` are the views to compare with, and `least` is the smallest inverse depth.
     """
-    carved = inverse.copy()
+    carved, shown = maps.inverse.copy(), np.where(maps.masks, maps.inverse, 0)
     for v, compared in enumerate(others):
-        guess = confidence[v] < DEPTH_POLICY.guess_confidence
+        guess = (maps.confidence[v] < DEPTH_POLICY.guess_confidence) & maps.masks[v]
         if not compared or not guess.any():
             continue
-        maps = inverse, confidence, colours
-        _carve_view(carved[v], guess, colours[v], *maps, *_projections(v, compared, K, w2c), least[v])
+        known = shown, maps.confidence, maps.colours
+        _carve_view(carved[v], guess, maps.colours[v], *known, *_projections(v, compared, K, w2c), least[v])
         carved[v][guess] = cv2.medianBlur(carved[v], 5)[guess]
     return carved
 

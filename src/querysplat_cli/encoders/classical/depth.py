@@ -7,7 +7,7 @@ import numpy as np
 import torch
 
 from querysplat_cli.encoders.base import Geometry, PosedViews
-from querysplat_cli.encoders.classical.consistency import blurred, carve, confirm, lent
+from querysplat_cli.encoders.classical.consistency import DepthMaps, blurred, carve, confirm, lent
 from querysplat_cli.encoders.classical.depth_policy import DEPTH_POLICY
 from querysplat_cli.encoders.classical.fill_depth import fill_depth
 from querysplat_cli.encoders.classical.neighbours import InverseRange, choose_sources, inverse_range, nearest_views
@@ -50,10 +50,10 @@ def estimate_geometry(posed: PosedViews, *, seed: int, progress: Progress) -> Ge
             inverse[v] = found.inverse
         progress(f"refining {views.names[v]}", 0.6 + 0.3 * (v + 1) / len(views))
     K, w2c = (part.double().numpy() for part in (posed.cameras.K, posed.cameras.w2c))
-    confidence = confirm(inverse, match, K, w2c, sources) * masks
+    confidence = confirm(inverse, masks, match, K, w2c, sources)
     pictures = views.images.permute(0, 2, 3, 1).contiguous().numpy()
-    nearest, colours = nearest_views(posed), blurred(pictures)
-    others = lent(inverse, confidence, colours, K, w2c, nearest)
+    nearest, maps = nearest_views(posed), DepthMaps(inverse, confidence, blurred(pictures), masks)
+    others = lent(maps, K, w2c, nearest)
     for v in range(len(views)):
         borrowed = (others[v] > 0) & (confidence[v] < DEPTH_POLICY.guess_confidence) & masks[v]
         start = np.where(borrowed, others[v], inverse[v])
@@ -62,7 +62,7 @@ def estimate_geometry(posed: PosedViews, *, seed: int, progress: Progress) -> Ge
         inverse[v] = np.clip(inverse[v], ranges[v].far, ranges[v].near)
     progress("clearing free space", 0.95)
     least = [limits.far for limits in ranges]
-    inverse = carve(inverse, confidence, colours, K, w2c, nearest, least)
+    inverse = carve(replace(maps, inverse=inverse), K, w2c, nearest, least)
     return _geometry(posed, 1 / inverse, confidence, ())
 
 

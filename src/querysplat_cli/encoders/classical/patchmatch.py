@@ -181,7 +181,7 @@ def _cost(x, y, inverse, slope_x, slope_y, samples, weights, mean, spread, leads
         u_x, u_y = lead[0, 0] + slope_x * shift[0], lead[0, 1] + slope_y * shift[0]
         v_x, v_y = lead[1, 0] + slope_x * shift[1], lead[1, 1] + slope_y * shift[1]
         z_x, z_y = lead[2, 0] + slope_x * shift[2], lead[2, 1] + slope_y * shift[2]
-        there = square = product = np.float32(0)
+        there = square = product = lost = lost_mean = lost_square = np.float32(0)
         n = 0
         for dy in range(-_REFINEMENT_REACH, _REFINEMENT_REACH + 1, 2):
             for dx in range(-_REFINEMENT_REACH, _REFINEMENT_REACH + 1, 2):
@@ -192,16 +192,29 @@ def _cost(x, y, inverse, slope_x, slope_y, samples, weights, mean, spread, leads
                 at_y = min(max(at_y, np.float32(0)), height - np.float32(1.01))
                 i, j = int(at_x), int(at_y)
                 fx, fy = at_x - i, at_y - j
-                top = pictures[s, j, i] + fx * (pictures[s, j, i + 1] - pictures[s, j, i])
-                low = pictures[s, j + 1, i] + fx * (pictures[s, j + 1, i + 1] - pictures[s, j + 1, i])
+                a, b, c, d = pictures[s, j, i], pictures[s, j, i + 1], pictures[s, j + 1, i], pictures[s, j + 1, i + 1]
+                if min(min(a, b), min(c, d)) < 0:
+                    lost += weights[n]
+                    lost_mean += weights[n] * samples[n]
+                    lost_square += weights[n] * samples[n] * samples[n]
+                    n += 1
+                    continue
+                top, low = a + fx * (b - a), c + fx * (d - c)
                 value = top + fy * (low - top)
                 weighted = weights[n] * value
                 there += weighted
                 square += weighted * value
                 product += weighted * samples[n]
                 n += 1
+        here, around = mean, spread
+        if lost > 0:  # the window without the samples that the source has no picture of
+            left = max(np.float32(1) - lost, np.float32(1e-3))
+            there, square, product = there / left, square / left, product / left
+            here = (mean - lost_mean) / left
+            around = (spread - np.float32(_CORRELATION_FLOOR) + mean * mean - lost_square) / left - here * here
+            around = max(around, np.float32(0)) + np.float32(_CORRELATION_FLOOR)
         variance = max(square - there * there, np.float32(0)) + np.float32(_CORRELATION_FLOOR)
-        cost = np.float32(1) - (product - there * mean) / np.sqrt(variance * spread)
+        cost = np.float32(1) - (product - there * here) / np.sqrt(variance * around)
         if known[s, row, column] > 0:
             # z is depth there over depth here, so this is the relative difference of the two depths.
             apart = abs(z / inverse * known[s, row, column] - np.float32(1))

@@ -51,15 +51,18 @@ def _sweep(reference, pictures, homographies, costs):
     height, width = reference.shape
     weight = np.float32(1) / np.float32((2 * _SWEEP_REACH + 1) ** 2)
     mean, square, scratch = np.empty_like(reference), np.empty_like(reference), np.empty_like(reference)
+    outside = np.empty_like(reference)
+    _box_of_holes(reference, outside, scratch)
     _box(reference, mean, scratch)
     _box(reference * reference, square, scratch)
     for plane in nb.prange(planes):
         warped, product = np.empty_like(reference), np.empty_like(reference)
         sums, squares, products = np.empty_like(reference), np.empty_like(reference), np.empty_like(reference)
-        rows = np.empty_like(reference)
+        rows, holes = np.empty_like(reference), np.empty_like(reference)
         best, second = np.full_like(reference, _UNSEEN_COST), np.full_like(reference, _UNSEEN_COST)
         for s in range(count):
             _warp(pictures[s], homographies[plane, s], warped)
+            _box_of_holes(warped, holes, rows)
             _box(warped, sums, rows)
             for y in range(height):
                 for x in range(width):
@@ -71,7 +74,7 @@ def _sweep(reference, pictures, homographies, costs):
             _box(product, squares, rows)
             for y in range(height):
                 for x in range(width):
-                    if warped[y, x] < 0:
+                    if holes[y, x] + outside[y, x] > 0:
                         continue
                     m, here = sums[y, x] * weight, mean[y, x] * weight
                     variance = max(squares[y, x] * weight - m * m, np.float32(0)) + np.float32(_CORRELATION_FLOOR)
@@ -113,6 +116,15 @@ def _warp(picture, homography, warped):
             fx, fy = u - i, v - j
             top, low = a + fx * (b - a), c + fx * (d - c)
             warped[y, x] = top + fy * (low - top)
+
+
+@nb.njit(cache=True, error_model="numpy", fastmath=True, forceinline=True)
+def _box_of_holes(image, counts, rows):
+    """Fill `counts` with the number of pixels in the window around each pixel that have no picture."""
+    for y in range(image.shape[0]):
+        for x in range(image.shape[1]):
+            counts[y, x] = np.float32(1) if image[y, x] < 0 else np.float32(0)
+    _box(counts.copy(), counts, rows)
 
 
 @nb.njit(cache=True, error_model="numpy", fastmath=True, forceinline=True)

@@ -1,0 +1,74 @@
+"""Ctrl-C outside the steps: what was reached is kept."""
+
+from collections.abc import Callable
+
+import pytest
+import torch
+from tto_scenes import wall
+
+from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.views import Views
+from querysplat_cli.splat.render import render
+from querysplat_cli.tto.full_size import FullSizeResult, optimise_full_size
+from querysplat_cli.tto.full_size_plan import FullSizePlan, FullSizeStage
+from querysplat_cli.tto.options import TtoSettings
+from querysplat_cli.tto.rendering_loss import RenderingLoss
+
+SMALL, LARGE = 36, 72
+
+
+def views_at(size: int) -> tuple[Views, Cameras]:
+    K = torch.tensor([[[1.25 * size, 0, size / 2], [0, 1.25 * size, size / 2], [0, 0, 1]]])
+    cameras = Cameras(torch.eye(4)[None], K, size, size)
+    images = (render(wall(12, size=1.2, opacity=0.97), cameras).colour.clamp(0, 1) * 255).round().to(torch.uint8)
+    return Views(images, torch.ones(1, size, size, dtype=torch.bool), ("a",), ((size, size),)), cameras
+
+
+def stopped(ask: Callable[[int], tuple[Views, Cameras]] = views_at) -> FullSizeResult:
+    stages = [FullSizeStage(size, TtoSettings(10, 0.02, views_per_step=1), 16) for size in (SMALL, LARGE)]
+    return optimise_full_size(start(), ask, FullSizePlan(tuple(stages), 1.0), seed=0)
+
+
+def start() -> Gaussians:
+    return wall(4, size=1.2, opacity=0.97)
+
+
+def interrupts_at(monkeypatch: pytest.MonkeyPatch, call: int) -> None:
+    """Ctrl-C comes in this evaluation of all views; a stage has one before its steps, and one after them."""
+    calls, values = 0, RenderingLoss.values
+
+    def counted(target: RenderingLoss, gaussians: Gaussians, chosen: list[int]) -> list[float]:
+        nonlocal calls
+        calls += 1
+        if calls == call:
+            raise KeyboardInterrupt
+        return values(target, gaussians, chosen)
+
+    monkeypatch.setattr(RenderingLoss, "values", counted)
+
+
+@pytest.mark.parametrize(("size", "stages"), [(SMALL, 0), (LARGE, 1)])
+def test_while_photos_are_read(size: int, stages: int) -> None:
+    def ask(wanted: int) -> tuple[Views, Cameras]:
+        if wanted == size:
+            raise KeyboardInterrupt
+        return views_at(wanted)
+
+    found = stopped(ask)
+    assert found.interrupted
+    assert len(found.runs) == stages
+    assert found.gaussians.means.equal(start().means) == (stages == 0)
+
+
+@pytest.mark.parametrize(
+    ("call", "steps"), [(1, [0]), (2, [10]), (3, [10, 0])], ids=["before the first step", "after the last", "between"]
+)
+def test_while_all_photos_are_compared(monkeypatch: pytest.MonkeyPatch, call: int, steps: list[int]) -> None:
+    """A stage that took its steps keeps them."""
+    interrupts_at(monkeypatch, call)
+    found = stopped()
+    assert found.interrupted
+    assert [len(result.history) for _, result in found.runs] == steps
+    assert found.gaussians.means.equal(start().means) == (steps == [0])
+    assert found.not_kept == ()
