@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pycolmap
@@ -13,7 +14,8 @@ from synthetic import FOCAL, camera, photographs, room
 from querysplat_cli.encoders.classical import search as search_module
 from querysplat_cli.encoders.classical.append_matches import append_features, append_matches
 from querysplat_cli.encoders.classical.learned_matchers import LearnedFeatures, LearnedMatcher, find_learned_matcher
-from querysplat_cli.encoders.classical.matches import shared_cameras, write_images
+from querysplat_cli.encoders.classical.learned_matches import with_learned_matches
+from querysplat_cli.encoders.classical.matches import Matches, shared_cameras, write_images
 from querysplat_cli.encoders.classical.search import Found, MatcherChoice, search
 from querysplat_cli.runtime.choices import Matcher
 from querysplat_cli.runtime.errors import MissingPart, QuerySplatError
@@ -81,6 +83,23 @@ def test_a_pair_that_sift_matches_badly_is_matched_by_the_network(
     # The features of the network lie at the photo's own pixels.
     nearest = np.abs(found.matches.pairs[0].first_pixels[:, None] - pixels(FAR_APART[0])).max(-1).min(1)
     assert (nearest < 0.01).sum() >= 280
+
+
+def test_a_search_that_is_not_kept_leaves_nothing_for_the_next_one(
+    photos: list[Photo], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Affine SIFT, which comes first, appends its features to COLMAP's database."""
+    counts = []
+
+    def counted(matches: Matches, *arguments: Any, **options: Any) -> Matches:
+        with pycolmap.Database.open(matches.database) as store:
+            counts.append(tuple(store.num_keypoints_for_image(image) for image in (1, 2)))
+        return with_learned_matches(matches, *arguments, **options)
+
+    monkeypatch.setattr(search_module, "with_learned_matches", counted)
+    monkeypatch.setattr(search_module, "_better", lambda first, second: first)
+    network(monkeypatch, lambda name, weights: Answers())
+    assert counts == [searched(photos, "auto").matches.features]
 
 
 def test_sift_alone_asks_no_network(photos: list[Photo], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,6 +12,7 @@ from querysplat_cli.encoders.base import Geometry, PosedViews
 from querysplat_cli.model.checkpoints import load
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.pipeline.build import build_scene, encode_and_build
+from querysplat_cli.pipeline.full_size import FullSize
 from querysplat_cli.pipeline.kept_parts import read_part, write_part
 from querysplat_cli.pipeline.regions import task
 from querysplat_cli.pipeline.regions.scene import RegionTask
@@ -19,6 +20,7 @@ from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.runtime.choices import Target
 from querysplat_cli.runtime.progress import Progress, Stages
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera
+from querysplat_cli.scene.exposures import Exposures
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.views import Photo, Views
 
@@ -113,6 +115,14 @@ def test_every_scene_goes_through_the_rounds_of_refinement(model: QuerySplat, ta
     none, few = (anchors.refinement for anchors in found if anchors is not None)
     assert none.any()
     assert none.equal(few)
+
+
+def test_what_follows_the_large_photos_has_the_colour_transforms_found_there(model: QuerySplat) -> None:
+    """The backdrop's colours are the photos' without them, as `tto` makes it."""
+    scene = build_scene(*wall(model, (-0.1, 0.0, 0.1)), model, SETTINGS)
+    now = Exposures.identity(3)
+    further = FullSize(scene.gaussians, SIZE, [], {}, interrupted=False, exposures=now)
+    assert replace(scene, full_size=further).inputs.exposures is now
 
 
 @dataclass

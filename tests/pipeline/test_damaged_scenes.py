@@ -100,6 +100,17 @@ def test_a_map_that_names_rows_that_are_not_there_is_refused(
             read_scene(tmp_path / "s")
 
 
+def test_what_is_stored_in_half_precision_stays_so(stored: tuple[StoredScene, Gaussians], tmp_path: Path) -> None:
+    """A scene that is read and written again takes no more space."""
+    scene, gaussians = stored
+    depth = torch.ones(len(scene.views), *scene.views.masks.shape[1:]).half()
+    write_scene(tmp_path / "s.ply", replace(scene, map=replace(a_map(scene), depth=depth)), gaussians, a_report())
+    again = read_scene(tmp_path / "s")[0]
+    assert again.map
+    assert again.map.depth.dtype == torch.float16
+    assert again.memories.geometry_keys.dtype == torch.float32
+
+
 def remove_tensor(folder: Path, name: str) -> None:
     """From the memories of a stored scene."""
     file = folder / "memories.safetensors"

@@ -59,5 +59,12 @@ def test_what_is_behind_stays():
     assert not hiding(joined(behind, wall()), cameras_at(-1, 1)).any()
 
 
+def test_padding_is_no_photo():
+    """On the canvas, both photos show the fog. In fact it is beside the photo at −1, and only the other shows it."""
+    fog, narrow = discs((-0.2, 0.0, 4.0), scale=0.05), [(SIZE, 48)] * 2
+    assert not hiding(joined(fog, wall()), cameras_at(-1, 1))[0]
+    assert hiding(joined(fog, wall()), cameras_at(-1, 1), narrow)[0]
+
+
 def test_one_photo_has_no_neighbour():
     assert not hiding(joined(FOG, wall()), cameras_at(1)).any()

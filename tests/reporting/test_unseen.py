@@ -77,6 +77,19 @@ def test_what_lies_outside_the_photos_was_not_seen() -> None:
     assert found.hidden == pytest.approx(0.4 * (1 - found.empty), rel=0.1)
 
 
+def test_padding_shows_nothing() -> None:
+    """Photos of the upper half of their canvas; the film shows the whole wall."""
+    y, x = torch.meshgrid(torch.linspace(-2, 2, 80), torch.linspace(-2, 2, 80), indexing="ij")
+    wall = replace(ball(6400), means=torch.stack([x.ravel(), y.ravel(), torch.zeros(6400)], 1))
+    places = np.array([[-0.2, 0.0, -4.0], [0.0, 0.0, -4.0], [0.2, 0.0, -4.0]])
+    cameras = look_at(places, np.zeros(3), np.array([0.0, -1.0, 0.0]), cameras_at([0.0], 100.0))
+    whole, upper = unseen(wall, cameras), unseen(wall, cameras, [(50, 100)] * 3)
+    assert whole
+    assert upper
+    assert whole.hidden < 0.1
+    assert upper.hidden == pytest.approx(0.5, abs=0.1)
+
+
 def test_cameras_at_what_they_look_at_make_no_film() -> None:
     one = replace(ball(1), means=torch.tensor([[0.0, 0.0, -4.0]]))
     assert unseen(one, cameras_at([0.0], 100.0)) is None

@@ -1,7 +1,9 @@
 """Films are decoded upright, in true colours, and their frames are found again by pts."""
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ from film_files import pan, write_film
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene import films
 from querysplat_cli.scene.film_colours import HLG, PQ, tone_mapped
-from querysplat_cli.scene.films import evenly_spaced_frames, film_frames, film_size, frame_pixels
+from querysplat_cli.scene.films import FilmFrame, evenly_spaced_frames, film_frames, film_size, frame_pixels, read_ahead
 
 BT2020 = 9
 
@@ -146,3 +148,21 @@ def test_evenly_spaced_frames(tmp_path: Path) -> None:
     path = write_film(tmp_path / "film.mp4", pan(range(0, 200, 10)))
     assert [photo.name for photo in evenly_spaced_frames(path, 7, 96)] == [f"{i:06d}.png" for i in range(0, 20, 3)]
     assert max(evenly_spaced_frames(path, 1, 96)[0].pixels.shape) == 96
+
+
+def test_frames_ahead_are_not_looked_for_from_the_beginning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write_film(tmp_path / "long.mp4", pan(range(60)), tags={"gop_size": 10})
+    stamps = [frame.pts for frame in film_frames(path)]
+    decoded = 0
+
+    def counted(*arguments: Any) -> Iterator[FilmFrame]:
+        nonlocal decoded
+        for frame in film_frames(*arguments):
+            decoded += 1
+            yield frame
+
+    monkeypatch.setattr(films, "film_frames", counted)
+    read_ahead(path, stamps[45:48])
+    assert decoded <= 15
+    assert frame_pixels(path, stamps[46]).shape == (144, 192, 3)
+    assert decoded <= 15

@@ -129,3 +129,20 @@ def test_optimisation_flattens_a_plain_wall_where_no_view_confirms_its_depth() -
     assert optimised(mask) == left_alone
     assert left_alone > 0.7 * rough(start)
     assert optimised(torch.zeros(1, 16, 16, dtype=torch.bool)) < 0.5 * rough(start)  # of smaller pictures
+
+
+def test_a_small_photo_beside_a_large_one_has_its_own_guesses() -> None:
+    """The left halves are confirmed. The working pictures have one size; of the photos, the second is half as large."""
+    K = torch.tensor([[40.0, 0, 16], [0, 40.0, 16], [0, 0, 1]]).repeat(2, 1, 1)
+    cameras = Cameras(torch.eye(4).repeat(2, 1, 1), K, 32, 32)
+    masks = torch.ones(2, 32, 32, dtype=torch.bool)
+    masks[1, 16:] = masks[1, :, 16:] = False
+    views = Views(torch.zeros(2, 3, 32, 32), masks, ("a", "b"), ((32, 32), (16, 16)))
+    left = torch.zeros(8, 8, dtype=torch.bool)
+    left[:, :4] = True
+    target = RenderingLoss(views, cameras, confirmed=(left, left))
+    for view, size in enumerate((32, 16)):
+        guessed = target.guessed(view)[0, :size, :size]
+        assert not guessed[:, : size // 2].any()
+        assert guessed[:, size // 2 :].all()
+    assert not target.guessed(1)[0, 16:].any()

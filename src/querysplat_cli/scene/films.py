@@ -59,7 +59,8 @@ def is_film(path: Path) -> bool:
 def film_frames(path: Path, start: int | None = None) -> Iterator[FilmFrame]:
     """The frames of a film in the order in which they are shown. Damaged ones are left out.
 
-    With `start`, from a key frame at or before that pts on. Raises QuerySplatError when the file is no film.
+    With `start`, from a key frame at or before that pts on, and without frames that have none. Raises QuerySplatError
+    when the file is no film.
     """
     with _opened(path) as (container, stream):
         if start is not None:
@@ -68,6 +69,8 @@ def film_frames(path: Path, start: int | None = None) -> Iterator[FilmFrame]:
         rate = float(stream.average_rate or 25)
         for number, picture in enumerate(_pictures(container, stream)):
             stamped = picture.pts is not None and picture.time is not None
+            if start is not None and not stamped:
+                continue  # its number is not known
             pts, seconds = (picture.pts, picture.time) if stamped else (number, number / rate)
             yield FilmFrame(pts or 0, float(seconds), picture, int(transfer or 0), float(aspect or 1))
 
@@ -94,9 +97,7 @@ def frame_pixels(path: Path, pts: int) -> np.ndarray:
     """The frame of this pts, as `FilmFrame.rgb`. Raises QuerySplatError when the film has none."""
     packed = _PACKED.get(path, pts)
     if packed is None:
-        _read_ahead(film_frames(path, pts), path, {pts})
-        if _PACKED.get(path, pts) is None:  # the film may have no pts to jump to
-            _read_ahead(film_frames(path), path, {pts})
+        read_ahead(path, {pts})
         packed = _PACKED.get(path, pts)
     if packed is None:
         raise QuerySplatError(f"{path} has no frame at pts {pts}: it is another film", "Put the right film there.")
@@ -106,8 +107,10 @@ def frame_pixels(path: Path, pts: int) -> np.ndarray:
 
 
 def read_ahead(path: Path, wanted: Iterable[int]) -> None:
-    """Decode the frames of these pts in one pass, for `frame_pixels`."""
-    _read_ahead(film_frames(path), path, set(wanted))
+    """Decode the frames of these pts, at least one, for `frame_pixels`: in one pass from the first of them on."""
+    these = set(wanted)
+    missing = _pack(film_frames(path, min(these)), path, these)
+    _pack(film_frames(path), path, missing)  # the film may have no pts to jump to
 
 
 def evenly_spaced_frames(path: Path, most: int, longest_side: int) -> tuple[Photo, ...]:
@@ -174,8 +177,8 @@ class _PackedFrames:
 _PACKED = _PackedFrames(MOST_PACKED_BYTES)
 
 
-def _read_ahead(frames: Iterator[FilmFrame], path: Path, wanted: set[int]) -> None:
-    """Pack the wanted ones of `frames`, and stop after the last of them."""
+def _pack(frames: Iterator[FilmFrame], path: Path, wanted: set[int]) -> set[int]:
+    """Pack the wanted ones of `frames`, and stop after the last of them; returns those that were not found."""
     missing = {pts for pts in wanted if _PACKED.get(path, pts) is None}
     for frame in frames if missing else ():
         if frame.pts in missing:
@@ -183,4 +186,5 @@ def _read_ahead(frames: Iterator[FilmFrame], path: Path, wanted: set[int]) -> No
             _PACKED.add(path, frame.pts, packed.tobytes())
             missing.discard(frame.pts)
             if not missing:
-                return
+                break
+    return missing

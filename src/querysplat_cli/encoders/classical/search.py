@@ -1,8 +1,10 @@
 """The search for cameras: SIFT for all photos, and another matcher for those that SIFT matches badly."""
 
+import shutil
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -108,15 +110,16 @@ def search(photos: Sequence[Photo], choice: MatcherChoice, *, seed: int, progres
             return trial.refined()
         if trial.few and _wants_support(trial, choice.matcher):
             progress("matching again", 0.65)
-            supported = with_supported_matches(trial.matches, photos, seed=seed)
-            trial = _better(trial, _Trial.of(without_resting_matches(supported, seed=seed), photos, seed))
+            search_again = partial(with_supported_matches, photos=photos, seed=seed)
+            trial, _ = _after(trial, search_again, _better, photos, seed)
         if choice.matcher != "sift-affine":
             trial = _with_network(photos, trial, choice, seed, progress)
         affine = _for_affine(trial, choice.matcher, large=are_large(photos))
         if affine and are_large(photos):
             progress("matching again", 0.7)
-            more = _Trial.of(with_tilted_views(trial.matches, affine, seed=seed), photos, seed)
-            return _better(trial, replace(more, matching=trial.matching)).refined()
+            search_again = partial(with_tilted_views, weak=affine, seed=seed)
+            found, _ = _after(trial, search_again, _better, photos, seed)
+            return replace(found, matching=trial.matching).refined()
         if not affine:
             return trial.refined()
     progress("matching again", 0.7)
@@ -164,14 +167,43 @@ def _with_network(
         now = _agreeing(trial.matches, pairs)
         return replace(trial, matching=Matching("", len(pairs), (now, now), missing=missing.message))
     progress(f"matching {len(pairs)} pairs with {matcher.name}", 0.65)
-    start = time.monotonic()
-    more = with_learned_matches(trial.matches, photos, pairs, matcher, seed=seed)
-    seconds = time.monotonic() - start
-    progress("placing cameras", 0.7)
-    second = _Trial.of(without_resting_matches(more, seed=seed), photos, seed)
-    kept = second if chosen and second.mapped else _better(trial, second)
+    seconds = 0.0
+
+    def match(matches: Matches) -> Matches:
+        nonlocal seconds
+        start = time.monotonic()
+        more = with_learned_matches(matches, photos, pairs, matcher, seed=seed)
+        seconds = time.monotonic() - start
+        progress("placing cameras", 0.7)
+        return more
+
+    def choose(first: _Trial, second: _Trial) -> _Trial:
+        return second if chosen and second.mapped else _better(first, second)
+
+    kept, second = _after(trial, match, choose, photos, seed)
     agreeing = _agreeing(trial.matches, pairs), _agreeing(second.matches, pairs)
     return replace(kept, matching=Matching(matcher.name, len(pairs), agreeing, round(seconds, 2), kept is second))
+
+
+def _after(
+    first: _Trial,
+    search_again: Callable[[Matches], Matches],
+    choose: Callable[[_Trial, _Trial], _Trial],
+    photos: Sequence[Photo],
+    seed: int,
+) -> tuple[_Trial, _Trial]:
+    """The chosen one of `first` and the trial after another search, and the latter.
+
+    A search changes COLMAP's database. Where the first trial is chosen, its database is put back.
+    """
+    database = first.matches.database
+    before = database.with_name("before.db")
+    shutil.copyfile(database, before)
+    second = _Trial.of(without_resting_matches(search_again(first.matches), seed=seed), photos, seed)
+    kept = choose(first, second)
+    if kept is first:
+        before.replace(database)
+    return kept, second
 
 
 def _agreeing(matches: Matches, pairs: Sequence[tuple[int, int]]) -> int:
