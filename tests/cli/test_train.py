@@ -1,6 +1,7 @@
 """`querysplat train`, run as a command."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -8,6 +9,7 @@ import pytest
 from querysplat_cli.cli import run
 from querysplat_cli.runtime.errors import ExitCode
 from querysplat_cli.training.config import StageSettings
+from querysplat_cli.training.data import Wanted
 from querysplat_cli.training.trainer import STATE
 from training_scenes import toml, training
 
@@ -48,12 +50,16 @@ def test_bad_input_is_refused_before_samples_are_made(
     assert "no training to go on with" in capsys.readouterr().err
 
 
-def test_samples_only_leaves_a_training_in_the_folder_alone(config: Path) -> None:
+def test_samples_only_leaves_a_training_in_the_folder_alone(config: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """It was refused, although it replaces nothing."""
     state = config.parent / "run" / STATE
     state.parent.mkdir()
     state.write_text("of another training")
-    assert run(["train", "--config", str(config), "-o", str(state.parent), "--samples-only"]) == ExitCode.DONE
+    command = ["train", "--config", str(config), "-o", str(state.parent), "--samples-only", "--json"]
+    assert run(command) == ExitCode.DONE
+    report = json.loads(capsys.readouterr().out)
+    assert report["ready"] > 0
+    assert report["failed"] == []
     assert state.read_text() == "of another training"
 
 
@@ -97,6 +103,27 @@ def test_dry_run_counts_the_samples_that_are_still_to_be_made(config: Path, caps
     assert (plan["samples"], plan["ready"]) == (3, 2)
     assert plan["seconds_per_sample"] > 0
     assert plan["hours"] > plan["seconds_per_sample"] / 3600
+
+
+def test_dry_run_makes_one_sample_and_says_why_it_cannot(
+    config: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It made a sample of every captured scene, and named a folder that was gone."""
+    made = []
+
+    def maker(_: object) -> Callable[[Wanted], None]:
+        def make(job: Wanted) -> None:
+            made.append(job)
+            job.reason.parent.mkdir(parents=True)
+            job.reason.write_text("too dark")
+
+        return make
+
+    next((config.parent / "cache").rglob("*.safetensors")).unlink()
+    monkeypatch.setattr("querysplat_cli.training.plan.sample_maker", maker)
+    assert run(["train", "--config", str(config), "-o", str(config.parent / "run"), "--dry-run", "--json"]) == 0
+    assert len(made) == 1
+    assert "too dark" in json.loads(capsys.readouterr().out)["unmeasured"]
 
 
 def test_dry_run_of_the_paper_states_batch_samples_disk_and_memory(

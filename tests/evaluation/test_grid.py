@@ -26,7 +26,7 @@ def test_values_have_the_fields_type(text: str, axis: tuple[str, tuple[object, .
 
 
 @pytest.mark.parametrize(
-    "text", ["tto", "tto=", "tto=many", "tto=1.5", "force=true", "nonsense=1", "=1", "regions=1,4"]
+    "text", ["tto", "tto=", "tto=many", "tto=1.5", "force=true", "nonsense=1", "=1", "regions=1,4", "overlays=auto,off"]
 )
 def test_other_values_are_refused(text: str) -> None:
     with pytest.raises(QuerySplatError, match="--sweep"):

@@ -1,5 +1,6 @@
 """Camera errors with known answers."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,8 +9,11 @@ import pytest
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from querysplat_cli.commands.poses import compare
+from querysplat_cli.commands.requests import PosesRequest
 from querysplat_cli.evaluation.poses import area_under_recall, compare_cameras, draw_trajectories
 from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.sim3 import DegenerateAlignment
 
@@ -149,3 +153,15 @@ def test_the_picture(tmp_path: Path, suffix: str) -> None:
     assert file.read_bytes()[:5] == (b"\x89PNG\r" if suffix == "png" else b"<?xml")
     with pytest.raises(QuerySplatError, match="not a kind of picture"):
         draw_trajectories(compare_cameras(track(), track()), tmp_path / "tracks.doc", ("A", "B"))
+
+
+@pytest.mark.parametrize("wrong", [np.nan, 0.5, -1.0])
+def test_a_camera_that_is_no_rigid_motion_is_named(tmp_path: Path, wrong: float) -> None:
+    """One that is not a number was a traceback, and the others were compared as if they were cameras."""
+    frames = [{"file_path": f"images/{i}.png", "transform_matrix": np.diag([1.0, 1, 1, 1]).tolist()} for i in range(3)]
+    lens = {"w": 640, "h": 480, "fl_x": 500, "fl_y": 500, "cx": 320, "cy": 240}
+    for name, factor in (("right", 1.0), ("wrong", wrong)):
+        frames[1]["transform_matrix"][0][0] = factor
+        (tmp_path / f"{name}.json").write_text(json.dumps({**lens, "frames": frames}))
+    with pytest.raises(QuerySplatError, match=r"wrong.json: the camera of '.*1.png' is no rigid motion"):
+        compare(PosesRequest(tmp_path / "wrong.json", tmp_path / "right.json"), Stages())

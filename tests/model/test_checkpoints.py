@@ -83,6 +83,13 @@ def test_a_file_gives_the_model_that_was_saved(tmp_path: Path) -> None:
         assert torch.equal(again.state_dict()[name], tensor.half().float()), name
 
 
+def test_a_saved_file_can_be_read_by_others(tmp_path: Path) -> None:
+    """As far as the user's umask allows; it was for the owner alone."""
+    save(load("compact"), tmp_path / "saved.safetensors")
+    (tmp_path / "plain").touch()
+    assert (tmp_path / "saved.safetensors").stat().st_mode == (tmp_path / "plain").stat().st_mode
+
+
 @pytest.mark.parametrize("fault", ["missing", "unexpected", "of another shape"])
 def test_wrong_tensors_are_named(tmp_path: Path, fault: str) -> None:
     path = tmp_path / "wrong.safetensors"

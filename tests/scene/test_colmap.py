@@ -8,6 +8,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.scene.cameras import PhotoCamera
+from querysplat_cli.scene.formats.colmap import copy_colmap, write_colmap
 from querysplat_cli.scene.formats.colmap_files import check_binary
 from querysplat_cli.scene.formats.known import read_known_cameras
 
@@ -101,3 +103,25 @@ def test_absurd_counts_are_refused_without_their_memory(tmp_path: Path, name: st
             read_known_cameras(tmp_path)
     file.write_bytes(whole)
     assert len(read_known_cameras(tmp_path)) == 3
+
+
+def test_text_cannot_hold_names_with_spaces(tmp_path: Path) -> None:
+    """COLMAP's reader cuts them at the first space, so that seven photos became one."""
+    cameras = {
+        f"my photo {i}.jpg": PhotoCamera(
+            np.vstack([pose, [0, 0, 0, 1]]), (500.0, 500.0), (320.0, 240.0), (0.0, 0.0, 0.0, 0.0), 480, 640
+        )
+        for i, pose in enumerate(POSES)
+    }
+    (tmp_path / "binary").mkdir()
+    write_colmap(tmp_path / "binary", cameras)
+    assert list(read_known_cameras(tmp_path / "binary")) == list(cameras)
+    (tmp_path / "text").mkdir()
+    with pytest.raises(QuerySplatError, match=r"space in 'my photo 0\.jpg'"):
+        write_colmap(tmp_path / "text", cameras, text=True)
+    with pytest.raises(QuerySplatError, match="cannot hold the space"):
+        copy_colmap(tmp_path / "binary", tmp_path / "text", text=True)
+    assert not list((tmp_path / "text").iterdir())
+    pycolmap.Reconstruction(tmp_path / "binary").write_text(tmp_path / "text")
+    with pytest.raises(QuerySplatError, match=r"cuts the name 'my photo \d.jpg' in images.txt"):
+        read_known_cameras(tmp_path / "text")

@@ -207,3 +207,13 @@ def test_an_interrupted_write_leaves_the_old_file(tmp_path: Path, monkeypatch: p
         write_ply(path, gaussians(9, 0))
     assert path.read_bytes() == before
     assert [each.name for each in tmp_path.iterdir()] == ["scene.ply"]
+
+
+def test_a_locked_file_is_not_called_damaged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def locked(path: Path, *_: object) -> None:
+        raise PermissionError(13, "Permission denied", str(path))
+
+    write_ply(tmp_path / "scene.ply", gaussians(3, 0))
+    monkeypatch.setattr(Path, "open", locked)
+    with pytest.raises(QuerySplatError, match="no permission to read it"):
+        read_ply(tmp_path / "scene.ply")

@@ -85,7 +85,7 @@ def test_weights_from_scratch_start_as_in_the_release() -> None:
     assert float(model.geometry_head.weight.detach().std()) == pytest.approx(0.002, rel=0.02)
     assert not model.geometry_head.bias.any()
     # torch's default for a linear layer: uniform up to 1/√width.
-    assert float(model.appearance_head.weight.abs().max()) == pytest.approx(1 / 8, rel=0.01)
+    assert float(model.appearance_head.weight.detach().abs().max()) == pytest.approx(1 / 8, rel=0.01)
     assert float(model.geometry_queries.std()) == pytest.approx(0.01, rel=0.2)
     assert not model.appearance_queries.any()
     assert torch.equal(scratch_model(config, seed=3).appearance_head.weight, model.appearance_head.weight)

@@ -14,7 +14,7 @@ from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.render import render
 from querysplat_cli.tto.full_size import FullSizeResult, PhotoFacts, optimise_full_size
-from querysplat_cli.tto.full_size_plan import FullSizePlan, FullSizeStage, Photos, plan_full_size
+from querysplat_cli.tto.full_size_plan import FullSizePlan, FullSizeStage, Photos, TimeLimit, plan_full_size
 from querysplat_cli.tto.full_size_policy import FULL_SIZE_POLICY
 from querysplat_cli.tto.options import TtoSettings, TtoStep
 from querysplat_cli.tto.policy import TTO_POLICY
@@ -176,7 +176,7 @@ def test_only_photos_that_are_shown_often_have_dropout() -> None:
 @pytest.mark.parametrize(("seconds", "dropout"), [(60.0, 0.0), (4000.0, FULL_SIZE_POLICY.dropout)])
 def test_a_budget_has_dropout_only_if_its_time_shows_photos_often(seconds: float, dropout: float) -> None:
     """Its steps end by the clock; their limit says nothing about how many there will be."""
-    plan = plan_full_size("high", LARGE, 40_000, seconds=seconds)
+    plan = plan_full_size("high", LARGE, 40_000, limit=TimeLimit(seconds))
     assert {each.settings.dropout for each in plan.stages} == {dropout}
 
 
@@ -243,7 +243,9 @@ def test_large_photos_have_more_gaussians_as_far_as_the_time_lasts() -> None:
     assert few.stages[-1].gaussians == FULL_SIZE_POLICY.levels["standard"].shared_gaussians
     assert many.stages[-1].gaussians > 1.5 * few.stages[-1].gaussians
     assert many.stages[-1].max_size == few.stages[-1].max_size
-    short, long = (plan_full_size("high", LARGE, 50_000, seconds=seconds).stages[-1] for seconds in (120.0, 1000.0))
+    short, long = (
+        plan_full_size("high", LARGE, 50_000, limit=TimeLimit(seconds)).stages[-1] for seconds in (120.0, 1000.0)
+    )
     assert short.max_size == long.max_size == LARGE.width
     assert short.gaussians < long.gaussians == FULL_SIZE_POLICY.levels["high"].gaussians
 
@@ -254,14 +256,16 @@ def test_photos_hardly_larger_than_the_working_pictures_are_used_at_that_size() 
 
 
 def test_a_short_time_makes_the_photos_smaller_but_never_smaller_than_the_scene() -> None:
-    sizes = [plan_full_size("high", LARGE, 50_000, seconds=s).stages[-1].max_size for s in (1.0, 40.0, 60.0, 2000.0)]
+    sizes = [
+        plan_full_size("high", LARGE, 50_000, limit=TimeLimit(s)).stages[-1].max_size for s in (1.0, 40.0, 60.0, 2000.0)
+    ]
     assert sizes[0] == LARGE.working
     assert sizes == sorted(sizes)
     assert sizes[1] < sizes[2] < sizes[3] == 1600
 
 
 def test_a_given_time_ends_the_stages_by_the_clock() -> None:
-    plan = plan_full_size("high", LARGE, 50_000, seconds=100.0)
+    plan = plan_full_size("high", LARGE, 50_000, limit=TimeLimit(100.0))
     assert sum(each.settings.seconds or 0 for each in plan.stages) == pytest.approx(100)
     assert optimised(FullSizePlan((stage(36, 20, 10_000, seconds=0.2),), 0.2)).ended == "the time was over"
 

@@ -4,6 +4,7 @@ from dataclasses import asdict
 
 from querysplat_cli.cli.terminal import print_json, rows_table, say
 from querysplat_cli.cli.verb import Printing
+from querysplat_cli.training.data import PreparedSamples
 from querysplat_cli.training.plan import TrainPlan
 from querysplat_cli.training.trainer import TrainReport
 
@@ -47,6 +48,12 @@ def _size(gib: float) -> str:
     """In GB, or in TB from one on."""
     gigabytes = gib * 2**30 / 1e9
     return f"{gigabytes / 1000:.1f} TB" if gigabytes >= 1000 else f"{gigabytes:.2f} GB"
+
+
+def print_samples(samples: PreparedSamples, printing: Printing) -> None:
+    """How many samples are in the cache, and why others could not be made."""
+    print_json(asdict(samples), printing)
+    say(f"{samples.ready:,} samples are ready, {len(samples.failed):,} could not be made", printing)
 
 
 def print_training(report: TrainReport, printing: Printing) -> None:

@@ -45,13 +45,14 @@ class TrainOptions:
 
 def train(options: TrainOptions, printing: Printing) -> None:
     """Train a model on procedural or captured scenes, alone or under torchrun."""
-    from querysplat_cli.cli.print_training import print_training, print_training_plan
+    from querysplat_cli.cli.print_training import print_samples, print_training, print_training_plan
     from querysplat_cli.cli.terminal import showing_stages
     from querysplat_cli.splat.lpips import find_lpips, load_lpips
     from querysplat_cli.training.config import load_config
     from querysplat_cli.training.plan import plan
     from querysplat_cli.training.run import TrainRequest
     from querysplat_cli.training.run import train as run
+    from querysplat_cli.training.trainer import TrainReport
 
     config = load_config(options.config, options.changes)
     perceptual = None
@@ -79,5 +80,7 @@ def train(options: TrainOptions, printing: Printing) -> None:
             print_training_plan(plan(request, stages), printing)
             return
         report = run(request, stages)
-    if report:
+    if isinstance(report, TrainReport):
         print_training(report, printing)
+    elif report:
+        print_samples(report, printing)

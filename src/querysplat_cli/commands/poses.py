@@ -8,10 +8,13 @@ from querysplat_cli.evaluation.colmap_reference import estimate_with_colmap
 from querysplat_cli.evaluation.poses import compare_cameras, draw_trajectories
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.figures import check_drawing
+from querysplat_cli.runtime.json_files import shown
 from querysplat_cli.runtime.progress import Progress, Stages
+from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.files import refuse_existing
 from querysplat_cli.scene.formats.known import find_known_cameras, read_known_cameras
 from querysplat_cli.scene.formats.transforms import listed_paths
+from querysplat_cli.scene.formats.transforms_frame import is_rigid
 from querysplat_cli.scene.photo_files import check_photo_files, read_photo_files
 from querysplat_cli.scene.photo_names import names_a_photo
 from querysplat_cli.scene.photos import LONGEST_SIDE, PICTURE_FOLDERS, find_photos, load_photos
@@ -28,9 +31,9 @@ def compare(request: PosesRequest, stages: Stages) -> tuple[dict[str, Any], str]
     if request.plot:
         check_drawing(request.plot)
         refuse_existing([request.plot], force=request.force)
-    first = read_known_cameras(request.first)
+    first = _rigid_cameras(request.first)
     if request.second:
-        second, name = read_known_cameras(request.second), str(request.second)
+        second, name = _rigid_cameras(request.second), str(request.second)
     else:
         with stages("photos") as progress:
             photos = _photos(request.first, progress)
@@ -39,6 +42,17 @@ def compare(request: PosesRequest, stages: Stages) -> tuple[dict[str, Any], str]
     if request.plot:
         draw_trajectories(errors, request.plot, (str(request.first), name))
     return errors.summary(), name
+
+
+def _rigid_cameras(place: Path) -> dict[str, PhotoCamera]:
+    """The cameras in or at `place`. Raises QuerySplatError where one of them is no rigid motion."""
+    cameras = read_known_cameras(place)
+    wrong = [name for name, camera in cameras.items() if not is_rigid(camera.w2c)]
+    if wrong:
+        raise QuerySplatError(
+            f"{place}: the camera of {shown(wrong[0])} is no rigid motion", "Mend it or leave it out."
+        )
+    return cameras
 
 
 def _photos(place: Path, progress: Progress) -> list[Photo]:

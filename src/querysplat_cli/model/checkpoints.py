@@ -8,7 +8,7 @@ from importlib import resources
 from pathlib import Path
 
 import torch
-from safetensors.torch import save_file
+from safetensors.torch import save as serialised
 from torch import Tensor
 
 from querysplat_cli.model.config import ModelConfig, preset, preset_names
@@ -107,7 +107,8 @@ def save(model: QuerySplat, path: Path) -> None:
     """Write half-precision weights, with the configuration in the metadata, so that one file is enough."""
     tensors = {name: tensor.half().contiguous() for name, tensor in model.state_dict().items()}
     with atomic_path(path) as draft:
-        save_file(tensors, draft, metadata={"config": json.dumps(asdict(model.config))})
+        # Not by save_file: its files can be read by their owner alone.
+        draft.write_bytes(serialised(tensors, metadata={"config": json.dumps(asdict(model.config))}))
 
 
 def _stored_config(path: Path, stored: str) -> ModelConfig:

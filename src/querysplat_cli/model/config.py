@@ -13,6 +13,9 @@ Refinement = Literal["whole", "no-geometry-memory", "no-appearance-memory", "no-
 GEOMETRY_CHANNELS = 10
 """Raw numbers of the geometry head for each Gaussian: centre 3, scale 3, quaternion 4."""
 
+LARGEST_PATCH = 48
+"""Pixels; no picture is smaller."""
+
 
 @dataclass(frozen=True)
 class ModelConfig:
@@ -61,8 +64,11 @@ class ModelConfig:
             for name, size in sizes.items()
             if not isinstance(size, int) or size < 0 or (size == 0 and name not in may_be_zero)
         ]
+        wrong += [] if self.scale_cap > 0 else ["scale_cap"]
         if wrong:
             raise QuerySplatError(f"model sizes must be positive: {', '.join(wrong)}", "See docs/method.md.")
+        if self.patch > LARGEST_PATCH:
+            raise QuerySplatError(f"a patch of {self.patch} pixels is too large", f"Use at most {LARGEST_PATCH}.")
         if self.width % self.heads:
             raise QuerySplatError(f"{self.heads} heads cannot share a width of {self.width}", "Choose a divisor.")
         if self.branches == "one" and self.appearance_blocks:

@@ -11,7 +11,7 @@ from querysplat_cli.model.memories import Features
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.pipeline.budget import Budget, OptimisingTime
 from querysplat_cli.pipeline.distinct import distinct_views
-from querysplat_cli.pipeline.full_size import FullSize, LargePhotos, take_to_full_size
+from querysplat_cli.pipeline.full_size import FullSize, LargePhotos, machine_pace, take_to_full_size
 from querysplat_cli.pipeline.optimise import optimise_start
 from querysplat_cli.pipeline.perceptual import optimisation_lpips
 from querysplat_cli.pipeline.policy import PIPELINE_POLICY
@@ -30,7 +30,7 @@ from querysplat_cli.tto.adapt import Adapted
 from querysplat_cli.tto.cameras import refinable, with_refined_focal
 from querysplat_cli.tto.exposure_fit import PhotoColours, compare_photos
 from querysplat_cli.tto.features import Start
-from querysplat_cli.tto.full_size_plan import plan_full_size
+from querysplat_cli.tto.full_size_plan import TimeLimit, plan_full_size
 from querysplat_cli.tto.options import OptimiseOptions
 from querysplat_cli.tto.plan import TtoRun, automatic_steps, plan_release, plan_tto
 from querysplat_cli.tto.policy import TTO_POLICY
@@ -48,6 +48,7 @@ class BuiltScene:
     backdrop: Gaussians behind everything (`queries/backdrop.py`); None where there are none.
     duplicates: views that were left out of the scene.
     colours: how far the photos agree in colour; None where that was not measured.
+    stopped: whether Ctrl-C came after the runs on the working pictures, before the first step on the photos.
     """
 
     posed: PosedViews
@@ -59,6 +60,7 @@ class BuiltScene:
     backdrop: Gaussians | None = None
     duplicates: tuple[LeftOut, ...] = ()
     colours: PhotoColours | None = None
+    stopped: bool = False
 
     @property
     def gaussians(self) -> Gaussians:
@@ -73,7 +75,7 @@ class BuiltScene:
 
     @property
     def interrupted(self) -> bool:
-        return self.adapted.interrupted or bool(self.full_size and self.full_size.interrupted)
+        return self.stopped or self.adapted.interrupted or bool(self.full_size and self.full_size.interrupted)
 
     @property
     def inputs(self) -> LargePhotos:
@@ -235,21 +237,21 @@ def _taken_further(
     stages: Stages,
     time: OptimisingTime | None,
 ) -> BuiltScene:
-    """The scene after its optimisation in Gaussian space, where the settings and the time ask for that.
-
-    Scenes of official models have none unless it is asked for, as in the release.
-    """
+    """The scene after its optimisation in Gaussian space, where settings and time ask for it."""
     level, seconds = settings.full_size, time.full_size_seconds() if time else None
     if scene.interrupted or level is None or (time and seconds is None):
         return scene
-    if scene.prepared.anchors is None and not settings.asks_large:
+    if scene.prepared.anchors is None and not settings.asks_large:  # as in the release
         return scene
-    if time and level == "standard":
-        level = "high"  # the time decides, not the level
-    gaussians, most = scene.adapted.gaussians, settings.prune if isinstance(settings.prune, int) else None
+    photos, gaussians = scene.inputs, scene.adapted.gaussians
+    most = settings.prune if isinstance(settings.prune, int) else None
     with stages("full size") as progress:
-        plan = plan_full_size(level, scene.inputs.summary(), len(gaussians), seconds=seconds, most=most)
-        found = take_to_full_size(scene.inputs, gaussians, plan, seed=settings.seed, device=device, progress=progress)
+        try:
+            limit = TimeLimit(seconds, machine_pace(photos, gaussians, device)) if seconds else None
+            plan = plan_full_size(level, photos.summary(), len(gaussians), limit=limit, most=most)
+            found = take_to_full_size(photos, gaussians, plan, seed=settings.seed, device=device, progress=progress)
+        except KeyboardInterrupt:
+            return replace(scene, stopped=True)
     return replace(scene, full_size=found)
 
 

@@ -1,5 +1,6 @@
 """A scene that was made of small pictures is optimised further in Gaussian space, on its photos at a larger size."""
 
+import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -25,10 +26,13 @@ from querysplat_cli.scene.photo_files import PhotoFile, check_photo_files, large
 from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.conventions import MID_GREY
 from querysplat_cli.tto.full_size import FullSizeResult, PhotoFacts, optimise_full_size
-from querysplat_cli.tto.full_size_plan import FullSizePlan, FullSizeStage, Photos
+from querysplat_cli.tto.full_size_plan import FullSizePlan, FullSizeStage, Photos, step_seconds
 from querysplat_cli.tto.options import TtoStep
 from querysplat_cli.tto.plan import TtoRun
+from querysplat_cli.tto.rendering_loss import RenderingLoss
 
+PACE_STEPS = 4
+"""Steps that are timed where a clock ends the optimisation."""
 AT_ONCE = 32
 """Large photos that are in memory at a time where they are scored."""
 
@@ -115,7 +119,8 @@ def take_to_full_size(
 ) -> FullSize:
     """Optimise `gaussians`, without those that hide what `photos` show (`prune/hiding.py`).
 
-    Raises QuerySplatError when photos are gone or have changed.
+    Raises QuerySplatError when photos are gone or have changed, and KeyboardInterrupt where Ctrl-C comes before the
+    first stage.
     """
     total = sum(stage.settings.steps for stage in plan.stages)
     taken = 0
@@ -136,12 +141,28 @@ def take_to_full_size(
     result = optimise_full_size(start[~hidden], views_at, plan, seed=seed, facts=facts, progress=show, look=look)
     return FullSize(
         to_device(result.gaussians, torch.device("cpu")),
-        result.runs[-1][0].max_size if result.runs else photos.working,
+        result.runs[-1][0].max_size,
         _entries(result),
         _summary(plan, result, int(hidden.sum())),
         result.interrupted,
         result.exposures,
     )
+
+
+def machine_pace(photos: LargePhotos, gaussians: Gaussians, device: torch.device) -> float:
+    """How many times as long as the plan counts a step takes here, now: the least of a few on one working picture.
+
+    It is for plans that a clock ends.
+    """
+    row = [len(photos.views) // 2]
+    views, cameras, some = to_device((photos.views[row], photos.cameras[row], gaussians), device)
+    target = RenderingLoss.for_solid_scenes(views, cameras, torch.Generator())
+    taken = []
+    for _ in range(PACE_STEPS):
+        began = time.perf_counter()
+        target.value_and_gradient(some, [0])
+        taken.append(time.perf_counter() - began)
+    return min(taken) / step_seconds(cameras.height * cameras.width, len(some))
 
 
 def full_size_quality(

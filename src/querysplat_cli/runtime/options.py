@@ -77,7 +77,7 @@ Prune = Annotated[
     Ge(1),
     Option(
         "Gaussians to keep. auto leaves out the half whose absence changes the pictures least; "
-        "off keeps all; N keeps at most N.",
+        "off keeps all; N keeps at most N, beside the backdrop.",
         metavar="auto|off|N",
     ),
 ]

@@ -32,14 +32,14 @@ class SourceSettings:
     kind: Literal["procedural", "captured"]
     places: tuple[str, ...] = ()
     pictures: str = "images_4"
-    scenes: int = 100
-    samples: int = 1
-    size: tuple[int, int] = (240, 336)
+    scenes: Annotated[int, Ge(1)] = 100
+    samples: Annotated[int, Ge(1)] = 1
+    size: tuple[Annotated[int, Ge(48)], int] = (240, 336)
     inputs: tuple[Annotated[int, Ge(2)], int] = (4, 4)
     targets: Annotated[int, Ge(1)] = 4
     interval: tuple[Annotated[int, Ge(1)], int] = (1, 3)
     cameras: Literal["free", "posed"] = "free"
-    seed: int = 0
+    seed: Annotated[int, Ge(0)] = 0
     varied: bool = False
 
 
@@ -56,7 +56,7 @@ class DataSettings:
     cache: str = "passes"
     encoder: str = "vggt_omega"
     weights: str | None = None
-    max_size: int = 512
+    max_size: Annotated[int, Ge(48)] = 512
 
 
 @dataclass(frozen=True)
@@ -71,14 +71,14 @@ class LossSettings:
     """
 
     lpips: Annotated[float, Ge(0)] = 0.05
-    lpips_start: int = 100_000
-    lpips_ramp: int = 10_000
+    lpips_start: Annotated[int, Ge(0)] = 100_000
+    lpips_ramp: Annotated[int, Ge(0)] = 10_000
     visibility: Annotated[float, Ge(0)] = 1.0
     visibility_limit: Annotated[float, Ge(0)] = 1.0
     chamfer: Annotated[float, Ge(0)] = 1.0
     chamfer_points: Annotated[int, Ge(1)] = 16_384
-    opacity_floor: float = 0.1
-    alpha_min: float = 0.1
+    opacity_floor: Annotated[float, Ge(0)] = 0.1
+    alpha_min: Annotated[float, Gt(0)] = 0.1
     anneal: Annotated[int, Ge(1)] = 20_000
     background: Annotated[float, Interval(ge=0, le=1)] | Literal["random"] = 0.5
 
@@ -109,8 +109,8 @@ class OptimiserSettings:
     gives no gradient. `frozen` are beginnings of names of tensors that stay as they are.
     """
 
-    weight_decay: float = 0.05
-    betas: tuple[float, float] = (0.9, 0.95)
+    weight_decay: Annotated[float, Ge(0)] = 0.05
+    betas: tuple[Annotated[float, Interval(ge=0, lt=1)], Annotated[float, Interval(ge=0, lt=1)]] = (0.9, 0.95)
     clip: Annotated[float, Gt(0)] = 1.0
     ema: Annotated[float, Interval(ge=0, le=1)] = 0.9995
     batch: Annotated[int, Ge(1)] = 1
@@ -136,7 +136,7 @@ class TrainConfig:
     losses: LossSettings = field(default_factory=LossSettings)
     optimiser: OptimiserSettings = field(default_factory=OptimiserSettings)
     start: str = "scratch"
-    seed: int = 0
+    seed: Annotated[int, Ge(0)] = 0
     save_every: Annotated[int, Ge(1)] = 1000
     log_every: Annotated[int, Ge(1)] = 10
 
@@ -268,7 +268,8 @@ def _typed(values: Mapping[str, Any]) -> TrainConfig:
 def _check(config: TrainConfig) -> None:
     """Raise QuerySplatError for settings that contradict each other; each by itself is in its range."""
     for i, source in enumerate(config.data.sources):
-        for name, (fewest, most) in (("inputs", source.inputs), ("interval", source.interval)):
+        for name in ("inputs", "interval", "size"):
+            fewest, most = getattr(source, name)
             if fewest > most:
                 raise QuerySplatError(
                     f"data.sources.{i}.{name} cannot be [{fewest}, {most}]", "Give the smaller number first."

@@ -19,12 +19,13 @@ from querysplat_cli.training.data import (
     CachedSamples,
     Draw,
     narrowed,
-    prepare_samples,
+    no_samples,
+    sample_maker,
     sources_of_stages,
     wanted_samples,
 )
 from querysplat_cli.training.online import OnlineSamples
-from querysplat_cli.training.passes import LARGE_FEATURES, Sample
+from querysplat_cli.training.passes import LARGE_FEATURES, Sample, read_sample
 from querysplat_cli.training.policy import TRAINING_POLICY
 from querysplat_cli.training.run import TrainRequest, training_encoder
 from querysplat_cli.training.schedule import trained, weights
@@ -217,11 +218,15 @@ def _one_sample(config: TrainConfig, device: torch.device, *, cached: bool) -> t
     if config.data.online:
         return OnlineSamples(config.data, config.seed, lambda: encoder).get(draw)[0], time.perf_counter() - start
     with scratch_folder() as scratch:
-        sources = [replace(each, scenes=1, samples=1) for each in narrowed(config.data.sources, draw.inputs)[:1]]
-        data = replace(config.data, cache=str(scratch), sources=tuple(sources))
-        prepare_samples(data, lambda: encoder, progress=lambda text, fraction: None)
+        data = replace(config.data, cache=str(scratch), sources=tuple(narrowed(config.data.sources, draw.inputs)[:1]))
+        wanted = wanted_samples(data, data.sources)
+        if not wanted:
+            raise no_samples(config.data, draw.inputs)
+        sample_maker((data, lambda: encoder))(wanted[0])
         seconds = time.perf_counter() - start
-        return CachedSamples(data, config.seed).get(draw)[0], seconds
+        if wanted[0].reason.is_file():
+            raise QuerySplatError("the first sample cannot be made", wanted[0].reason.read_text())
+        return read_sample(wanted[0].path), seconds
 
 
 def _seconds_of_step(config: TrainConfig, model: QuerySplat, sample: Sample) -> float:

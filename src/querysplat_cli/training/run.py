@@ -17,7 +17,14 @@ from querysplat_cli.runtime.workers import Workers, cores
 from querysplat_cli.scene.files import refuse_existing, sole_writer, writable
 from querysplat_cli.splat.lpips import Perceptual
 from querysplat_cli.training.config import DataSettings, TrainConfig
-from querysplat_cli.training.data import CachedSamples, Samples, no_samples, prepare_samples, sources_of_stages
+from querysplat_cli.training.data import (
+    CachedSamples,
+    PreparedSamples,
+    Samples,
+    no_samples,
+    prepare_samples,
+    sources_of_stages,
+)
 from querysplat_cli.training.journal import check_tensorboard
 from querysplat_cli.training.online import OnlineSamples
 from querysplat_cli.training.processes import Processes, joined_processes
@@ -45,9 +52,10 @@ class TrainRequest:
     cluster: str | None = None
 
 
-def train(request: TrainRequest, stages: Stages) -> TrainReport | None:
+def train(request: TrainRequest, stages: Stages) -> TrainReport | PreparedSamples | None:
     """Make the missing samples, and train. Only the first of several processes returns a report.
 
+    With `samples_only`, the report is what the cache holds.
     Raises QuerySplatError on bad input and MissingPart when weights are missing. The training itself is checked first,
     as samples may take hours.
     """
@@ -72,9 +80,9 @@ def train(request: TrainRequest, stages: Stages) -> TrainReport | None:
                     config, folder, processes, device, resume=request.resume, perceptual=request.perceptual
                 )
         with stages("samples") as progress:
-            samples = _samples(request, processes, device, stages, progress)
+            samples, prepared = _samples(request, processes, device, stages, progress)
         if trainer is None:
-            return None
+            return prepared if processes.first else None
         with stages("train") as progress:
             report = _trained(request, trainer, samples, progress)
         processes.wait()
@@ -96,8 +104,8 @@ def _trained(request: TrainRequest, trainer: Trainer, samples: Samples, progress
 
 def _samples(
     request: TrainRequest, processes: Processes, device: torch.device, stages: Stages, progress: Progress
-) -> Samples:
-    """Where the samples of the steps come from; those of the cache are made first.
+) -> tuple[Samples, PreparedSamples]:
+    """Where the samples of the steps come from, and those of the cache, which are made first.
 
     Raises QuerySplatError when a stage has none.
     """
@@ -105,7 +113,7 @@ def _samples(
     make = partial(training_encoder, config.data, device)
     if config.data.online:
         progress("made in each step", 1.0)
-        return OnlineSamples(config.data, config.seed, make)
+        return OnlineSamples(config.data, config.seed, make), PreparedSamples(0, ())
     data = replace(config.data, sources=tuple(sources_of_stages(config.data, config.stages)))
     workers = request.workers or (max(1, cores() // processes.world) if data.encoder == "classical" else 1)
     engine = find_engine(request.cluster, Workers(workers) if workers > 1 else None, stages.say)
@@ -116,7 +124,7 @@ def _samples(
         if not samples.paths(stage.inputs):
             raise no_samples(config.data, stage.inputs)
     progress(f"{prepared.ready} ready, {len(prepared.failed)} impossible", 1.0)
-    return samples
+    return samples, prepared
 
 
 def training_encoder(data: DataSettings, device: torch.device) -> Encoder:

@@ -42,8 +42,6 @@ INTERRUPTED = "Ctrl-C"
 class FullSizeResult:
     """A scene after its stages and rounds, with their results, and why no more followed (a phrase).
 
-    Without a run, because Ctrl-C came while the first photos were read, the Gaussians are those of the start.
-
     `exposures` are the colour transforms of its photos, where it has them. `not_kept` are the picture sizes of planned
     stages that made the photos look worse, and whose Gaussians were dropped. One that took no step is not among them.
     """
@@ -73,6 +71,7 @@ def optimise_full_size(
 
     `views_at(max_size)` gives the input views at a longer side of at most so many pixels. Only those of one size are
     held at a time. No Gaussian of the result is thinner than a pixel of the last pictures (`splat/smoothing.py`).
+    Raises KeyboardInterrupt where Ctrl-C comes while the first pictures are read; later, it ends with what was reached.
     """
     generator = torch.Generator().manual_seed(seed)
     refitted = RefittedExposures(facts.exposures) if facts.exposures else None
@@ -108,6 +107,8 @@ def optimise_full_size(
     try:
         ended = _carried_out(plan, run)
     except KeyboardInterrupt:
+        if not runs:
+            raise
         ended = INTERRUPTED
     stages = [(stage, result) for stage, result in runs[: len(plan.stages)] if result.history]
     not_kept = tuple(stage.max_size for stage, result in stages if not result.loss_after < result.loss_before)

@@ -36,6 +36,19 @@ class Photos:
 
 
 @dataclass(frozen=True)
+class TimeLimit:
+    """`seconds` on a machine whose steps take `pace` times as long as the plan counts (`step_seconds`)."""
+
+    seconds: float
+    pace: float = 1.0
+
+    @property
+    def counted(self) -> float:
+        """The seconds as the plan counts them."""
+        return self.seconds / self.pace
+
+
+@dataclass(frozen=True)
 class FullSizeStage:
     """One run in Gaussian space on photos of at most `max_size` pixels, splitting until there are `gaussians`.
 
@@ -64,17 +77,26 @@ class FullSizePlan:
 
 
 def plan_full_size(
-    level: FullSizeLevel, photos: Photos, gaussians: int, *, seconds: float | None = None, most: int | None = None
+    level: FullSizeLevel,
+    photos: Photos,
+    gaussians: int,
+    *,
+    limit: TimeLimit | None = None,
+    most: int | None = None,
 ) -> FullSizePlan:
     """A plan for a scene of so many Gaussians, which counts costs and never looks at a clock.
 
-    With `seconds` the stages end by the clock, after so long altogether, and there are no rounds. Photos are smaller
-    than the size of `level` where the time is too short for them. `most` bounds what splitting reaches.
+    With a `limit` the stages end by the clock, after so long altogether, and there are no rounds; the level is then the
+    highest one up to `level` that has time for its Gaussians. Photos are smaller than the size of the level where the
+    time is too short for them. `most` bounds what splitting reaches.
     """
-    policy, limits = FULL_SIZE_POLICY, FULL_SIZE_POLICY.levels[level]
+    policy = FULL_SIZE_POLICY
+    if limit:
+        level = _level_in_time(level, photos, limit.counted)
+    limits = policy.levels[level]
     largest = min(max(photos.height, photos.width), limits.size)
     megapixels = photos.count * photos.pixels(largest) / 1e6
-    allowed = limits.planned_seconds(photos.count, megapixels) if seconds is None else seconds
+    allowed = limit.counted if limit else limits.planned_seconds(photos.count, megapixels)
     size = _size(photos, largest, max(gaussians, limits.sure_gaussians(photos.count)), allowed)
     target = _target(photos, photos.pixels(size), gaussians, limits, allowed, most)
     halved = limits.halved if photos.enlarged(size) else 0.0
@@ -84,14 +106,14 @@ def plan_full_size(
     for number, (share, part) in enumerate(shares, start=1):
         more = round(gaussians * (target / gaussians) ** (number / len(shares)))
         seen = photos.pixels(size) * share**2
-        cost = _step_seconds(seen, more) + halved * _step_seconds(seen / 4, more)
+        cost = step_seconds(seen, more) + halved * step_seconds(seen / 4, more)
         in_time = max(1, min(int(allowed * part / cost), most_steps))
-        steps = in_time if seconds is None else most_steps
+        steps = most_steps if limit else in_time
         settings = TtoSettings(
             steps,
             policy.rate(photos.count),
             views_per_step=1,
-            seconds=None if seconds is None else seconds * part,
+            seconds=limit.seconds * part if limit else None,
             keep_cover=1 < photos.count <= TTO_POLICY.few_views,
             densify_after=policy.splits,
         )
@@ -100,11 +122,31 @@ def plan_full_size(
         lasting += in_time
     if lasting > policy.dropout_passes * photos.count:
         stages = [replace(stage, settings=replace(stage.settings, dropout=policy.dropout)) for stage in stages]
-    if not limits.most_rounds or seconds is not None:
-        return FullSizePlan(tuple(stages), expected if seconds is None else seconds, level=level)
+    if not limits.most_rounds or limit:
+        return FullSizePlan(tuple(stages), limit.seconds if limit else expected, level=level)
     last = stages[-1].settings
     again = replace(last, steps=policy.round_passes * photos.count, lr=last.lr / 2)
     return FullSizePlan(tuple(stages), expected, replace(stages[-1], settings=again), limits.most_rounds, level)
+
+
+def step_seconds(pixels: float, gaussians: int) -> float:
+    """What the plan counts for a step that sees so many pixels, on two quiet cores."""
+    alone, each_pixel, each_gaussian = FULL_SIZE_POLICY.step_seconds
+    return alone + each_pixel * pixels + each_gaussian * gaussians
+
+
+def _level_in_time(highest: FullSizeLevel, photos: Photos, seconds: float) -> FullSizeLevel:
+    """The highest level whose Gaussians the time can show `FullSizePolicy.fewest_passes` times in each photo.
+
+    Photos have at least the size of "standard" there. "high" is in question for "standard", too: the time decides.
+    """
+    levels = FULL_SIZE_POLICY.levels
+    pixels = photos.pixels(min(max(photos.height, photos.width), levels["standard"].size))
+    tried: tuple[FullSizeLevel, ...] = ("max", "high") if highest == "max" else ("high",)
+    for level in tried:
+        if _affordable(photos, pixels, seconds) >= levels[level].sure_gaussians(photos.count):
+            return level
+    return "standard"
 
 
 def _target(
@@ -129,14 +171,14 @@ def _size(photos: Photos, largest: int, gaussians: int, seconds: float) -> int:
     It is that of the working pictures where the photos can be hardly larger.
     """
     policy = FULL_SIZE_POLICY
-    pixels = max(0.0, _longest_step(photos, seconds) - _step_seconds(0.0, gaussians)) / policy.step_seconds[1]
+    pixels = max(0.0, _longest_step(photos, seconds) - step_seconds(0.0, gaussians)) / policy.step_seconds[1]
     size = min(largest, int(largest * math.sqrt(pixels / photos.pixels(largest))))
     return size if photos.enlarged(size) else photos.smallest
 
 
 def _affordable(photos: Photos, pixels: float, seconds: float) -> float:
     """The Gaussians at which the time lasts for `FullSizePolicy.fewest_passes` over photos of so many pixels."""
-    return (_longest_step(photos, seconds) - _step_seconds(pixels, 0)) / FULL_SIZE_POLICY.step_seconds[2]
+    return (_longest_step(photos, seconds) - step_seconds(pixels, 0)) / FULL_SIZE_POLICY.step_seconds[2]
 
 
 def _longest_step(photos: Photos, seconds: float) -> float:
@@ -149,8 +191,3 @@ def _stages(photos: Photos, size: int) -> tuple[tuple[float, float], ...]:
     kept = [stage for stage in coarse if photos.enlarged(size, stage[0])]
     whole = sum(part for _, part in (*kept, last))
     return tuple((share, part / whole) for share, part in (*kept, last))
-
-
-def _step_seconds(pixels: float, gaussians: int) -> float:
-    alone, each_pixel, each_gaussian = FULL_SIZE_POLICY.step_seconds
-    return alone + each_pixel * pixels + each_gaussian * gaussians

@@ -1,6 +1,6 @@
 """Cameras of a COLMAP model: cameras, images and points3D as .bin or .txt, read and written."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -31,6 +31,9 @@ FISHEYE_PARAMETERS = {
     "OPENCV_FISHEYE": (0, 1, 2, 3),
 }
 """The same of OpenCV's fisheye (k1, k2, k3, k4)."""
+
+IMAGE_FIELDS = 10
+"""Of a line of images.txt: number, quaternion, translation, camera, name."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +113,12 @@ def photo_camera(image: Any, camera: Any) -> PhotoCamera:
 def write_colmap(
     folder: Path, cameras: Mapping[str, PhotoCamera], *, points: Observed | None = None, text: bool = False
 ) -> None:
-    """Write a model into the empty `folder`. Photos with equal intrinsics share a camera."""
+    """Write a model into the empty `folder`. Photos with equal intrinsics share a camera.
+
+    Raises QuerySplatError where `text` cannot hold a name.
+    """
+    if text:
+        _check_text(folder, cameras)
     pycolmap = load_pycolmap()
     model = pycolmap.Reconstruction()
     numbers: dict[tuple[object, ...], int] = {}
@@ -148,11 +156,41 @@ def _add_points(model: Any, points: Observed, image_ids: Mapping[str, int]) -> N
 def copy_colmap(source: Path, folder: Path, *, text: bool = False) -> None:
     """Write the model in `source`, points included, into the empty `folder`, binary or as text."""
     model = _opened(source)
+    if text:
+        _check_text(folder, [image.name for image in model.images.values()])
     (model.write_text if text else model.write_binary)(folder)
+
+
+def _check_text(folder: Path, names: Iterable[str]) -> None:
+    """Raise QuerySplatError for a name that is not read back from text, where spaces end a name."""
+    spaced = next((name for name in names if len(name.split()) > 1), None)
+    if spaced:
+        raise QuerySplatError(
+            f"{folder}: COLMAP's text form cannot hold the space in {shown(spaced)}", "Leave --text out."
+        )
+
+
+def _check_names(folder: Path) -> None:
+    """Raise QuerySplatError where COLMAP would cut a name in a model's images.txt at a space."""
+    if (folder / "images.bin").is_file() or not (folder / "images.txt").is_file():
+        return
+    with (folder / "images.txt").open(errors="replace") as lines:
+        for line in lines:
+            fields = line.split()
+            if not fields or line.startswith("#"):
+                continue
+            if len(fields) > IMAGE_FIELDS:
+                name = " ".join(fields[IMAGE_FIELDS - 1 :])
+                raise QuerySplatError(
+                    f"{folder}: COLMAP cuts the name {shown(name)} in images.txt at its space",
+                    "Export the model as binary files.",
+                )
+            next(lines, None)  # the points that the photo shows
 
 
 def _opened(folder: Path) -> Any:
     check_binary(folder)
+    _check_names(folder)
     try:
         return load_pycolmap().Reconstruction(folder)
     except Exception as error:  # damage can raise anything in COLMAP's parser

@@ -53,8 +53,14 @@ def damage_named(path: Path, what: str) -> Iterator[None]:
         yield
     except QuerySplatError:
         raise
+    except PermissionError as error:
+        raise _locked(path) from error
     except Exception as error:
         raise QuerySplatError(f"{path}: damaged, or no {what}: {error}", "Export it again.") from error
+
+
+def _locked(path: Path) -> QuerySplatError:
+    return QuerySplatError(f"{path}: no permission to read it", "Change its permissions, or copy it.")
 
 
 def write_ply(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = ()) -> int:
@@ -165,6 +171,8 @@ def _vertices(path: Path) -> np.ndarray:
             data = PlyData.read(stream)
             surplus = not data.text and stream.read(1)
         vertices = data["vertex"].data
+    except PermissionError as error:
+        raise _locked(path) from error
     except KeyError:
         raise QuerySplatError(f"{path}: a .ply without vertices", "Give a 3D Gaussian splatting .ply.") from None
     except Exception as error:  # damage can raise anything in the parser
