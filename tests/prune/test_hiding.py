@@ -5,6 +5,10 @@ import torch
 from querysplat_cli.prune.hiding import hiding
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians, joined
+from querysplat_cli.scene.views import Views
+from querysplat_cli.splat.render import render
+from querysplat_cli.tto.pruning import pruning_to
+from querysplat_cli.tto.rendering_loss import RenderingLoss
 
 SIZE = 64
 FOCAL = 100.0  # pixels: a photo shows 0.32 units to each side at depth 1
@@ -59,6 +63,13 @@ def test_what_is_behind_stays():
     assert not hiding(joined(behind, wall()), cameras_at(-1, 1)).any()
 
 
+def test_what_a_photo_shows_as_well_can_be_spared():
+    alone = discs((-0.75, 0.0, 3.0), scale=0.05)  # as large in the photo at −1 as from 0
+    scene, cameras = joined(FOG, alone, wall()), cameras_at(-1, 1)
+    assert hiding(scene, cameras).nonzero().flatten().tolist() == [0, 1]
+    assert hiding(scene, cameras, harm=3.0).nonzero().flatten().tolist() == [0]
+
+
 def test_padding_is_no_photo():
     """On the canvas, both photos show the fog. In fact it is beside the photo at −1, and only the other shows it."""
     fog, narrow = discs((-0.2, 0.0, 4.0), scale=0.05), [(SIZE, 48)] * 2
@@ -68,3 +79,16 @@ def test_padding_is_no_photo():
 
 def test_one_photo_has_no_neighbour():
     assert not hiding(joined(FOG, wall()), cameras_at(1)).any()
+
+
+def test_automatic_pruning_leaves_fog_out():
+    """A draft is never optimised on the photos, where fog was looked for alone."""
+    scene, cameras = joined(FOG, wall()), cameras_at(-1, 1)
+    masks = torch.ones(2, SIZE, SIZE, dtype=torch.bool)
+    views = Views(render(scene, cameras).colour, masks, ("a", "b"), ((SIZE, SIZE),) * 2)
+    prune = pruning_to("auto", 2)
+    assert prune
+    pruned = prune(scene, RenderingLoss(views, cameras), 30.0)
+    assert not pruned.kept[0]
+    assert pruned.kept[1:].sum() > 50
+    assert pruned.psnr_after == RenderingLoss(views, cameras).psnr(scene[pruned.kept], [0, 1])

@@ -4,6 +4,7 @@ from functools import partial
 from typing import Literal
 
 from querysplat_cli.prune.gaussians import Pruned, prune
+from querysplat_cli.prune.hiding import hiding
 from querysplat_cli.prune.policy import PRUNE_POLICY
 from querysplat_cli.runtime.choices import Amount
 from querysplat_cli.runtime.sequences import evenly_spaced
@@ -25,4 +26,10 @@ def tested_views(views: int) -> list[int]:
 def _prune(
     amount: Literal["auto"] | int, tested: list[int], gaussians: Gaussians, target: RenderingLoss, steps_left: float
 ) -> Pruned:
-    return prune(gaussians, target.cameras, amount, lambda some: target.psnr(some, tested), steps_left)
+    """An automatic amount leaves out, too, what hides far more beside the photos than it shows in them."""
+    found = prune(gaussians, target.cameras, amount, lambda some: target.psnr(some, tested), steps_left)
+    if amount != "auto":
+        return found
+    kept = found.kept.clone()
+    kept[found.kept] = ~hiding(gaussians[found.kept], target.cameras, target.views.sizes, harm=PRUNE_POLICY.harm)
+    return Pruned(kept, found.psnr_before, target.psnr(gaussians[kept], tested))
