@@ -138,12 +138,12 @@ def step_seconds(pixels: float, gaussians: int) -> float:
 def _level_in_time(highest: FullSizeLevel, photos: Photos, seconds: float) -> FullSizeLevel:
     """The highest level whose Gaussians the time can show `FullSizePolicy.fewest_passes` times in each photo.
 
-    Photos have at least the size of "standard" there. "high" is in question for "standard", too: the time decides.
+    Photos have at least the size of the level below. "high" is in question for "standard", too: the time decides.
     """
     levels = FULL_SIZE_POLICY.levels
-    pixels = photos.pixels(min(max(photos.height, photos.width), levels["standard"].size))
-    tried: tuple[FullSizeLevel, ...] = ("max", "high") if highest == "max" else ("high",)
-    for level in tried:
+    steps: tuple[tuple[FullSizeLevel, FullSizeLevel], ...] = (("max", "high"), ("high", "standard"))
+    for level, below in steps if highest == "max" else steps[1:]:
+        pixels = photos.pixels(min(max(photos.height, photos.width), levels[below].size))
         if _affordable(photos, pixels, seconds) >= levels[level].sure_gaussians(photos.count):
             return level
     return "standard"
