@@ -72,7 +72,8 @@ def test_what_is_reported(scene: tuple[Path, dict[str, Any]]) -> None:
     pruned = next(part for part in report["left_out"] if part["what"] == "Gaussians")
     assert 0 <= pruned["psnr_lost"] <= 16 * PRUNE_POLICY.psnr_per_step
     gone, everything = (int(number.replace(",", "")) for number in pruned["saved"].split(" of "))
-    assert report["gaussians"] - report["backdrop"] == everything - gone == everything // 2
+    assert report["gaussians"] - report["backdrop"] == everything - gone
+    assert 0.4 * everything < everything - gone <= everything // 2  # half of them, less the fog
     assert report["backdrop"] > 100
 
 

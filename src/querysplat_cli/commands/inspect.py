@@ -140,7 +140,7 @@ def _rounds(scene: StoredScene, own: Gaussians, query: int, layout: tuple[int, i
     column = (pixels[:, 0] * columns / cameras.width).long().clamp(0, columns - 1)
     row = (pixels[:, 1] * rows / cameras.height).long().clamp(0, rows - 1)
     patches = (views * rows + row) * columns + column
-    weights = {"geometry": reading.geometry[query], "appearance": reading.appearance[query]}
+    weights = {"geometry": reading.geometry[query].float(), "appearance": reading.appearance[query].float()}
     return {branch: on_patches(each, patches, len(scene.views), layout) for branch, each in weights.items()}
 
 
