@@ -56,16 +56,21 @@ def posed(planes, places, look=(0, 0, 1000.0), points=True) -> tuple[PosedViews,
     depth = np.stack([true_depth(planes, each) for each in taken_by])
     w2c = torch.from_numpy(np.stack([each.w2c for each in taken_by])).float()
     K = torch.tensor([[FOCAL, 0, SIZE[1] / 2], [0, FOCAL, SIZE[0] / 2], [0, 0, 1]]).repeat(len(places), 1, 1)
-    v, u = (part.ravel() + 0.5 for part in np.mgrid[6 : SIZE[0] : 12, 6 : SIZE[1] : 12])
-    z = depth[0, v.astype(int), u.astype(int)]
-    rays = np.stack([(u - SIZE[1] / 2) / FOCAL, (v - SIZE[0] / 2) / FOCAL, np.ones_like(u)], -1)[np.isfinite(z)]
-    first = taken_by[0]
-    world = (rays * z[np.isfinite(z), None] - first.w2c[:3, 3]) @ first.w2c[:3, :3]
-    cloud = torch.from_numpy(world).float() if points else torch.zeros(0, 3)
+    cloud = sparse_points(taken_by[0], depth[0]) if points else torch.zeros(0, 3)
     names = tuple(f"{i}.png" for i in range(len(places)))
     views = Views(images, torch.ones(len(places), *SIZE, dtype=torch.bool), names, (SIZE,) * len(places))
     seen = tuple(torch.arange(len(cloud)) for _ in places)
     return PosedViews(views, Cameras(w2c, K, *SIZE), cloud, seen), depth
+
+
+def sparse_points(photo_camera, depth: np.ndarray) -> torch.Tensor:
+    """The scene's points [n, 3] in every 12th pixel of a photo of this depth."""
+    height, width = depth.shape
+    v, u = (part.ravel() + 0.5 for part in np.mgrid[6:height:12, 6:width:12])
+    z = depth[v.astype(int), u.astype(int)]
+    rays = np.stack([(u - width / 2) / FOCAL, (v - height / 2) / FOCAL, np.ones_like(u)], -1)[np.isfinite(z)]
+    world = (rays * z[np.isfinite(z), None] - photo_camera.w2c[:3, 3]) @ photo_camera.w2c[:3, :3]
+    return torch.from_numpy(world).float()
 
 
 def everywhere(maps: np.ndarray) -> np.ndarray:

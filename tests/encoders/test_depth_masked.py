@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 from synthetic import camera, photograph
-from test_depth import FOCAL, SIDEWAYS, SIZE, SLANTED, TWO_LAYERS, posed, seen_depth, true_depth
+from test_depth import FOCAL, SIDEWAYS, SIZE, SLANTED, TWO_LAYERS, posed, seen_depth, sparse_points, true_depth
 
 from querysplat_cli.encoders.base import PosedViews
 from querysplat_cli.scene.undistort import undistorted
@@ -52,9 +52,5 @@ def padded(planes: list, shapes: tuple[tuple[int, int], ...]) -> tuple[PosedView
     photos = [photograph(planes, each, f"{i}.png") for i, each in enumerate(taken_by)]
     truth = [true_depth(planes, each) for each in taken_by]
     views, cameras = undistorted(photos, taken_by, max_size=400)
-    (height, width), first = shapes[0], taken_by[0]
-    v, u = (part.ravel() + 0.5 for part in np.mgrid[6:height:12, 6:width:12])
-    z = truth[0][v.astype(int), u.astype(int)]
-    rays = np.stack([(u - width / 2) / FOCAL, (v - height / 2) / FOCAL, np.ones_like(u)], -1)[np.isfinite(z)]
-    cloud = torch.from_numpy((rays * z[np.isfinite(z), None] - first.w2c[:3, 3]) @ first.w2c[:3, :3]).float()
+    cloud = sparse_points(taken_by[0], truth[0])
     return PosedViews(views, cameras, cloud, tuple(torch.arange(len(cloud)) for _ in shapes)), truth

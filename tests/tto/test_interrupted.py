@@ -3,13 +3,11 @@
 from collections.abc import Callable
 
 import pytest
-import torch
-from tto_scenes import wall
+from tto_scenes import photo_of_wall, wall
 
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.views import Views
-from querysplat_cli.splat.render import render
 from querysplat_cli.tto.full_size import FullSizeResult, optimise_full_size
 from querysplat_cli.tto.full_size_plan import FullSizePlan, FullSizeStage
 from querysplat_cli.tto.options import TtoSettings
@@ -18,14 +16,7 @@ from querysplat_cli.tto.rendering_loss import RenderingLoss
 SMALL, LARGE = 36, 72
 
 
-def views_at(size: int) -> tuple[Views, Cameras]:
-    K = torch.tensor([[[1.25 * size, 0, size / 2], [0, 1.25 * size, size / 2], [0, 0, 1]]])
-    cameras = Cameras(torch.eye(4)[None], K, size, size)
-    images = (render(wall(12, size=1.2, opacity=0.97), cameras).colour.clamp(0, 1) * 255).round().to(torch.uint8)
-    return Views(images, torch.ones(1, size, size, dtype=torch.bool), ("a",), ((size, size),)), cameras
-
-
-def stopped(ask: Callable[[int], tuple[Views, Cameras]] = views_at) -> FullSizeResult:
+def stopped(ask: Callable[[int], tuple[Views, Cameras]] = photo_of_wall) -> FullSizeResult:
     stages = [FullSizeStage(size, TtoSettings(10, 0.02, views_per_step=1), 16) for size in (SMALL, LARGE)]
     return optimise_full_size(start(), ask, FullSizePlan(tuple(stages), 1.0), seed=0)
 
@@ -54,7 +45,7 @@ def test_while_photos_are_read() -> None:
     def ask(wanted: int) -> tuple[Views, Cameras]:
         if wanted == size:
             raise KeyboardInterrupt
-        return views_at(wanted)
+        return photo_of_wall(wanted)
 
     size = LARGE
     found = stopped(ask)

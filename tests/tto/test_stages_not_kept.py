@@ -1,13 +1,9 @@
 """A stage that makes the photos look worse leaves the scene as it was, and the result says so."""
 
 import pytest
-import torch
-from tto_scenes import wall
+from tto_scenes import photo_of_wall, wall
 
-from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.scene.views import Views
-from querysplat_cli.splat.render import render
 from querysplat_cli.tto.full_size import optimise_full_size
 from querysplat_cli.tto.full_size_plan import FullSizePlan, FullSizeStage
 from querysplat_cli.tto.options import TtoSettings
@@ -16,19 +12,11 @@ from querysplat_cli.tto.rendering_loss import LossAndGradient, RenderingLoss
 SIZE = 48
 
 
-def views_at(size: int) -> tuple[Views, Cameras]:
-    w2c = torch.eye(4)[None]
-    K = torch.tensor([[[1.25 * size, 0, size / 2], [0, 1.25 * size, size / 2], [0, 0, 1]]])
-    cameras = Cameras(w2c, K, size, size)
-    images = (render(wall(12, size=1.2, opacity=0.97), cameras).colour.clamp(0, 1) * 255).round().to(torch.uint8)
-    return Views(images, torch.ones(1, size, size, dtype=torch.bool), ("a",), ((size, size),)), cameras
-
-
 def test_a_stage_that_makes_photos_look_worse_is_not_kept() -> None:
     """The scene is what the photos show, and the step is far too long."""
     start = wall(12, size=1.2, opacity=0.97)
     wild = FullSizeStage(SIZE, TtoSettings(1, 8.0, views_per_step=1), len(start))
-    found = optimise_full_size(start, views_at, FullSizePlan((wild,), 1.0), seed=0)
+    found = optimise_full_size(start, photo_of_wall, FullSizePlan((wild,), 1.0), seed=0)
     assert found.not_kept == (SIZE,)
     assert found.runs[0][1].gaussians.means.equal(start.means)
 
@@ -36,7 +24,7 @@ def test_a_stage_that_makes_photos_look_worse_is_not_kept() -> None:
 def test_a_stage_that_improves_them_is() -> None:
     start = wall(4, size=1.2, opacity=0.97)
     good = FullSizeStage(SIZE, TtoSettings(10, 0.02, views_per_step=1), len(start))
-    found = optimise_full_size(start, views_at, FullSizePlan((good,), 1.0), seed=0)
+    found = optimise_full_size(start, photo_of_wall, FullSizePlan((good,), 1.0), seed=0)
     assert found.not_kept == ()
     assert not found.runs[0][1].gaussians.means.equal(start.means)
 
@@ -48,6 +36,6 @@ def test_a_stage_that_ctrl_c_ended_before_its_first_step_made_nothing_worse(monk
     monkeypatch.setattr(RenderingLoss, "value_and_gradient", interrupt)
     start = wall(4, size=1.2, opacity=0.97)
     stage = FullSizeStage(SIZE, TtoSettings(10, 0.02, views_per_step=1), len(start))
-    found = optimise_full_size(start, views_at, FullSizePlan((stage,), 1.0), seed=0)
+    found = optimise_full_size(start, photo_of_wall, FullSizePlan((stage,), 1.0), seed=0)
     assert found.interrupted
     assert found.not_kept == ()

@@ -78,11 +78,11 @@ def optimise_full_size(
     runs: list[tuple[FullSizeStage, TtoResult[Changes]]] = []
     target: RenderingLoss | None = None
     size = 0
-    sharp = gaussians
+    bounds: Cameras | None = None
 
     def run(stage: FullSizeStage) -> TtoResult[Changes]:
         """Raises KeyboardInterrupt where Ctrl-C came, after what the stage reached by then was taken in."""
-        nonlocal target, size, sharp
+        nonlocal target, size, bounds
         if target is None or size != stage.max_size:
             target = None  # the smaller pictures make room for the larger ones
             views, cameras = views_at(stage.max_size)
@@ -99,7 +99,7 @@ def optimise_full_size(
         )
         # Changes belong to Gaussians that are gone; only the numbers of the run are used.
         runs.append((stage, replace(result, variables=result.variables.map(lambda part: part[:0]))))
-        sharp = bounded(drawn_in(result.gaussians, target.cameras), target.cameras)
+        bounds = target.cameras
         if result.interrupted:
             raise KeyboardInterrupt
         return result
@@ -110,6 +110,8 @@ def optimise_full_size(
         if not runs:
             raise
         ended = INTERRUPTED
+    assert bounds
+    sharp = bounded(drawn_in(runs[-1][1].gaussians, bounds), bounds)
     stages = [(stage, result) for stage, result in runs[: len(plan.stages)] if result.history]
     not_kept = tuple(stage.max_size for stage, result in stages if not result.loss_after < result.loss_before)
     return FullSizeResult(sharp, tuple(runs), ended, refitted.current if refitted else None, not_kept)

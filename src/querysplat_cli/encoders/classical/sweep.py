@@ -52,7 +52,7 @@ def _sweep(reference, pictures, homographies, costs):
     weight = np.float32(1) / np.float32((2 * _SWEEP_REACH + 1) ** 2)
     mean, square, scratch = np.empty_like(reference), np.empty_like(reference), np.empty_like(reference)
     outside = np.empty_like(reference)
-    _box_of_holes(reference, outside, scratch)
+    _box_of_holes(reference, outside, mean, scratch)
     _box(reference, mean, scratch)
     _box(reference * reference, square, scratch)
     for plane in nb.prange(planes):
@@ -62,7 +62,7 @@ def _sweep(reference, pictures, homographies, costs):
         best, second = np.full_like(reference, _UNSEEN_COST), np.full_like(reference, _UNSEEN_COST)
         for s in range(count):
             _warp(pictures[s], homographies[plane, s], warped)
-            _box_of_holes(warped, holes, rows)
+            _box_of_holes(warped, holes, product, rows)
             _box(warped, sums, rows)
             for y in range(height):
                 for x in range(width):
@@ -119,12 +119,13 @@ def _warp(picture, homography, warped):
 
 
 @nb.njit(cache=True, error_model="numpy", fastmath=True, forceinline=True)
-def _box_of_holes(image, counts, rows):
-    """Fill `counts` with the number of pixels in the window around each pixel that have no picture."""
+def _box_of_holes(image, counts, marks, rows):
+    """Fill `counts` with the number of pixels in the window around each pixel that have no picture; the others are
+    scratch."""
     for y in range(image.shape[0]):
         for x in range(image.shape[1]):
-            counts[y, x] = np.float32(1) if image[y, x] < 0 else np.float32(0)
-    _box(counts.copy(), counts, rows)
+            marks[y, x] = np.float32(1) if image[y, x] < 0 else np.float32(0)
+    _box(marks, counts, rows)
 
 
 @nb.njit(cache=True, error_model="numpy", fastmath=True, forceinline=True)
