@@ -21,7 +21,7 @@ from querysplat_cli.pipeline.policy import PIPELINE_POLICY
 from querysplat_cli.pipeline.regions.colours import common_exposures, recoloured
 from querysplat_cli.pipeline.regions.groups import Group, divide
 from querysplat_cli.pipeline.regions.join import _optimised, join, worse_joined
-from querysplat_cli.pipeline.regions.owners import CoreViews, depth_maps, owners, small_cameras
+from querysplat_cli.pipeline.regions.owners import CoreViews, depth_maps, owners
 from querysplat_cli.pipeline.regions.scene import KeptRegions, RegionScene
 from querysplat_cli.pipeline.regions.seams import Seam, disagreement, find_seams, parts_needed, verdict
 from querysplat_cli.pipeline.regions.task import region_task
@@ -114,9 +114,14 @@ def test_pictures_of_unrelated_regions_are_refused() -> None:
     one, other = wall(), wall()
     cameras, _ = facing(-0.2, 0.2, depth=3.0)
     seam = Seam((0, 1), (0, 1))
-    assert disagreement(seam, cameras, [one, one]) == pytest.approx(100)
+    sizes = [(20, 20), (20, 20)]
+    assert disagreement(seam, cameras, sizes, [one, one]) == pytest.approx(100)
     with pytest.raises(ImpossibleScene):
-        verdict(seam, disagreement(seam, cameras, [one, other]))
+        verdict(seam, disagreement(seam, cameras, sizes, [one, other]))
+    left = means[:, 0] < 0  # all that the narrow picture shows
+    beyond = replace(one, sh=torch.where(left[:, None, None], one.sh, other.sh))
+    assert disagreement(seam, cameras, [(20, 7), (20, 20)], [one, beyond]) > 40
+    assert disagreement(seam, cameras, sizes, [one, beyond]) < 15
 
 
 def facing(*places: float, depth: float) -> tuple[Cameras, torch.Tensor]:
@@ -166,9 +171,13 @@ def test_depth_is_that_of_what_covers_a_pixel_in_part() -> None:
         torch.zeros(1, 1, 3),
     )
     camera = Cameras(torch.eye(4)[None], torch.tensor([[[10.0, 0, 10], [0, 10, 5], [0, 0, 1]]]), 10, 20)
-    depth = depth_maps(wall, camera)[0]
+    depth = depth_maps(wall, camera, [(10, 20)])[0]
     assert depth[5, 5].item() == pytest.approx(4, rel=1e-3)
     assert depth[5, 18].isinf()
+    narrow = depth_maps(wall, camera, [(8, 12)])[0]
+    assert torch.equal(narrow[:8, :12], depth[:8, :12])
+    assert not narrow[8:].any()
+    assert not narrow[:, 12:].any()
 
 
 def test_regions_get_common_colours() -> None:
@@ -266,7 +275,8 @@ def test_two_regions_are_in_memory_at_a_time(street: PosedViews, tmp_path: Path)
         core = street.cameras[list(groups[number].core)]
         entries = {"quality": {}, "tto": [], "full_size": None, "warnings": [], "process_peak_gib": float(number)}
         alone = region(None)
-        return replace(alone, gaussians=wall, depth=depth_maps(wall, small_cameras(core)), size=40, entries=entries)
+        depth = depth_maps(wall, core, [(core.height, core.width)] * len(core))
+        return replace(alone, gaussians=wall, depth=depth, size=40, entries=entries)
 
     settings = ReconstructSettings((), Path(), backdrop=False)
     built = join(street, groups, KeptRegions(read), settings, {}, lambda text, fraction: None)

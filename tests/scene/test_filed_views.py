@@ -25,7 +25,7 @@ def views() -> Views:
 def test_they_are_the_same_views(views: Views, tmp_path: Path) -> None:
     filed = FiledViews(views, tmp_path / "all.views")
     assert len(filed) == VIEWS
-    assert (filed.names, filed.sizes, filed.have_holes) == (views.names, views.sizes, views.have_holes)
+    assert (filed.names, filed.sizes) == (views.names, views.sizes)
     assert torch.equal(filed.images, views.images)
     assert torch.equal(filed.masks, views.masks)
     assert torch.equal(filed.picture(3), views.images[3])

@@ -149,7 +149,6 @@ def test_masks_that_cannot_be_used(tmp_path: Path, mask: np.ndarray | None, why:
 def test_views_are_black_where_the_photo_is_masked(tmp_path: Path) -> None:
     photo = Photo("a.jpg", tmp_path, np.full((HEIGHT, WIDTH, 3), 120, np.uint8), mask=left_half() > 0)
     views, _ = undistorted([photo, replace(photo, mask=None)], [LENS, LENS], max_size=80)
-    assert views.have_holes == (True, False)
     height, width = views.sizes[0]
     shown = views.masks[0, :height, :width]
     assert abs(float(shown.float().mean()) - 0.5) < 0.03
@@ -163,7 +162,6 @@ def test_large_views_are_masked_too(tmp_path: Path) -> None:
     photo = load(path)
     small, cameras = undistorted([photo], [LENS], max_size=80)
     large, _ = large_views([PhotoFile.of("a.png", photo.source, LENS)], small, cameras, WIDTH)
-    assert large.have_holes == (True,)
     assert abs(float(large.masks[0, :HEIGHT, :WIDTH].float().mean()) - 0.5) < 0.03
 
 

@@ -16,6 +16,7 @@ from querysplat_cli.splat.fusion import FUSION_POLICY, fused
 
 pytest.importorskip("skimage")
 COUNT = 3000
+SIZES = [(96, 96)] * 8
 SMALL = replace(FUSION_POLICY, voxels=64**3)
 
 
@@ -51,7 +52,7 @@ def around() -> Cameras:
 
 @pytest.fixture(scope="module")
 def mesh() -> TriangleMesh:
-    return fused(joined(ball(), mist()), around(), lambda text, fraction: None, SMALL)
+    return fused(joined(ball(), mist()), around(), SIZES, lambda text, fraction: None, SMALL)
 
 
 def test_it_lies_where_the_surface_is_and_faces_outwards(mesh: TriangleMesh) -> None:
@@ -73,7 +74,17 @@ def test_it_has_the_colours_of_the_renders(mesh: TriangleMesh) -> None:
     assert left[:, 2].mean() > 200 > 50 > left[:, 0].mean()
 
 
+def test_what_lies_beyond_the_pictures_is_no_surface() -> None:
+    """A picture on the left of its canvas shows a part of the ball."""
+    camera = around()[[6]]
+    whole, half = (fused(ball(), camera, [size], lambda text, fraction: None, SMALL) for size in ((96, 96), (96, 40)))
+    x, _, _ = camera.project(torch.from_numpy(half.places), 0)
+    every, _, _ = camera.project(torch.from_numpy(whole.places), 0)
+    assert every.max() > 60
+    assert x.max() < 42
+
+
 def test_cameras_that_see_nothing_make_no_mesh() -> None:
     away = around()
     with pytest.raises(QuerySplatError, match="no surface"):
-        fused(replace(ball(), means=ball().means + 100), away, lambda text, fraction: None, SMALL)
+        fused(replace(ball(), means=ball().means + 100), away, SIZES, lambda text, fraction: None, SMALL)

@@ -81,6 +81,21 @@ def test_views_count_alike_whatever_their_masks() -> None:
     assert float(both) == pytest.approx(float(sum(each)) / 2, rel=1e-6)
 
 
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_a_masked_border_is_no_part_of_the_picture(dtype: torch.dtype) -> None:
+    """Photos lie in the corner of a canvas: what a render shows beyond was compared with black in SSIM's windows."""
+    image, target = pictures(9, 1, 3, 40, 50, dtype=dtype)
+    mask = torch.zeros(1, 40, 50, dtype=torch.bool)
+    mask[:, :33, :41] = True
+    whole, cut = image.requires_grad_(), image.detach()[..., :33, :41].requires_grad_()
+    loss, same = photometric_loss(whole, target, mask), photometric_loss(cut, target[..., :33, :41])
+    assert float(loss.detach()) == pytest.approx(float(same.detach()), rel=1e-6)
+    (slope,), (expected,) = torch.autograd.grad(loss, whole), torch.autograd.grad(same, cut)
+    torch.testing.assert_close(slope[..., :33, :41], expected, rtol=1e-5, atol=1e-9)
+    assert not slope[:, :, 33:].any()
+    assert not slope[..., 41:].any()
+
+
 def test_no_mask_is_everything_and_the_target_gets_no_gradient() -> None:
     image, target = pictures(6, 2, 3, 16, 16)
     target.requires_grad_()

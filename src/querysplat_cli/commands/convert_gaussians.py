@@ -175,8 +175,9 @@ def _write_cloud(path: Path, gaussians: Gaussians) -> dict[str, int]:
 def _write_surface(path: Path, source: Path, here: Gaussians, views: ComparedViews, stages: Stages) -> dict[str, int]:
     """Fuse the Gaussians `here`, in the frame of the `views` of the mesh."""
     beside = cameras_beside(source)
+    cameras, sizes = (beside[0].cameras, beside[0].sizes) if beside else (views.cameras, views.pictures.sizes)
     with stages("mesh") as progress:
-        found = fused(here, beside[0].cameras if beside else views.cameras, progress)
+        found = fused(here, cameras, sizes, progress)
     mesh = replace(found, places=views.frame.apply(torch.from_numpy(found.places)).numpy())
     write_mesh(path, mesh)
     return {"gaussians": len(here), "corners": len(mesh.places), "triangles": len(mesh.triangles)}

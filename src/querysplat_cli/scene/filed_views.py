@@ -1,7 +1,6 @@
 """Views whose pictures lie in a file, for scenes of more photos than memory holds."""
 
 from collections.abc import Sequence
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -47,11 +46,6 @@ class FiledViews(Views):
         """All masks."""
         before = 4 * 3 * len(self) * int(np.prod(self._canvas))
         return self._mapped(np.bool_, before, (len(self), *self._canvas))
-
-    @cached_property
-    def have_holes(self) -> tuple[bool, ...]:
-        """As in `Views`, one mask at a time."""
-        return tuple(not bool(self.masks[row, :height, :width].all()) for row, (height, width) in enumerate(self.sizes))
 
     def picture(self, view: int) -> Float[Tensor, "3 height width"]:
         """One image in [0, 1]."""

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -96,12 +95,6 @@ class Views:
 
     def __len__(self) -> int:
         return len(self.images)
-
-    @cached_property
-    def have_holes(self) -> tuple[bool, ...]:
-        """For each view, whether parts of its picture take no part."""
-        shown = zip(self.masks, self.sizes, strict=True)
-        return tuple(not bool(mask[:height, :width].all()) for mask, (height, width) in shown)
 
     def picture(self, view: int) -> Float[Tensor, "3 height width"]:
         """One image in [0, 1]."""

@@ -75,7 +75,7 @@ def _strip(a, b, mask, share, weights, first, last, wanted, sums, gradient):
     for newest in range(first - around - RADIUS, last + around + RADIUS):
         place, within = newest % TAPS, ONE if 0 <= newest < height else ZERO
         if within:
-            _fill(padded, a[newest], b[newest])
+            _fill(padded, a[newest], b[newest], mask[newest])
         for plane in range(5):
             _across(padded[plane], weights, within, blurred[plane, place], blurred[plane, place + TAPS])
         y = newest - RADIUS
@@ -100,12 +100,13 @@ def _strip(a, b, mask, share, weights, first, last, wanted, sums, gradient):
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _fill(padded, a, b):
-    """a, b, a², b², ab, with zeros beyond the borders."""
+def _fill(padded, a, b, mask):
+    """a, b, a², b², ab, with zeros outside of the mask and beyond the borders."""
     for x in range(len(a)):
         k = x + RADIUS
-        padded[0, k], padded[1, k] = a[x], b[x]
-        padded[2, k], padded[3, k], padded[4, k] = a[x] * a[x], b[x] * b[x], a[x] * b[x]
+        of_a, of_b = (a[x], b[x]) if mask[x] else (ZERO, ZERO)
+        padded[0, k], padded[1, k] = of_a, of_b
+        padded[2, k], padded[3, k], padded[4, k] = of_a * of_a, of_b * of_b, of_a * of_b
 
 
 @nb.njit(cache=True, error_model="numpy")
@@ -161,6 +162,6 @@ def _compare(means, a, b, mask, share, counts, worth, by_mean):
 def _finish(means, a, b, mask, share, out):
     for x in range(len(a)):
         difference = a[x] - b[x]
-        whole = share if mask[x] else ZERO
-        sign = whole if difference > ZERO else (-whole if difference < ZERO else ZERO)
-        out[x] = means[0, x] + TWO * a[x] * means[1, x] + b[x] * means[2, x] + sign
+        sign = share if difference > ZERO else (-share if difference < ZERO else ZERO)
+        slope = means[0, x] + TWO * a[x] * means[1, x] + b[x] * means[2, x] + sign
+        out[x] = slope if mask[x] else ZERO

@@ -4,6 +4,7 @@ Curless and Levoy 1996. A voxel holds the mean over the views of how far it lies
 shows, cut off at the truncation distance. Only voxels near a rendered surface are filled.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,13 +76,18 @@ class _Grid:
 
 @torch.no_grad()
 def fused(
-    gaussians: Gaussians, cameras: Cameras, progress: Progress, policy: FusionPolicy = FUSION_POLICY
+    gaussians: Gaussians,
+    cameras: Cameras,
+    sizes: Sequence[tuple[int, int]],
+    progress: Progress,
+    policy: FusionPolicy = FUSION_POLICY,
 ) -> TriangleMesh:
     """The surface that the Gaussians show to the cameras, in their frame.
 
-    Raises QuerySplatError where the views show none, and MissingPart without scikit-image.
+    `sizes` are (height, width) of the pictures, each in the top-left corner of the canvas: beyond them, where no photo
+    looked, there is no depth. Raises QuerySplatError where the views show none, and MissingPart without scikit-image.
     """
-    shown = _rendered(gaussians, cameras, progress, policy)
+    shown = _rendered(gaussians, cameras, sizes, progress, policy)
     grid, voxels = _near_surfaces(shown, policy)
     progress("joining depth", 0.7)
     distances = _distances(shown, grid, voxels, policy)
@@ -91,14 +97,22 @@ def fused(
     return TriangleMesh(places, colours, triangles)
 
 
-def _rendered(gaussians: Gaussians, cameras: Cameras, progress: Progress, policy: FusionPolicy) -> _Shown:
+def _rendered(
+    gaussians: Gaussians,
+    cameras: Cameras,
+    sizes: Sequence[tuple[int, int]],
+    progress: Progress,
+    policy: FusionPolicy,
+) -> _Shown:
     depths, sure, colours = [], [], []
-    for view in range(len(cameras)):
+    for view, (height, width) in enumerate(sizes):
         progress(f"depth from camera {view + 1} of {len(cameras)}", 0.7 * view / len(cameras))
         picture = render(gaussians, cameras[[view]])
         surface = surface_depth(gaussians, cameras[[view]], picture)
         depths.append(surface.depth)
-        sure.append(torch.where(surface.confidence >= policy.least_confidence, surface.confidence, 0.0))
+        inside = torch.zeros_like(surface.confidence)
+        inside[:height, :width] = 1
+        sure.append(torch.where(surface.confidence >= policy.least_confidence, inside * surface.confidence, 0.0))
         colour = picture.colour[0] / picture.alpha[0].clamp_min(1e-6)
         colours.append((colour.clamp(0, 1) * 255).round().to(torch.uint8).permute(1, 2, 0))
     return _Shown(cameras, torch.stack(depths), torch.stack(sure), torch.stack(colours))

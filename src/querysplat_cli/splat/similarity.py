@@ -90,15 +90,17 @@ def photometric_loss(
     target: Float[Tensor, "views 3 height width"],
     mask: Bool[Tensor, "views height width"] | None = None,
 ) -> Float[Tensor, ""]:
-    """L1 + 0.2·(1 − SSIM)/2 with zero padding, mean over the pixels of `mask`; only `image` gets a gradient.
+    """L1 + 0.2·(1 − SSIM)/2, mean over the pixels of `mask`; only `image` gets a gradient.
 
-    Views have equal weight, whatever the size of their masks. float32 on a CPU takes the compiled kernel.
+    SSIM's windows find zeros in both pictures outside of the mask and beyond the borders. Views have equal weight,
+    whatever the size of their masks. float32 on a CPU takes the compiled kernel.
     """
     target = target.detach()
     if mask is None:
         mask = torch.ones_like(image[:, 0], dtype=torch.bool)
     if image.dtype == torch.float32 and image.device.type == "cpu":
         return _Photometric.apply(image, target, mask)
+    image, target = (torch.where(mask[:, None], picture, 0) for picture in (image, target))
     loss = (image - target).abs() + SSIM_WEIGHT * (1 - ssim_map(image, target)) / 2
     count = mask.sum((1, 2)).clamp_min(1)
     return ((loss.mean(1) * mask).sum((1, 2)) / count).mean()

@@ -125,7 +125,7 @@ class RenderingLoss:
             if self.exposures:
                 self.exposures.refit(view, rendering, photo[0][0], photo[1][0])
                 rendering = self._exposed(rendering, view)
-            picture = self._picture(rendering, behind, view)
+            picture = rendering.over(behind)
             distance = self._distance(picture, photo)
             smaller = TTO_POLICY.half * self._half_loss(leaves, cameras, behind, view, photo) if halve else 0.0
             ((photometric_loss(picture, *photo) + distance + smaller + rough) / len(chosen)).backward()
@@ -147,7 +147,7 @@ class RenderingLoss:
         smaller = F.interpolate(photo[0], size, mode="area")
         mask = F.interpolate(photo[1][:, None].float(), size, mode="area")[:, 0] == 1
         picture = self._exposed(self._render(gaussians, cameras.resized(*size), view), view).over(behind)
-        return photometric_loss(picture * mask[:, None], smaller * mask[:, None], mask)
+        return photometric_loss(picture, smaller, mask)
 
     def _roughness(self, rendering: Rendering, photo: tuple[Tensor, Tensor], view: int) -> Tensor | float:
         """How rough the depth is that no other view confirms, by its weight; 0 where this takes no part."""
@@ -169,9 +169,8 @@ class RenderingLoss:
         return self.exposures.exposed(rendering, view) if self.exposures else rendering
 
     def _photo(self, view: int) -> tuple[Tensor, Tensor]:
-        """The photo of a view, black where it is masked, and its mask, as a batch of one."""
-        picture, mask = self.views.picture(view)[None], self.views.masks[[view]]
-        return picture * mask[:, None] if self.views.have_holes[view] else picture, mask
+        """The photo of a view and its mask, as a batch of one."""
+        return self.views.picture(view)[None], self.views.masks[[view]]
 
     def _scores(self, gaussians: Gaussians, view: int) -> tuple[float, float]:
         """The loss of a view and the mean squared error, over `background`."""
@@ -189,14 +188,9 @@ class RenderingLoss:
         self, rendering: Rendering, photo: tuple[Tensor, Tensor], view: int, distance: Tensor | None = None
     ) -> tuple[float, float]:
         """The loss and the mean squared error, over `background`; `distance` is that of LPIPS there, if it is known."""
-        picture = self._picture(rendering, self.background, view)
+        picture = rendering.over(self.background)
         value, error = photometric_value(picture, *photo)
         return value + float(self._distance(picture, photo) if distance is None else distance), error
-
-    def _picture(self, rendering: Rendering, background: Tensor | None, view: int) -> Tensor:
-        """The render over `background`, black where the photo is masked: SSIM's windows reach beyond masks."""
-        picture = rendering.over(background)
-        return picture * self.views.masks[[view]][:, None] if self.views.have_holes[view] else picture
 
 
 def _black_or_a_colour(generator: torch.Generator) -> Tensor | None:

@@ -160,7 +160,9 @@ def _compared(
     warnings: list[str] = []
     for seam in seams:
         one, other = seam.regions
-        decibels = disagreement(seam, posed.cameras, (joint.whole(one, kept), joint.whole(other, kept)))
+        decibels = disagreement(
+            seam, posed.cameras, posed.views.sizes, (joint.whole(one, kept), joint.whole(other, kept))
+        )
         entries.append({"regions": [one + 1, other + 1], "photos": len(seam.photos), "psnr": round(decibels, 2)})
         warning = verdict(seam, decibels)
         warnings += [warning] if warning else []

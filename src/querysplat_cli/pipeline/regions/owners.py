@@ -23,7 +23,10 @@ COVERED = 0.5
 
 @dataclass(frozen=True)
 class CoreViews:
-    """Cameras of the core photos of all regions at the size of their depth maps, and the region of each."""
+    """Cameras of the core photos of all regions at the size of their depth maps, and the region of each.
+
+    depth: see `depth_maps`.
+    """
 
     cameras: Cameras
     depth: Float[Tensor, "views height width"]
@@ -44,12 +47,23 @@ def small_cameras(cameras: Cameras) -> Cameras:
 
 
 @torch.no_grad()
-def depth_maps(gaussians: Gaussians, cameras: Cameras) -> Float[Tensor, "views height width"]:
-    """Camera z of what each camera sees; infinite where nothing covers the picture."""
-    found = []
-    for view in range(len(cameras)):
-        drawn = render(gaussians, cameras[[view]])
-        found.append(torch.where(drawn.alpha[0] > COVERED, drawn.depth[0], torch.inf))
+def depth_maps(
+    gaussians: Gaussians, cameras: Cameras, sizes: Sequence[tuple[int, int]]
+) -> Float[Tensor, "views height width"]:
+    """Camera z of what each camera sees, at the size of `small_cameras`.
+
+    Infinite where nothing covers the picture, and zero on the canvas beyond it, where a photo shows no place. `sizes`
+    are (height, width) of the pictures on the canvas of `cameras`.
+    """
+    small, found = small_cameras(cameras), []
+    factor = small.height / cameras.height, small.width / cameras.width
+    for view, size in enumerate(sizes):
+        drawn = render(gaussians, small[[view]])
+        depth = torch.where(drawn.alpha[0] > COVERED, drawn.depth[0], torch.inf)
+        height, width = (round(scale * side) for scale, side in zip(factor, size, strict=True))
+        depth[height:] = 0
+        depth[:, width:] = 0
+        found.append(depth)
     return torch.stack(found)
 
 

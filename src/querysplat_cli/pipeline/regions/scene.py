@@ -36,7 +36,7 @@ class RegionScene:
     """One region after its reconstruction, in the frame and order of its task.
 
     gaussians: without a backdrop.
-    depth: what its core photos see, at the size of `owners.small_cameras`; infinite where they see nothing.
+    depth: what its core photos see, as `owners.depth_maps` has it.
     prepared: its queries, without any row: the last optimisation undoes what they decode to. What is left is
         the shape of their tensors, which the files of a scene have.
     exposures: the colour transforms of its photos; None where they agree.

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import torch
@@ -46,14 +46,16 @@ def find_seams(groups: Sequence[Group]) -> list[Seam]:
 
 
 @torch.no_grad()
-def disagreement(seam: Seam, cameras: Cameras, scenes: Sequence[Gaussians]) -> float:
+def disagreement(seam: Seam, cameras: Cameras, sizes: Sequence[tuple[int, int]], scenes: Sequence[Gaussians]) -> float:
     """The PSNR in dB between pictures of two regions, from places halfway between two common photos.
 
     The two are neighbours: the middle between others may lie in what they show. `scenes` are those of the regions of
     `seam`, whole. No photo was taken there, so both have to be right to agree. Pixels that either leaves empty do not
-    count.
+    count, nor those of the canvas beyond the smallest of the common photos; `sizes` are (height, width) of all photos.
     """
     between = halfway(cameras[list(seam.photos)])
+    height, width = (min(side) for side in zip(*(sizes[row] for row in seam.photos), strict=True))
+    between = replace(between, height=height, width=width)
     some = evenly_spaced(range(len(between)), PIPELINE_POLICY.seam_views)
     errors, count = 0.0, 0
     for view in some:

@@ -16,7 +16,7 @@ from querysplat_cli.pipeline.kept_parts import read_part, write_part
 from querysplat_cli.pipeline.omitted import omissions_of
 from querysplat_cli.pipeline.parts import load_parts
 from querysplat_cli.pipeline.regions.groups import Group
-from querysplat_cli.pipeline.regions.owners import depth_maps, small_cameras
+from querysplat_cli.pipeline.regions.owners import depth_maps
 from querysplat_cli.pipeline.regions.scene import RegionScene, RegionTask
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.queries.prepare import without_rows
@@ -94,7 +94,8 @@ def run_region(folder: Path) -> None:
 
 def _scene(task: RegionTask, scene: BuiltScene, stages: Stages) -> RegionScene:
     further, core = scene.full_size, list(range(task.core))
-    quality = score(scene.gaussians, task.posed.views[core], scene.adapted.cameras[core])
+    views, cameras = task.posed.views[core], scene.adapted.cameras[core]
+    quality = score(scene.gaussians, views, cameras)
     entries = {
         "quality": quality.summary(),
         "seconds": seconds_entry(stages.seconds),
@@ -105,7 +106,7 @@ def _scene(task: RegionTask, scene: BuiltScene, stages: Stages) -> RegionScene:
     }
     return RegionScene(
         gaussians=scene.gaussians.detach(),
-        depth=depth_maps(scene.gaussians, small_cameras(scene.adapted.cameras[core])),
+        depth=depth_maps(scene.gaussians, cameras, views.sizes),
         prepared=without_rows(scene.prepared, scene.adapted.memories),
         exposures=scene.exposures,
         disagreement=scene.colours.disagreement if scene.colours else None,
