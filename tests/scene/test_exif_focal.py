@@ -77,6 +77,24 @@ def test_pixels_that_a_program_turned_keep_their_focal_length() -> None:
         assert stated_focal(tags, size) == pytest.approx(300)
 
 
+@pytest.mark.parametrize("size", [(160, 120), (120, 120), (160, 90), (120, 160)])
+def test_the_film_equivalent_is_that_of_the_whole_sensor(size: tuple[int, int]) -> None:
+    """A phone of 160 × 120 states 26 mm for squares and 16:9, too, which it cuts from that."""
+    expected = 26 * 200 / FULL_FRAME_DIAGONAL
+    assert stated_focal({ExifTags.Base.FocalLengthIn35mmFilm: 26}, size) == pytest.approx(expected)
+
+
+def test_a_photo_that_was_cut_afterwards_states_no_focal_length() -> None:
+    tags = {
+        ExifTags.Base.FocalLengthIn35mmFilm: 26,
+        ExifTags.Base.ExifImageWidth: 4 * WIDTH,
+        ExifTags.Base.ExifImageHeight: 4 * HEIGHT,
+    }
+    assert stated_focal(tags) is not None
+    assert stated_focal(tags, (HEIGHT, WIDTH)) is not None
+    assert stated_focal(tags, (WIDTH, HEIGHT - 8)) is None
+
+
 @settings(max_examples=60, deadline=None)
 @given(
     tags=st.dictionaries(

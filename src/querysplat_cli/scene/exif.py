@@ -9,6 +9,10 @@ from PIL import ExifTags, Image
 
 FULL_FRAME_DIAGONAL = 43.2666
 """Millimetres: FocalLengthIn35mmFilm is the focal length that has the same diagonal field of view on 36 × 24."""
+SENSOR_SHAPES = (1.3, 1.55)
+"""Longer over shorter sides between which sensors are. Squares and 16:9 are cut from sensors of 4:3."""
+SAME_SHAPE = 0.02
+"""Relative difference up to which two pictures have one shape."""
 SENSIBLE_FOCAL = (0.3, 20.0)
 """Range of plausible focal lengths in units of the longer side. Others in EXIF are ignored."""
 MILLIMETRES = {1: 25.4, 2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}
@@ -50,6 +54,8 @@ def focal_length(image: Image.Image) -> float | None:
     width, height = image.size
     try:
         exif = image.getexif().get_ifd(ExifTags.IFD.Exif)
+        if _was_cut(exif, width, height):
+            return None
         focal = _focal_from_film(exif, width, height) or _focal_from_sensor(exif, width, height)
     except (ValueError, TypeError, ZeroDivisionError, KeyError, SyntaxError, OSError):
         return None
@@ -79,7 +85,22 @@ def _stated(xmp: bytes, name: str, pattern: bytes) -> bytes | None:
 
 def _focal_from_film(exif: dict[int, Any], width: int, height: int) -> float | None:
     film = float(exif.get(ExifTags.Base.FocalLengthIn35mmFilm, 0))
-    return film * float(np.hypot(width, height)) / FULL_FRAME_DIAGONAL if film else None
+    longer, shorter = max(width, height), min(width, height)
+    low, high = SENSOR_SHAPES
+    if not low <= longer / shorter <= high:
+        # Phones state the focal length of the whole sensor, whichever part of it a picture shows.
+        longer, shorter = max(longer, 4 / 3 * shorter), max(shorter, 3 / 4 * longer)
+    return film * float(np.hypot(longer, shorter)) / FULL_FRAME_DIAGONAL if film else None
+
+
+def _was_cut(exif: dict[int, Any], width: int, height: int) -> bool:
+    """Whether the picture has another shape than the one that was taken, which may have been turned since.
+
+    What is left of it has another focal length in sides, and its principal point is no longer in the middle.
+    """
+    taken = float(exif.get(ExifTags.Base.ExifImageWidth, 0)), float(exif.get(ExifTags.Base.ExifImageHeight, 0))
+    shape = max(width, height) / min(width, height)
+    return min(taken) > 0 and abs(max(taken) / min(taken) / shape - 1) > SAME_SHAPE
 
 
 def _focal_from_sensor(exif: dict[int, Any], width: int, height: int) -> float | None:

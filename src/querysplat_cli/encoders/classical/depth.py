@@ -36,7 +36,9 @@ def estimate_geometry(posed: PosedViews, *, seed: int, progress: Progress) -> Ge
         depth = np.stack([np.full(masks.shape[1:], 1 / limits.middle, np.float32) for limits in ranges])
         warning = "depth is a guess: there is no parallax to measure it by"
         return _geometry(posed, depth, np.zeros_like(depth), (warning,))
-    photos = _as_sources(posed)
+    pictures = views.images.permute(0, 2, 3, 1).contiguous().numpy()
+    each = np.stack([_stretched(picture, mask) for picture, mask in zip(pictures, masks, strict=True)])
+    photos = _as_sources(posed, each)
     planes = []
     for v, chosen in enumerate(sources):
         planes.append(_first_planes(photos, v, chosen, ranges[v]))
@@ -51,14 +53,14 @@ def estimate_geometry(posed: PosedViews, *, seed: int, progress: Progress) -> Ge
         progress(f"refining {views.names[v]}", 0.6 + 0.3 * (v + 1) / len(views))
     K, w2c = (part.double().numpy() for part in (posed.cameras.K, posed.cameras.w2c))
     confidence = confirm(inverse, masks, match, K, w2c, sources)
-    pictures = views.images.permute(0, 2, 3, 1).contiguous().numpy()
-    nearest, maps = nearest_views(posed), DepthMaps(inverse, confidence, blurred(pictures), masks)
+    # Colours of different views are compared, so that all are stretched alike, or none is.
+    nearest, maps = nearest_views(posed), DepthMaps(inverse, confidence, blurred(_stretched(pictures, masks)), masks)
     others = lent(maps, K, w2c, nearest)
     for v in range(len(views)):
         borrowed = (others[v] > 0) & (confidence[v] < DEPTH_POLICY.guess_confidence) & masks[v]
         start = np.where(borrowed, others[v], inverse[v])
         weight = np.where(borrowed, np.float32(DEPTH_POLICY.lent_confidence), confidence[v])
-        inverse[v] = fill_depth(start, weight, pictures[v], masks[v])
+        inverse[v] = fill_depth(start, weight, each[v], masks[v])
         inverse[v] = np.clip(inverse[v], ranges[v].far, ranges[v].near)
     progress("clearing free space", 0.95)
     least = [limits.far for limits in ranges]
@@ -71,12 +73,22 @@ def _geometry(posed: PosedViews, depth: np.ndarray, confidence: np.ndarray, warn
     return Geometry(z, sure, (patch_features(posed, z, sure),), PATCH, warnings)
 
 
-def _as_sources(posed: PosedViews) -> list[Source]:
+def _stretched(pictures: np.ndarray, masks: np.ndarray) -> np.ndarray:
+    """Pictures [..., height, width, 3] with the usual contrast where all of them together have little: dark, or fog."""
+    policy = DEPTH_POLICY
+    inside = pictures[..., ::4, ::4, :][masks[..., ::4, ::4]]  # a sixteenth says as much
+    low, high = np.percentile(inside, (1, 99)) if len(inside) else (0.0, 1.0)
+    least, most = policy.little_contrast
+    if not least <= high - low < most:
+        return pictures
+    return np.clip((pictures - np.float32(low)) * np.float32(policy.usual_contrast / (high - low)), 0, 1)
+
+
+def _as_sources(posed: PosedViews, pictures: np.ndarray) -> list[Source]:
     """Every view as a grey picture with its camera, without depth."""
-    views, cameras = posed.views, posed.cameras
-    photos = []
-    for image, mask, K, w2c in zip(views.images, views.masks, cameras.K, cameras.w2c, strict=True):
-        grey = cv2.cvtColor(image.permute(1, 2, 0).numpy(), cv2.COLOR_RGB2GRAY)
+    cameras, photos = posed.cameras, []
+    for picture, mask, K, w2c in zip(pictures, posed.views.masks, cameras.K, cameras.w2c, strict=True):
+        grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
         grey[~mask.numpy()] = -1
         photos.append(Source(grey, K.double().numpy(), w2c.double().numpy(), np.zeros_like(grey)))
     return photos

@@ -14,6 +14,13 @@ class DepthPolicy:
     change here, touch the files that import `DEPTH_POLICY`, or clear numba's cache.
     """
 
+    # Contrast.
+    little_contrast: tuple[float, float] = (0.04, 0.3)
+    """Brightness ([0, 1]) between the darkest and the brightest hundredth, from and up to which pictures are stretched:
+    costs and colours are compared by absolute brightness."""
+    usual_contrast: float = 0.8
+    """Brightness between them then."""
+
     # Which views are compared, and between which depths.
     sources: int = 4
     """A view is measured against at most so many others."""

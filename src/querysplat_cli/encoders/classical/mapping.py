@@ -11,7 +11,7 @@ import numpy as np
 import pycolmap
 
 from querysplat_cli.encoders.classical.bundle_adjustment import bundle_adjusted
-from querysplat_cli.encoders.classical.camera_warnings import has_ordinary_lens
+from querysplat_cli.encoders.classical.camera_warnings import furthest_from_exif, has_ordinary_lens, is_flat
 from querysplat_cli.encoders.classical.dense_agreement import dense_agreement
 from querysplat_cli.encoders.classical.epipolar import epipolar_support
 from querysplat_cli.encoders.classical.matches import Matches
@@ -47,14 +47,17 @@ class Mapped:
     def refined(self, matches: Matches) -> SparseModel:
         """The model after the final bundle adjustment.
 
-        Priors take part for a few photos, and where more photos contradict the focal length that EXIF states, as those
-        of a plane do.
+        Priors take part for a few photos, and where more photos contradict the focal length that EXIF states, unless
+        they do so by far: a photo that was cut has another one. A plane says nothing of focal lengths, so that EXIF's
+        holds there in any case.
         """
         if self.reconstruction is None:
             return self.model
         if len(self.model.cameras) > CAMERA_POLICY.few_photos:
             found = from_colmap(self_calibrated(self.adjusted, fit_lens=self.fit_lens))
             if len(self.model.cameras) > CAMERA_POLICY.adjusted_photos or _keeps_stated_focals(found, matches):
+                return found
+            if abs(furthest_from_exif(found, matches)) > CAMERA_POLICY.exif_difference and not is_flat(found):
                 return found
         return bundle_adjusted(self.reconstruction, matches.focals, matches.usual_focals)
 
@@ -66,9 +69,11 @@ def _keeps_stated_focals(model: SparseModel, matches: Matches) -> bool:
 
 
 def map_photos(matches: Matches, photos: Sequence[Photo], *, seed: int) -> Mapped | None:
-    """The model that explains most of the matches, or None when no two photos make one.
+    """The sound model of most photos, or None when no two photos make one.
 
-    The search ends with the first attempt whose model is sound and contains all photos that matches connect.
+    The search ends with the first attempt whose model is sound and contains all photos that matches connect. Where no
+    model is sound, it is the one that explains most of the matches: those grow with the square of the photos that see
+    one thing, so that they say nothing of models of different photos.
     """
     if len(matches.sizes) == 2:
         with pycolmap.Database.open(matches.database) as store:
@@ -77,16 +82,17 @@ def map_photos(matches: Matches, photos: Sequence[Photo], *, seed: int) -> Mappe
         two = map_two_photos(candidates, matches.sizes, matches.focals, matches.usual_focals, agreement)
         return Mapped(two.model, (two.pair,)) if two else None
     connected = len(matches.largest_group())
-    best: tuple[float, pycolmap.Reconstruction, bool] | None = None
+    best: tuple[tuple[int, float], pycolmap.Reconstruction, bool] | None = None
     for attempt in _attempts(matches):
         for reconstruction in _mapped(matches, attempt, seed):
             model = from_colmap(reconstruction)
             support, ordinary = epipolar_support(model, matches), has_ordinary_lens(model)
-            score = support.score if ordinary else support.score / 2
-            if len(model.cameras) >= connected and support.sound and ordinary:
+            sound = support.sound and ordinary
+            if sound and len(model.cameras) >= connected:
                 return Mapped(model, matches.pairs, reconstruction, attempt.fit_lens)
-            if best is None or score > best[0]:
-                best = score, reconstruction, attempt.fit_lens
+            worth = len(model.cameras) if sound else 0, support.score if ordinary else support.score / 2
+            if best is None or worth > best[0]:
+                best = worth, reconstruction, attempt.fit_lens
     if best is None:
         return None
     grown = _extended(best[1], matches, seed)
@@ -150,6 +156,7 @@ def _extended(model: pycolmap.Reconstruction, matches: Matches, seed: int) -> py
 def _options(attempt: Attempt, seed: int, *, many: bool) -> pycolmap.IncrementalPipelineOptions:
     options = pycolmap.IncrementalPipelineOptions()
     options.min_model_size = 2
+    options.ignore_watermarks = True
     options.extract_colors = False
     # With one thread and one seed, the same photos give the same bits.
     options.num_threads = 1

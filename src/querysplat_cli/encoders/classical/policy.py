@@ -221,7 +221,7 @@ class CameraPolicy:
     rotation_share: float = 0.9
     """Share of the matches that rotations must explain when the camera did not move."""
     rotation_pairs: int = 30
-    """The decision is made on at most so many pairs, those with most matches."""
+    """The decision is made on at most so many pairs, those with most matches that moved far."""
     rotation_focals: tuple[float, float] = (0.4, 2.0)
     """Focal lengths, in longer sides, between which the search stays: beyond them a shift looks like a rotation."""
     informative_turn: float = 3.0

@@ -24,7 +24,7 @@ def placed_by_rotation(matches: Matches) -> SparseModel | None:
     pairs = sorted((pair for pair in matches.pairs if pair.first in group), key=len, reverse=True)
     if not pairs:
         return None
-    tested = pairs[: CAMERA_POLICY.rotation_pairs]
+    tested = sorted(pairs, key=_telling, reverse=True)[: CAMERA_POLICY.rotation_pairs]
     focals = _focals(matches, tested)
     errors = [_errors(pair, matches, focals, _robust_rotation(pair, matches, focals)) for pair in tested]
     if np.mean(np.concatenate(errors) < CAMERA_POLICY.rotation_tolerance) < CAMERA_POLICY.rotation_share:
@@ -39,6 +39,14 @@ def placed_by_rotation(matches: Matches) -> SparseModel | None:
             placed[pair.first] = turn.T @ placed[pair.second]
     cameras = {photo: _camera(placed[photo], focals[photo], matches.sizes[photo]) for photo in sorted(placed)}
     return SparseModel(cameras, np.zeros((0, 3)), {photo: np.zeros(0, np.int64) for photo in cameras})
+
+
+def _telling(pair: Pair) -> float:
+    """How much a pair says of the motion: its matches, times the pixels that they moved.
+
+    A burst of nearly equal photos has most matches of all, and rotations explain them however the others moved.
+    """
+    return len(pair) * float(np.median(np.linalg.norm(pair.second_pixels - pair.first_pixels, axis=1)))
 
 
 def placed_alone(focal: float, size: tuple[int, int], photo: int = 0) -> SparseModel:
