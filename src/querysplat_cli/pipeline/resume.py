@@ -106,7 +106,8 @@ def _at_full_size(settings: ResumeSettings, level: FullSizeLevel, stages: Stages
         gaussians = _own_gaussians(path, scene, before)
     inputs, heldout = stored_photos(scene)
     with stages("full size") as progress:
-        plan = plan_full_size(level, inputs.summary(), len(gaussians))
+        photos = replace(inputs.summary(), reached=_finest_size(scene, before) or 0)
+        plan = plan_full_size(level, photos, len(gaussians))
         found = take_to_full_size(inputs, gaussians, plan, seed=settings.seed, device=device, progress=progress)
     stored, gaussians = _behind(replace(scene, exposures=found.exposures), found.gaussians)
     with stages("full size score"):

@@ -24,6 +24,8 @@ class ExposurePolicy:
     wrongly count little."""
     saturated: float = 0.97
     """Pixels with a brighter channel may be clipped, and say nothing about the exposure."""
+    white: float = 0.995
+    """A channel from here on is clipped, and one below 1 less this: the scene may be brighter, or darker."""
     points_per_view: int = 1000
     """Pixels of each view, on a grid, that are looked up in other views."""
     most_points: int = 50_000

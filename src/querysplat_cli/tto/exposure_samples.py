@@ -42,7 +42,8 @@ def sample_colours(views: Views, cameras: Cameras, geometry: Geometry) -> Colour
     """
     assert geometry.depth is not None
     assert geometry.confidence is not None
-    smooth = F.avg_pool2d(views.images, SMOOTHING, 1, SMOOTHING // 2, count_include_pad=False)
+    shown = views.masks[:, None].float()
+    smooth = _mean(views.images * shown) / _mean(shown).clamp_min(1e-6)
     brightest = F.max_pool2d(views.images.amax(1), SMOOTHING, 1, SMOOTHING // 2)
     usable = views.masks & (geometry.confidence > QUERY_POLICY.confident) & (brightest < EXPOSURE_POLICY.saturated)
     rows, columns = _grid(views)
@@ -65,6 +66,11 @@ def sample_colours(views: Views, cameras: Cameras, geometry: Geometry) -> Colour
         found.append((numbers[shared], torch.full((int(shared.sum()),), own), colours[shared]))
     point, view, colour = (torch.cat(parts) for parts in zip(*found, strict=True))
     return ColourSamples(point.unique(return_inverse=True)[1], view, colour.double())
+
+
+def _mean(maps: Float[Tensor, "views channels height width"]) -> Float[Tensor, "views channels height width"]:
+    """Over `SMOOTHING` pixels in each direction, as far as the map reaches."""
+    return F.avg_pool2d(maps, SMOOTHING, 1, SMOOTHING // 2, count_include_pad=False)
 
 
 def _grid(views: Views) -> tuple[Int[Tensor, "rows"], Int[Tensor, "columns"]]:

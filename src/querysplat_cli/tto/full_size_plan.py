@@ -13,18 +13,20 @@ from querysplat_cli.tto.policy import TTO_POLICY
 class Photos:
     """The input photos that an optimisation can use: how many, and the (height, width) of the largest in pixels.
 
-    `working` is the longer side of the pictures that the scene was made from.
+    `working` is the longer side of the pictures that the scene was made from, and `reached` that of the largest ones
+    that it was optimised on since: smaller ones would blur it, and its loss on them would not tell.
     """
 
     count: int
     height: int
     width: int
     working: int
+    reached: int = 0
 
     @property
     def smallest(self) -> int:
         """The longer side that pictures have at least, in pixels."""
-        return min(self.working, max(self.height, self.width))
+        return min(max(self.working, self.reached), max(self.height, self.width))
 
     def enlarged(self, size: int, share: float = 1.0) -> bool:
         """Whether pictures at a share of this longer side are large enough for a stage beside the working ones."""
@@ -173,7 +175,7 @@ def _size(photos: Photos, largest: int, gaussians: int, seconds: float) -> int:
     policy = FULL_SIZE_POLICY
     pixels = max(0.0, _longest_step(photos, seconds) - step_seconds(0.0, gaussians)) / policy.step_seconds[1]
     size = min(largest, int(largest * math.sqrt(pixels / photos.pixels(largest))))
-    return size if photos.enlarged(size) else photos.smallest
+    return size if photos.enlarged(size) and size >= photos.reached else photos.smallest
 
 
 def _affordable(photos: Photos, pixels: float, seconds: float) -> float:
@@ -188,6 +190,6 @@ def _longest_step(photos: Photos, seconds: float) -> float:
 def _stages(photos: Photos, size: int) -> tuple[tuple[float, float], ...]:
     """The stages whose pictures are large enough, each with its share of the size and of the seconds."""
     *coarse, last = FULL_SIZE_POLICY.stages
-    kept = [stage for stage in coarse if photos.enlarged(size, stage[0])]
+    kept = [stage for stage in coarse if photos.enlarged(size, stage[0]) and stage[0] * size >= photos.reached]
     whole = sum(part for _, part in (*kept, last))
     return tuple((share, part / whole) for share, part in (*kept, last))

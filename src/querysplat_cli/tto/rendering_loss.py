@@ -15,6 +15,7 @@ from querysplat_cli.splat.conventions import MID_GREY
 from querysplat_cli.splat.lpips import Perceptual, perceptual_loss
 from querysplat_cli.splat.render import Rendering, RenderSettings, render
 from querysplat_cli.splat.similarity import photometric_loss, photometric_value
+from querysplat_cli.tto.exposure_policy import EXPOSURE_POLICY
 from querysplat_cli.tto.exposure_refit import RefittedExposures
 from querysplat_cli.tto.policy import TTO_POLICY
 from querysplat_cli.tto.smooth_depth import depth_roughness
@@ -125,7 +126,7 @@ class RenderingLoss:
             if self.exposures:
                 self.exposures.refit(view, rendering, photo[0][0], photo[1][0])
                 rendering = self._exposed(rendering, view)
-            picture = rendering.over(behind)
+            picture = self._recorded(rendering.over(behind), photo[0])
             distance = self._distance(picture, photo)
             smaller = TTO_POLICY.half * self._half_loss(leaves, cameras, behind, view, photo) if halve else 0.0
             ((photometric_loss(picture, *photo) + distance + smaller + rough) / len(chosen)).backward()
@@ -147,7 +148,7 @@ class RenderingLoss:
         smaller = F.interpolate(photo[0], size, mode="area")
         mask = F.interpolate(photo[1][:, None].float(), size, mode="area")[:, 0] == 1
         picture = self._exposed(self._render(gaussians, cameras.resized(*size), view), view).over(behind)
-        return photometric_loss(picture, smaller, mask)
+        return photometric_loss(self._recorded(picture, smaller), smaller, mask)
 
     def _roughness(self, rendering: Rendering, photo: tuple[Tensor, Tensor], view: int) -> Tensor | float:
         """How rough the depth is that no other view confirms, by its weight; 0 where this takes no part."""
@@ -167,6 +168,17 @@ class RenderingLoss:
 
     def _exposed(self, rendering: Rendering, view: int) -> Rendering:
         return self.exposures.exposed(rendering, view) if self.exposures else rendering
+
+    def _recorded(self, picture: Tensor, photo: Tensor) -> Tensor:
+        """The render in the colours of its photo, which takes the photo's where that is clipped and the render is not.
+
+        A long exposure is white where others show a colour, whose transform is brighter than white. Without exposures,
+        photos agree on what is white.
+        """
+        if not self.exposures:
+            return picture
+        blown = (photo >= EXPOSURE_POLICY.white) & (picture > photo)
+        return torch.where(blown | ((photo <= 1 - EXPOSURE_POLICY.white) & (picture < photo)), photo, picture)
 
     def _photo(self, view: int) -> tuple[Tensor, Tensor]:
         """The photo of a view and its mask, as a batch of one."""
@@ -188,7 +200,7 @@ class RenderingLoss:
         self, rendering: Rendering, photo: tuple[Tensor, Tensor], view: int, distance: Tensor | None = None
     ) -> tuple[float, float]:
         """The loss and the mean squared error, over `background`; `distance` is that of LPIPS there, if it is known."""
-        picture = rendering.over(self.background)
+        picture = self._recorded(rendering.over(self.background), photo[0])
         value, error = photometric_value(picture, *photo)
         return value + float(self._distance(picture, photo) if distance is None else distance), error
 
