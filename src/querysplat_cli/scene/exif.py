@@ -85,7 +85,7 @@ def _stated(xmp: bytes, name: str, pattern: bytes) -> bytes | None:
 
 def _focal_from_film(exif: dict[int, Any], width: int, height: int) -> float | None:
     film = float(exif.get(ExifTags.Base.FocalLengthIn35mmFilm, 0))
-    longer, shorter = max(width, height), min(width, height)
+    longer, shorter = float(max(width, height)), float(min(width, height))
     low, high = SENSOR_SHAPES
     if not low <= longer / shorter <= high:
         # Phones state the focal length of the whole sensor, whichever part of it a picture shows.
