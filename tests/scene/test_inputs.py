@@ -40,6 +40,20 @@ def test_a_folder_of_films_alone(tmp_path: Path) -> None:
     assert not left_out
 
 
+def test_the_film_of_a_live_photo_is_left_out(folder: Path) -> None:
+    write_film(folder / "A.MOV", pan([0, 40, 80]))
+    write_film(folder / "other.MOV", pan([0, 40, 80]))
+    photos, left_out = load_inputs(find_photos([folder]))
+    assert not any(photo.name.startswith("A.MOV") for photo in photos)
+    assert sum(photo.name.startswith("other.MOV") for photo in photos) == 3
+    assert ("A.MOV", "it is the film of a Live Photo, which is used") in [(each.name, each.why) for each in left_out]
+    (folder / "m.mp4").unlink()
+    (folder / "other.MOV").unlink()
+    photos, left_out = load_inputs(find_photos([folder]))
+    assert [photo.name for photo in photos] == ["a.png", "z.png"]
+    assert [each.name for each in left_out] == ["A.MOV"]
+
+
 def test_films_of_one_name(tmp_path: Path) -> None:
     for folder in ("a", "b"):
         (tmp_path / folder).mkdir()

@@ -156,6 +156,25 @@ def test_views_are_black_where_the_photo_is_masked(tmp_path: Path) -> None:
     assert views.masks[1, :height, :width].all()
 
 
+@pytest.mark.parametrize(("orientation", "shown"), [(6, np.s_[: HEIGHT // 2, :]), (8, np.s_[HEIGHT // 2 :, :])])
+def test_masks_of_the_stored_pixels_turn_with_their_photo(tmp_path: Path, orientation: int, shown: tuple) -> None:
+    """A square would fit both ways; the photo is upright 120 × 96, and its mask is 96 × 120, as COLMAP reads photos."""
+    exif = Image.Exif()
+    exif[ExifTags.Base.Orientation] = orientation
+    path = save(tmp_path / "a.jpg", np.full((120, HEIGHT, 3), 120, np.uint8), exif=exif)
+    save(tmp_path / "masks" / "a.png", left_half(120, HEIGHT))
+    mask = load(path).mask
+    assert mask is not None
+    expected = np.zeros((HEIGHT, 120), bool)
+    expected[shown] = True
+    assert np.array_equal(mask, expected)
+    save(tmp_path / "masks" / "a.png", left_half(HEIGHT, 120))
+    upright = load(path).mask
+    assert upright is not None
+    assert upright[:, :56].all()
+    assert not upright[:, 64:].any()
+
+
 def test_large_views_are_masked_too(tmp_path: Path) -> None:
     path = grey(tmp_path, "a.png")
     save(tmp_path / "masks" / "a.png", left_half())

@@ -8,13 +8,15 @@ from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.decoding import reduced
 from querysplat_cli.scene.film_choice import FilmChoice, choose_frames
 from querysplat_cli.scene.film_survey import FilmSurvey, survey_film
-from querysplat_cli.scene.films import frame_pixels, is_film, read_ahead
+from querysplat_cli.scene.films import film_length, frame_pixels, is_film, read_ahead
 from querysplat_cli.scene.photo_names import short_names
 from querysplat_cli.scene.photos import LONGEST_SIDE, Keep, decoded_photos, load_photos, none_usable
 from querysplat_cli.scene.views import LeftOut, Photo
 
 AHEAD = 32
 """Frames that are decoded in one pass over their film: so many large ones are kept until they are read."""
+LIVE_FRAMES = 200
+"""The film of a Live Photo has at most so many frames: it takes three seconds."""
 
 
 def load_inputs(
@@ -29,11 +31,15 @@ def load_inputs(
     other frames. Photos are read and kept as by `load_photos`. Raises QuerySplatError when there is no usable photo at
     all, and when `frames` is given without a film.
     """
+    live = [path for path in paths if _is_live(path, paths)]
+    paths = [path for path in paths if path not in live]
     films = [path for path in paths if is_film(path)]
+    beside = [LeftOut(path.name, "it is the film of a Live Photo, which is used") for path in live]
     if not films:
         if frames:
             raise QuerySplatError("--frames is for films, and there is no film among the inputs", "Leave it out.")
-        return load_photos(paths, progress=progress, keep=keep)
+        photos, left_out = load_photos(paths, progress=progress, keep=keep)
+        return photos, [*beside, *left_out]
     names = dict(zip(paths, short_names(paths), strict=True))
     surveys, left_out = _surveyed(films, names, progress)
     found: dict[Path, list[Photo]] = {}
@@ -47,10 +53,24 @@ def load_inputs(
     photos, unread = decoded_photos(pictures, [names[path] for path in pictures], LONGEST_SIDE, progress, keep)
     for photo in photos:
         found[photo.path] = [photo]
-    left_out += unread
+    left_out += [*beside, *unread]
     if not found:
         raise none_usable(left_out)
     return [photo for path in paths for photo in found.get(path, ())], left_out
+
+
+def _is_live(path: Path, paths: Sequence[Path]) -> bool:
+    """Whether a file is the short film that a phone stores beside a photo, under the name of the photo."""
+    if path.suffix.lower() != ".mov":
+        return False
+    named = [each for each in paths if each.parent == path.parent and each.stem.casefold() == path.stem.casefold()]
+    if all(map(is_film, named)):
+        return False
+    try:
+        frames = film_length(path)
+    except QuerySplatError:
+        return False
+    return frames is not None and frames <= LIVE_FRAMES
 
 
 def _surveyed(

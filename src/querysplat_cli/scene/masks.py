@@ -22,6 +22,9 @@ WHOLLY = 0.99
 ROUNDED = 0.01
 """Pixels by which the edges of a box may be off, because its numbers are rounded."""
 
+QUARTER_TURNS = {6: 3, 8: 1}
+"""Counter-clockwise quarter turns that an EXIF orientation asks for, where the picture is on its side."""
+
 
 @dataclass(frozen=True)
 class Overlay:
@@ -65,16 +68,20 @@ def mask_file(photo: Path) -> Path | None:
     return None
 
 
-def read_mask(path: Path, height: int, width: int) -> np.ndarray:
+def read_mask(path: Path, height: int, width: int, orientation: int = 1) -> np.ndarray:
     """True [height, width] where the photo takes part: where the mask is brighter than half of its brightest pixel.
 
-    Raises BadMask, with a phrase for the user, when the mask cannot be read or has another shape than the photo.
+    A mask of a photo on its side may be drawn on the upright pixels or, as COLMAP reads them, on the stored ones, which
+    EXIF's `orientation` turns. Raises BadMask, with a phrase for the user, when the mask cannot be read or has another
+    shape than the photo.
     """
     try:
         with Image.open(path) as image:
             grey = np.asarray(ImageOps.exif_transpose(image).convert("L"), np.int64)
     except Exception as error:  # damage can raise anything in Pillow's decoders
         raise BadMask(f"its mask {path.name} cannot be read") from error
+    if not same_shape(grey.shape, (height, width)):
+        grey = np.rot90(grey, QUARTER_TURNS.get(orientation, 0))
     if not same_shape(grey.shape, (height, width)):
         raise BadMask(f"its mask {path.name} is {grey.shape[1]} × {grey.shape[0]}, another shape than the photo's")
     return resized_mask(2 * grey > grey.max(), height, width)

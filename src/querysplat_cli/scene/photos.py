@@ -178,5 +178,9 @@ def _mask(path: Path, found: Decoded) -> np.ndarray | None:
     if file is None and found.opaque is None:
         return None
     height, width = found.pixels.shape[:2]
-    mask = read_mask(file, height, width) if file else resized_mask(np.asarray(found.opaque), height, width)
+    mask = (
+        read_mask(file, height, width, found.orientation)
+        if file
+        else resized_mask(np.asarray(found.opaque), height, width)
+    )
     return None if mask.all() else mask
