@@ -38,6 +38,11 @@ def test_the_next_command_can_be_copied_where_names_have_spaces() -> None:
     assert "querysplat view 'my room/s.ply', or querysplat tto 'my room/s' for" in last
 
 
+def test_the_next_command_can_be_copied_where_names_begin_with_a_dash() -> None:
+    *_, last = lines(replace(REPORT, ply="-s.ply", scene="-s"))
+    assert "querysplat view ./-s.ply, or querysplat tto ./-s for" in last
+
+
 def test_the_file_has_a_size_and_a_cost() -> None:
     lost = {"what": "precision", "psnr_lost": 0.031}
     said = list(lines(replace(REPORT, ply="s.spz", bytes=3 * 2**19, left_out=[lost])))

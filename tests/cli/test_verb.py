@@ -83,6 +83,8 @@ def test_an_evaluation_takes_options_of_reconstruct() -> None:
         (ReconstructSettings, ["a", "--fit", "stretch"]),
         (ReconstructSettings, ["a", "--budget", "0.5"]),
         (ReconstructSettings, []),
+        (ReconstructSettings, [""]),
+        (ReconstructSettings, ["a\udce4"]),
         (ResumeSettings, ["a", "--lr", "0"]),
         (Conversion, ["a", "b", "--scale", "0"]),
         (EvalRequest, ["a", "--views", "3"]),

@@ -5,6 +5,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import pytest
 import torch
 from stored_scene import a_report
@@ -36,8 +37,26 @@ def test_no_picture_is_written_outside_its_folder(
 ) -> None:
     views = replace(stored[0].views, names=(name.format(tmp_path), "b.png", "c.png"))
     with pytest.raises(QuerySplatError, match="outside the scene's folder"):
-        write_images(tmp_path / "images", views)
+        write_images(tmp_path / "images", views, tmp_path)
     assert not (tmp_path / "a.png").exists()
+
+
+def test_a_picture_that_is_stored_loses_nothing_more(stored: tuple[StoredScene, Gaussians], tmp_path: Path) -> None:
+    """Every `tto` wrote the photos of a scene as JPEG anew."""
+    scene = stored[0]
+    noise = torch.rand(scene.views.images.shape, generator=torch.Generator().manual_seed(0))
+    views = replace(scene.views, images=noise, names=("a.jpg", "b.png", "c.jpg"))
+    write_images(tmp_path / "first", views, tmp_path / "nothing")
+    found = [cv2.imread(str(tmp_path / "first" / name)) for name in views.names]
+    images = torch.zeros_like(noise)
+    for row, (pixels, (height, width)) in enumerate(zip(found, views.sizes, strict=True)):
+        images[row, :, :height, :width] = torch.from_numpy(pixels[..., ::-1].copy()).permute(2, 0, 1) / 255
+    write_images(tmp_path / "second", replace(views, images=images), tmp_path / "first")
+    for name in views.names:
+        assert (tmp_path / "second" / name).read_bytes() == (tmp_path / "first" / name).read_bytes()
+    images[0] = 1 - images[0]
+    write_images(tmp_path / "other", replace(views, images=images), tmp_path / "first")
+    assert (tmp_path / "other" / "a.jpg").read_bytes() != (tmp_path / "first" / "a.jpg").read_bytes()
 
 
 def test_round_trip(stored: tuple[StoredScene, Gaussians], tmp_path: Path) -> None:

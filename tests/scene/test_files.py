@@ -151,6 +151,16 @@ def test_a_place_where_no_file_can_be_made_is_named_without_the_draft(folder: Pa
     assert "querysplat-" not in caught.value.message
 
 
+def test_a_folder_without_permission_is_named_by_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    monkeypatch.setattr(Path, "touch", refuse)
+    with pytest.raises(QuerySplatError) as caught:
+        check_writable(tmp_path)
+    assert caught.value.message == f"{tmp_path}: no permission to write there"
+
+
 def test_a_file_where_a_folder_is_needed(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(QuerySplatError, match="a file is where a folder is needed"):

@@ -8,6 +8,7 @@ from typing import Any, Literal, Union, get_args, get_origin
 import typer
 from annotated_types import Ge, Gt, Le
 
+from querysplat_cli.runtime.current_folder import is_unicode
 from querysplat_cli.runtime.json_files import shown
 from querysplat_cli.runtime.options import Option
 
@@ -65,8 +66,12 @@ def _value_or_word(kind: type, bounds: Iterable[object], words: dict[str, Any]) 
         except ValueError:
             wanted = " or ".join((_in_words(kind), *words))
             raise typer.BadParameter(f"{shown(text)} is not {wanted}.") from None
-        if isinstance(value, Path) and "\0" in text:
+        if isinstance(value, Path) and ("\0" in text or not text):
             raise typer.BadParameter(f"{shown(text)} is not a path.")
+        if isinstance(value, Path) and not is_unicode(text):
+            raise typer.BadParameter(
+                f"{shown(text)} is not valid UTF-8, so native libraries cannot open it. Rename it."
+            )
         if isinstance(value, int | float) and not abs(value) <= (LARGEST if isinstance(value, int) else LARGEST_REAL):
             raise typer.BadParameter(f"{shown(text)} is too large, or no finite number.")
         for bound in bounds:

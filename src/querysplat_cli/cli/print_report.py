@@ -106,7 +106,8 @@ def _next(report: Report) -> str:
     """What to do now. A scene in whose folder the shell stands has a new folder under the same name."""
     quality = report.quality
     before, after = (quality.get("before") or {}).get("input"), (quality.get("input") or {}).get("psnr")
-    ply, scene = quote(report.ply), quote(report.scene)
+    # What begins with a dash would be an option.
+    ply, scene = (quote(f"./{path}" if path.startswith("-") else path) for path in (report.ply, report.scene))
     further = "" if before and after and after <= before else f", or querysplat tto {scene} for a better scene"
     return f"next: {'' if current_folder.is_there() else 'cd . && '}querysplat view {ply}{further}"
 

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 import typer
 
 from querysplat_cli.cli.parsers import parser_of, words_of
+from querysplat_cli.runtime import current_folder
 from querysplat_cli.runtime.limits import check_address_space
 from querysplat_cli.runtime.options import Only, Option
 
@@ -32,6 +33,7 @@ def verb(function: Callable[..., None]) -> Callable[..., None]:
     @wraps(function)
     def call(**values: Any) -> None:
         check_address_space(function.__name__)
+        current_folder.check_name()
         function(**{part: _built(kind, values) for part, kind in kinds.items()})
 
     parameters = [parameter for kind in kinds.values() for parameter in _parameters(kind)]

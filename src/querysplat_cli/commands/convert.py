@@ -137,7 +137,7 @@ def _make_scene_folder(target: Path, cameras: Mapping[str, PhotoCamera], place: 
             left_out += unusable
             for camera in usable.values():
                 views, straight = undistorted([photo], [camera], max_size=max(photo.height, photo.width))
-                write_images(draft / "images", views)
+                write_images(draft / "images", views, target / "images")
                 kept[name] = PhotoCamera.pinhole(camera.w2c, straight.K[0].double().numpy(), *views.sizes[0])
         if not kept:
             raise QuerySplatError(

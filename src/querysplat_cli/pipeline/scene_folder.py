@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import numpy as np
 import torch
 from jaxtyping import Bool
 from safetensors.torch import save
@@ -145,7 +146,7 @@ def write_scene(target: Path, scene: StoredScene, gaussians: Gaussians, report: 
             *(asdict(each) for each in _lost_by_kind(target_draft, scene, gaussians, report)),
         ]
         for views, _ in scene.groups.values():
-            write_images(draft / "images", views)
+            write_images(draft / "images", views, folder_of_scene(target) / "images")
         write_cameras(draft / "cameras.json", scene.cameras, scene.views, heldout=scene.heldout, frame=scene.frame)
         write_supersplat(draft / "supersplat.json", gaussians, scene.cameras, scene.views.sizes, scene.frame)
         if scene.photos:
@@ -176,14 +177,21 @@ def _lost_by_kind(file: Path, scene: StoredScene, gaussians: Gaussians, report: 
     return of_kind(file, gaussians, round(report["quality"]["input"]["psnr"] - after, 3))
 
 
-def write_images(folder: Path, views: Views) -> None:
+def write_images(folder: Path, views: Views, stored: Path) -> None:
     """Write the pictures, without their padding, under the names of `views`; lossless, or JPEG at its best quality.
 
-    Raises QuerySplatError when a name leads out of the folder.
+    A picture whose file is in the folder `stored` is copied: as JPEG, it would lose something each time. Raises
+    QuerySplatError when a name leads out of the folder.
     """
     for row, (name, (height, width)) in enumerate(zip(views.names, views.sizes, strict=True)):
         path = folder / stored_name(name)
         if os.path.isabs(name) or ".." in path.parts:
             raise QuerySplatError(f"the picture of {name} would lie outside the scene's folder", "Rename the photo.")
-        settings = () if path.suffix.lower() in LOSSLESS_SUFFIXES else JPEG_SETTINGS
-        write_picture(path, eight_bit(views.images[row, :, :height, :width]), settings)
+        pixels, before = eight_bit(views.images[row, :, :height, :width]), stored / stored_name(name)
+        if path.suffix.lower() in LOSSLESS_SUFFIXES:
+            write_picture(path, pixels)
+        elif before.is_file() and np.array_equal(np.asarray(cv2.imread(str(before))), pixels[..., ::-1]):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(before, path)
+        else:
+            write_picture(path, pixels, JPEG_SETTINGS)

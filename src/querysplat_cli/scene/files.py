@@ -21,6 +21,8 @@ NEARLY_FULL = 64 << 20
 NO_SPACE = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 FORBIDDEN = {errno.EACCES, errno.EPERM, errno.EROFS}
 NO_FOLDER = {errno.ENOTDIR, errno.EEXIST}
+PROBE = "probe"
+"""Name of the file by which a folder is tried."""
 OF_THE_SYSTEM = {".DS_Store", "Thumbs.db", "desktop.ini"}
 """Files that systems leave in folders that someone looked at."""
 
@@ -109,7 +111,7 @@ def check_writable(folder: Path) -> None:
 
     Worth calling before long work whose result goes there.
     """
-    with _draft(folder.resolve() / "probe") as draft:
+    with _draft(folder.resolve() / PROBE) as draft:
         draft.touch()
 
 
@@ -237,8 +239,9 @@ def _in_words(error: Exception, place: Path) -> QuerySplatError | None:
     path = Path(*(part for part in place.parts if not part.startswith(DRAFTS)))
     reason = getattr(error, "errno", None)
     if reason in FORBIDDEN:
+        where = path.parent if path.name == PROBE else path
         return QuerySplatError(
-            f"{path}: no permission to write there", "Choose another output, or change the folder's permissions."
+            f"{where}: no permission to write there", "Choose another output, or change the folder's permissions."
         )
     if reason in NO_FOLDER and not path.parent.is_dir():
         return QuerySplatError(f"{path}: a file is where a folder is needed", "Choose another output.")

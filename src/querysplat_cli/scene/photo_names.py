@@ -5,6 +5,8 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import PurePath, PurePosixPath
 
+from querysplat_cli.runtime.current_folder import is_unicode
+
 
 def short_names(paths: Sequence[PurePath]) -> list[str]:
     """The last parts of each path, as few as make it different from all others. None has a root or a `..`."""
@@ -30,11 +32,7 @@ def stated_parts(path: str) -> tuple[str, ...]:
 
 def names_a_photo(name: str) -> bool:
     """Whether a text from a file can be the path of a photo: it ends in a file's name, in letters that exist."""
-    try:
-        name.encode()
-    except UnicodeEncodeError:
-        return False
-    return PurePath(name).name not in ("", "..") and "\0" not in name
+    return is_unicode(name) and PurePath(name).name not in ("", "..") and "\0" not in name
 
 
 def _ending(parts: Sequence[str], depth: int) -> str:

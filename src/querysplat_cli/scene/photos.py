@@ -158,9 +158,16 @@ def _folder_photos(folder: Path) -> list[Path]:
             return files
     if not any(folder.iterdir()):
         raise QuerySplatError(f"{folder}: an empty folder", "Put the photos there, or give another folder.")
-    inside = [each.name for each in sorted(folder.iterdir()) if each.is_dir() and any(map(_is_picture, each.iterdir()))]
+    inside = [each.name for each in sorted(folder.iterdir()) if each.is_dir() and _holds_pictures(each)]
     hint = f"There are pictures in its folder {inside[0]}." if inside else "Give a folder of JPEG or PNG photos."
     raise QuerySplatError(f"{folder}: no pictures in this folder", hint)
+
+
+def _holds_pictures(folder: Path) -> bool:
+    try:
+        return any(map(_is_picture, folder.iterdir()))
+    except PermissionError:  # lost+found of a card
+        return False
 
 
 def _visible_files(folder: Path) -> list[Path]:
