@@ -8,22 +8,33 @@ from querysplat_cli.pipeline.scene_folder import StoredScene
 from querysplat_cli.reporting.report import Report
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.lengths import BY_GPS, lengths
-from querysplat_cli.scene.metres import Metres, metres_by_distances, metres_by_gps
+from querysplat_cli.scene.metres import Metres, check_gps, check_names, metres_by_distances, metres_by_gps
 from querysplat_cli.scene.sim3 import Sim3
 from querysplat_cli.scene.views import Photo
 
 
-def metres_of(
-    scale: str | None, posed: PosedViews, photos: Sequence[Photo], *, poses_known: bool = False
-) -> Metres | None:
+def check_scale(scale: str | None, photos: Sequence[Photo], *, poses_known: bool) -> None:
+    """Raise QuerySplatError where a value of --scale cannot hold, whichever of the photos get a camera.
+
+    Known cameras have a unit.
+    """
+    if scale is None:
+        return
+    if poses_known:
+        raise QuerySplatError("--scale: the cameras of --poses have a unit already", "Leave one of the two out.")
+    if scale == BY_GPS:
+        check_gps(sum(photo.gps is not None for photo in photos), len(photos))
+    else:
+        check_names(lengths(scale), {photo.name for photo in photos})
+
+
+def metres_of(scale: str | None, posed: PosedViews, photos: Sequence[Photo]) -> Metres | None:
     """The length of the unit of `posed`, by the value of --scale; None without one.
 
-    Raises as `scene/metres.py` does, and QuerySplatError where the cameras are known, because these have a unit.
+    Raises as `scene/metres.py` does.
     """
     if scale is None:
         return None
-    if poses_known:
-        raise QuerySplatError("--scale: the cameras of --poses have a unit already", "Leave one of the two out.")
     centres = dict(zip(posed.views.names, posed.cameras.centres.double().numpy(), strict=True))
     if scale == BY_GPS:
         return metres_by_gps(centres, {photo.name: photo.gps for photo in photos if photo.gps})

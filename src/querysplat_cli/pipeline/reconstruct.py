@@ -17,7 +17,7 @@ from querysplat_cli.pipeline.full_size import LargePhotos, full_size_quality
 from querysplat_cli.pipeline.gaussian_files import check_target, folder_of_scene
 from querysplat_cli.pipeline.given_frame import given_frame
 from querysplat_cli.pipeline.memory import MemoryNeeds, within_memory
-from querysplat_cli.pipeline.metric import in_metres, metres_of
+from querysplat_cli.pipeline.metric import check_scale, in_metres, metres_of
 from querysplat_cli.pipeline.omitted import omissions_of
 from querysplat_cli.pipeline.parts import load_parts, with_absolute_parts
 from querysplat_cli.pipeline.perceptual import optimisation_lpips
@@ -118,6 +118,7 @@ def reconstruct(settings: ReconstructSettings, stages: Stages | None = None) -> 
 
 def _reconstruct(settings: ReconstructSettings, device: torch.device, stages: Stages) -> Report:
     inputs = _read_inputs(settings, device, stages)
+    check_scale(settings.metres_by, inputs.photos, poses_known=inputs.known is not None)
     if not is_long(settings, len(inputs.photos)):
         return _made(inputs, settings, stages, None)
     with unfinished(settings, inputs.photos, inputs.size) as work:
@@ -134,7 +135,7 @@ def _made(inputs: _Inputs, settings: ReconstructSettings, stages: Stages, work: 
             f"--quality {settings.quality}: this encoder cuts the photos, and large ones would not fit its cameras",
             "Use --encoder classical, or --quality standard.",
         )
-    metres = metres_of(settings.metres_by, passes.split.inputs, inputs.photos, poses_known=inputs.known is not None)
+    metres = metres_of(settings.metres_by, passes.split.inputs, inputs.photos)
     forget_pixels(inputs.photos)
     posed = passes.split.inputs
     alike = {} if settings.keep_everything else near_duplicates(posed.cameras, posed.points, posed.visibility)

@@ -1,6 +1,6 @@
 """How many metres a unit of a scene is, from places or distances that are known of its photos."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,6 +38,25 @@ class Metres:
         return {"source": self.source, "count": self.count, "metres_per_unit": self.per_unit, "residual_m": residual}
 
 
+def check_gps(places: int, photos: int) -> None:
+    """Raise QuerySplatError where so few of so many photos have a GPS place that these say nothing."""
+    if places < FEWEST_PLACES:
+        raise QuerySplatError(
+            f"--scale gps: {places} of the {photos} photos used state in EXIF where they were taken",
+            f"At least {FEWEST_PLACES} have to. Give a distance between two photos instead: --scale a.jpg,b.jpg=1.5.",
+        )
+
+
+def check_names(lengths: Sequence[tuple[str, str, float]], photos: Collection[str]) -> None:
+    """Raise QuerySplatError where a distance is one from another photo."""
+    for one, other, _ in lengths:
+        missing = [name for name in (one, other) if name not in photos]
+        if missing:
+            raise QuerySplatError(
+                f"--scale: {missing[0]} is none of the photos used", "Give names as in `views.used` of report.json."
+            )
+
+
 def metres_by_gps(centres: Mapping[str, np.ndarray], places: Mapping[str, Gps]) -> Metres:
     """From a robust similarity between camera centres [3], in scene units, and the photos' GPS places.
 
@@ -46,11 +65,7 @@ def metres_by_gps(centres: Mapping[str, np.ndarray], places: Mapping[str, Gps]) 
     photos have GPS, or when they are too close together for its errors.
     """
     names = [name for name in centres if name in places]
-    if len(names) < FEWEST_PLACES:
-        raise QuerySplatError(
-            f"--scale gps: {len(names)} of the {len(centres)} photos used state in EXIF where they were taken",
-            f"At least {FEWEST_PLACES} have to. Give a distance between two photos instead: --scale a.jpg,b.jpg=1.5.",
-        )
+    check_gps(len(names), len(centres))
     ours = np.stack([centres[name] for name in names])
     theirs = local_metres([places[name] for name in names])
     weights = np.ones(len(names))
@@ -73,14 +88,9 @@ def metres_by_distances(centres: Mapping[str, np.ndarray], lengths: Sequence[tup
 
     Raises QuerySplatError when a photo has no camera, or two stand at one place.
     """
+    check_names(lengths, centres)
     ratios = []
     for one, other, metres in lengths:
-        missing = [name for name in (one, other) if name not in centres]
-        if missing:
-            raise QuerySplatError(
-                f"--scale: {missing[0]} is none of the photos used",
-                "Give names as in `views.used` of report.json.",
-            )
         apart = float(np.linalg.norm(centres[one] - centres[other]))
         if apart <= 1e-9:
             raise QuerySplatError(f"--scale: {one} and {other} were taken from one place", "Give two other photos.")
