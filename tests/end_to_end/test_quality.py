@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import pytest
 from rooms import take_photos
 
@@ -139,14 +140,17 @@ def test_the_default_goes_on_in_gaussian_space(
 def test_photos_no_larger_than_the_working_pictures_are_scored_once(
     photos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    command = ["reconstruct", str(photos), "-o", str(tmp_path / "a.ply"), "--json", "--quiet", "--max-views", "2"]
-    assert run(command) == 0
+    for photo in sorted(photos.iterdir())[:2]:
+        cv2.imwrite(str(tmp_path / photo.name), cv2.resize(cv2.imread(str(photo)), (224, 168)))
+    assert run(["reconstruct", str(tmp_path), "-o", str(tmp_path / "out" / "a.ply"), "--json", "--quiet"]) == 0
     report = json.loads(capsys.readouterr().out)
-    assert report["tto"][1]["max_size"] == 448
+    assert report["tto"][1]["max_size"] == 224
     assert "full_size" not in report["quality"]
 
 
-@pytest.mark.parametrize("options", [["--quality", "draft"], ["--tto", "4"], ["--keep-everything", "--max-views", "2"]])
+@pytest.mark.parametrize(
+    "options", [["--quality", "draft", "--max-views", "2"], ["--tto", "4"], ["--keep-everything", "--max-views", "2"]]
+)
 def test_draft_and_given_steps_stay_in_feature_space(
     options: list[str], photos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
