@@ -1,5 +1,6 @@
 """Depth of every view by classical multi-view stereo, from photos with cameras."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import cv2
@@ -37,7 +38,7 @@ def estimate_geometry(posed: PosedViews, *, seed: int, progress: Progress) -> Ge
         warning = "depth is a guess: there is no parallax to measure it by"
         return _geometry(posed, depth, np.zeros_like(depth), (warning,))
     pictures = views.images.permute(0, 2, 3, 1).contiguous().numpy()
-    each = np.stack([_stretched(picture, mask) for picture, mask in zip(pictures, masks, strict=True)])
+    each = [_stretched(picture, mask) for picture, mask in zip(pictures, masks, strict=True)]
     photos = _as_sources(posed, each)
     planes = []
     for v, chosen in enumerate(sources):
@@ -84,7 +85,7 @@ def _stretched(pictures: np.ndarray, masks: np.ndarray) -> np.ndarray:
     return np.clip((pictures - np.float32(low)) * np.float32(policy.usual_contrast / (high - low)), 0, 1)
 
 
-def _as_sources(posed: PosedViews, pictures: np.ndarray) -> list[Source]:
+def _as_sources(posed: PosedViews, pictures: Sequence[np.ndarray]) -> list[Source]:
     """Every view as a grey picture with its camera, without depth."""
     cameras, photos = posed.cameras, []
     for picture, mask, K, w2c in zip(pictures, posed.views.masks, cameras.K, cameras.w2c, strict=True):
