@@ -79,4 +79,4 @@ def test_no_gaussian_of_the_file_is_thinner_than_pixels_and_far_away_is_better(
     # Half as large, where thin Gaussians flicker, is better. The drawn room's hard edges cost a little elsewhere, which
     # photos do not show (docs/benchmarks.md).
     assert gains[0] > 0.1
-    assert min(gains) > -0.5
+    assert min(gains) > -0.4

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from PIL import ExifTags, Image
 
+from querysplat_cli.scene.cameras import same_shape
+
 FULL_FRAME_DIAGONAL = 43.2666
 """Millimetres: FocalLengthIn35mmFilm is the focal length that has the same diagonal field of view on 36 × 24."""
 SENSOR_SHAPES = (1.3, 1.55)
 """Longer over shorter sides between which sensors are. Squares and 16:9 are cut from sensors of 4:3."""
-SAME_SHAPE = 0.02
-"""Relative difference up to which two pictures have one shape."""
 SENSIBLE_FOCAL = (0.3, 20.0)
 """Range of plausible focal lengths in units of the longer side. Others in EXIF are ignored."""
 MILLIMETRES = {1: 25.4, 2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}
@@ -98,9 +98,9 @@ def _was_cut(exif: dict[int, Any], width: int, height: int) -> bool:
 
     What is left of it has another focal length in sides, and its principal point is no longer in the middle.
     """
-    taken = float(exif.get(ExifTags.Base.ExifImageWidth, 0)), float(exif.get(ExifTags.Base.ExifImageHeight, 0))
-    shape = max(width, height) / min(width, height)
-    return min(taken) > 0 and abs(max(taken) / min(taken) / shape - 1) > SAME_SHAPE
+    taken = int(exif.get(ExifTags.Base.ExifImageWidth, 0)), int(exif.get(ExifTags.Base.ExifImageHeight, 0))
+    shorter, longer = sorted(taken)
+    return shorter > 0 and not same_shape((shorter, longer), (min(width, height), max(width, height)))
 
 
 def _focal_from_sensor(exif: dict[int, Any], width: int, height: int) -> float | None:

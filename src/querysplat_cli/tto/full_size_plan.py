@@ -30,7 +30,7 @@ class Photos:
 
     def enlarged(self, size: int, share: float = 1.0) -> bool:
         """Whether pictures at a share of this longer side are large enough for a stage beside the working ones."""
-        return share * size >= FULL_SIZE_POLICY.least_enlargement * self.working
+        return share * size >= max(FULL_SIZE_POLICY.least_enlargement * self.working, self.reached)
 
     def pixels(self, size: int) -> float:
         """Of one photo whose longer side has `size` pixels."""
@@ -175,7 +175,7 @@ def _size(photos: Photos, largest: int, gaussians: int, seconds: float) -> int:
     policy = FULL_SIZE_POLICY
     pixels = max(0.0, _longest_step(photos, seconds) - step_seconds(0.0, gaussians)) / policy.step_seconds[1]
     size = min(largest, int(largest * math.sqrt(pixels / photos.pixels(largest))))
-    return size if photos.enlarged(size) and size >= photos.reached else photos.smallest
+    return size if photos.enlarged(size) else photos.smallest
 
 
 def _affordable(photos: Photos, pixels: float, seconds: float) -> float:
@@ -190,6 +190,6 @@ def _longest_step(photos: Photos, seconds: float) -> float:
 def _stages(photos: Photos, size: int) -> tuple[tuple[float, float], ...]:
     """The stages whose pictures are large enough, each with its share of the size and of the seconds."""
     *coarse, last = FULL_SIZE_POLICY.stages
-    kept = [stage for stage in coarse if photos.enlarged(size, stage[0]) and stage[0] * size >= photos.reached]
+    kept = [stage for stage in coarse if photos.enlarged(size, stage[0])]
     whole = sum(part for _, part in (*kept, last))
     return tuple((share, part / whole) for share, part in (*kept, last))

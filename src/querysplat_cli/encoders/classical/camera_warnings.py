@@ -89,23 +89,23 @@ def field_of_view(camera: PhotoCamera) -> float:
     return float(np.degrees(2 * np.arctan(max(camera.height, camera.width) / max(camera.focal) / 2)))
 
 
-def furthest_from_exif(model: SparseModel, matches: Matches) -> float:
-    """The largest relative difference of a focal length from the one that EXIF states; 0 where it states none."""
+def exif_ratios(model: SparseModel, matches: Matches) -> list[float]:
+    """Focal lengths over those that EXIF states, of the photos where it does."""
     stated = ((camera.focal[0], matches.focals[photo]) for photo, camera in model.cameras.items())
-    return max((found / exif - 1 for found, exif in stated if exif), key=abs, default=0.0)
+    return [found / exif for found, exif in stated if exif]
 
 
 def _focal_warnings(model: SparseModel, matches: Matches) -> list[tuple[bool, str]]:
     fields = [field_of_view(camera) for camera in model.cameras.values()]
-    stated = any(matches.focals[photo] for photo in model.cameras)
-    furthest = furthest_from_exif(model, matches)
+    ratios = exif_ratios(model, matches)
+    furthest = max((ratio - 1 for ratio in ratios), key=abs, default=0.0)
     return [
         (
             not has_ordinary_lens(model),
             f"the photos seem to span {min(fields):.0f}° to {max(fields):.0f}°, unusual for a lens",
         ),
         (
-            len(model.cameras) == 2 and not stated,
+            len(model.cameras) == 2 and not ratios,
             "two photos without a stated focal length hardly determine it, so proportions in depth may be wrong",
         ),
         (

@@ -9,6 +9,7 @@ import torch
 
 from querysplat_cli.encoders.base import Geometry, PosedViews
 from querysplat_cli.encoders.classical.consistency import DepthMaps, blurred, carve, confirm, lent
+from querysplat_cli.encoders.classical.contrast import stretch
 from querysplat_cli.encoders.classical.depth_policy import DEPTH_POLICY
 from querysplat_cli.encoders.classical.fill_depth import fill_depth
 from querysplat_cli.encoders.classical.neighbours import InverseRange, choose_sources, inverse_range, nearest_views
@@ -76,13 +77,12 @@ def _geometry(posed: PosedViews, depth: np.ndarray, confidence: np.ndarray, warn
 
 def _stretched(pictures: np.ndarray, masks: np.ndarray) -> np.ndarray:
     """Pictures [..., height, width, 3] with the usual contrast where all of them together have little: dark, or fog."""
-    policy = DEPTH_POLICY
     inside = pictures[..., ::4, ::4, :][masks[..., ::4, ::4]]  # a sixteenth says as much
-    low, high = np.percentile(inside, (1, 99)) if len(inside) else (0.0, 1.0)
-    least, most = policy.little_contrast
-    if not least <= high - low < most:
+    found = stretch(inside, DEPTH_POLICY.little_contrast, DEPTH_POLICY.usual_contrast)
+    if found is None:
         return pictures
-    return np.clip((pictures - np.float32(low)) * np.float32(policy.usual_contrast / (high - low)), 0, 1)
+    low, factor = map(np.float32, found)
+    return np.clip((pictures - low) * factor, 0, 1)
 
 
 def _as_sources(posed: PosedViews, pictures: Sequence[np.ndarray]) -> list[Source]:

@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pycolmap
 
+from querysplat_cli.encoders.classical.contrast import stretch
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY, MatchEffort
 from querysplat_cli.scene.decoding import reduced
 from querysplat_cli.scene.filed_pixels import release
@@ -38,12 +39,11 @@ def write_grey(photos: Sequence[Photo], folder: Path, size: int) -> tuple[tuple[
 
 def stretched(picture: np.ndarray) -> np.ndarray:
     """A grey picture, 8-bit, with the usual contrast where it has little: one that is dark, or taken in fog."""
-    low, high = np.percentile(picture, (1, 99))
-    least, most = CAMERA_POLICY.little_contrast
-    if not least <= high - low < most:
+    found = stretch(picture, CAMERA_POLICY.little_contrast, CAMERA_POLICY.usual_contrast)
+    if found is None:
         return picture
-    scale = CAMERA_POLICY.usual_contrast / (high - low)
-    return np.asarray((scale * (picture - low)).round().clip(0, 255).astype(np.uint8))
+    low, factor = found
+    return np.asarray((factor * (picture - low)).round().clip(0, 255).astype(np.uint8))
 
 
 def write_masks(photos: Sequence[Photo], sizes: Sequence[tuple[int, int]], folder: Path) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pycolmap
 
 from querysplat_cli.encoders.classical.bundle_adjustment import bundle_adjusted
-from querysplat_cli.encoders.classical.camera_warnings import furthest_from_exif, has_ordinary_lens, is_flat
+from querysplat_cli.encoders.classical.camera_warnings import exif_ratios, has_ordinary_lens, is_flat
 from querysplat_cli.encoders.classical.dense_agreement import dense_agreement
 from querysplat_cli.encoders.classical.epipolar import epipolar_support
 from querysplat_cli.encoders.classical.matches import Matches
@@ -55,17 +55,17 @@ class Mapped:
             return self.model
         if len(self.model.cameras) > CAMERA_POLICY.few_photos:
             found = from_colmap(self_calibrated(self.adjusted, fit_lens=self.fit_lens))
-            if len(self.model.cameras) > CAMERA_POLICY.adjusted_photos or _keeps_stated_focals(found, matches):
+            ratios = exif_ratios(found, matches)
+            if len(self.model.cameras) > CAMERA_POLICY.adjusted_photos or _keep_exif(ratios):
                 return found
-            if abs(furthest_from_exif(found, matches)) > CAMERA_POLICY.exif_difference and not is_flat(found):
+            if any(abs(ratio - 1) > CAMERA_POLICY.exif_difference for ratio in ratios) and not is_flat(found):
                 return found
         return bundle_adjusted(self.reconstruction, matches.focals, matches.usual_focals)
 
 
-def _keeps_stated_focals(model: SparseModel, matches: Matches) -> bool:
+def _keep_exif(ratios: Sequence[float]) -> bool:
     most = CAMERA_POLICY.stated_focal_limit * CAMERA_POLICY.stated_focal_spread
-    stated = ((camera.focal[0], matches.focals[photo]) for photo, camera in model.cameras.items())
-    return all(abs(math.log(found / exif)) <= most for found, exif in stated if exif)
+    return all(abs(math.log(ratio)) <= most for ratio in ratios)
 
 
 def map_photos(matches: Matches, photos: Sequence[Photo], *, seed: int) -> Mapped | None:

@@ -56,10 +56,10 @@ class CameraPolicy:
     # Matches.
     ordinary: MatchEffort = MatchEffort(1600, False, None, 0.8, False, 15, most_features=4000)
     """The usual search; ratio and inliers are COLMAP's. More than 1,600 pixels cost time and find no better matches."""
-    little_contrast: tuple[int, int] = (25, 80)
+    little_contrast: tuple[float, float] = (25.0, 80.0)
     """Grey levels between the darkest and the brightest hundredth of a photo, from and up to which it is stretched.
     SIFT's contrast threshold is meant for photos that use all levels. Below, only noise would become larger."""
-    usual_contrast: int = 200
+    usual_contrast: float = 200.0
     """Grey levels between them then."""
     thorough: MatchEffort = MatchEffort(800, True, 0.003, 0.9, False, 25)
     """A second, slow search, for photos that the first one did not place. It finds many features in few pixels; among
