@@ -97,8 +97,10 @@ def copied(scene: tuple[Path, dict[str, Any]], folder: Path) -> tuple[Path, dict
     return ply, report
 
 
-def test_tto_optimises_a_stored_scene(scene: tuple[Path, dict[str, Any]], capsys: pytest.CaptureFixture[str]) -> None:
-    ply, before = scene
+def test_tto_optimises_a_stored_scene(
+    scene: tuple[Path, dict[str, Any]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ply, before = copied(scene, tmp_path)
     assert run(["tto", str(ply.with_suffix("")), "--steps", "12", "--json", "-q"]) == 0
     after = json.loads(capsys.readouterr().out)
     assert after == json.loads((ply.with_suffix("") / "report.json").read_text())
