@@ -4,15 +4,21 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pycolmap
 import pytest
+import torch
 from PIL import ExifTags, Image
 from scipy.spatial.transform import Rotation
 
-from querysplat_cli.scene.cameras import PhotoCamera
+from querysplat_cli.cli import run
+from querysplat_cli.scene.cameras import PhotoCamera, rescaled
 from querysplat_cli.scene.formats.colmap import read_colmap, write_colmap
+from querysplat_cli.scene.formats.transforms import write_transforms
 from querysplat_cli.scene.match_cameras import cameras_of_photos, match_cameras
 from querysplat_cli.scene.orientation import upright_camera
+from querysplat_cli.scene.photo_files import PhotoFile, write_photo_files
 from querysplat_cli.scene.photos import load_photos
+from querysplat_cli.scene.sparse_points import SparsePoints, write_sparse_points
 from querysplat_cli.scene.views import Photo
 
 HEIGHT, WIDTH = 120, 160
@@ -78,3 +84,29 @@ def test_cameras_that_fit_the_upright_picture_stay(tmp_path: Path) -> None:
 def test_a_mirrored_photo_has_no_camera_of_colmap(tmp_path: Path) -> None:
     (left_out,) = match_cameras([photo(tmp_path, 2)], {"a.png": STORED})[1]
     assert "mirrored: save it as it is shown" in left_out.why
+
+
+@pytest.mark.parametrize("orientation", [1, 3, 6, 8])
+def test_the_model_of_a_scene_is_for_its_photos_as_they_are_stored(tmp_path: Path, orientation: int) -> None:
+    """Also where the scene is of photos that were reduced to half of their size."""
+    seen = photo(tmp_path, orientation)
+    camera = upright_camera(STORED, seen)
+    (tmp_path / "s").mkdir()
+    write_transforms(tmp_path / "s" / "cameras.json", {"a.png": camera})
+    half = rescaled(camera, seen.height // 2, seen.width // 2)
+    lens = half.focal, half.principal, half.distortion, half.height, half.width
+    write_photo_files(tmp_path / "s" / "photos.json", [PhotoFile("a.png", tmp_path / "a.png", *lens)])
+    row, column = np.unravel_index(seen.pixels[..., 0].argmax(), seen.pixels.shape[:2])
+    places, colours = torch.tensor([[0.0, 0, 3]]), torch.zeros(1, 3, dtype=torch.uint8)
+    view, point = torch.zeros(1, dtype=torch.int32), torch.zeros(1, dtype=torch.int32)
+    pixels = torch.tensor([[column + 0.5, row + 0.5]], dtype=torch.float32) / 2
+    write_sparse_points(tmp_path / "s", SparsePoints(places, colours, view, point, pixels))
+    assert run(["convert", str(tmp_path / "s"), str(tmp_path / "model"), "-q"]) == 0
+    made = read_colmap(tmp_path / "model")["a.png"]
+    assert (made.height, made.width) == (HEIGHT, WIDTH)
+    for name in ("w2c", "focal", "principal", "distortion"):
+        assert getattr(made, name) == pytest.approx(getattr(STORED, name), abs=1e-9)
+    ((observed,),) = (image.points2D for image in pycolmap.Reconstruction(tmp_path / "model").images.values())
+    assert observed.xy == pytest.approx([40.5, 20.5])
+    again = upright_camera(made, seen)
+    assert again.w2c == pytest.approx(camera.w2c)

@@ -21,7 +21,7 @@ from querysplat_cli.scene.formats.mesh import MESH_KINDS
 from querysplat_cli.scene.formats.transforms import write_transforms
 from querysplat_cli.scene.formats.transforms_frame import is_rigid
 from querysplat_cli.scene.match_cameras import cameras_of, match_cameras
-from querysplat_cli.scene.orientation import upright_camera
+from querysplat_cli.scene.orientation import stored_camera, upright_camera
 from querysplat_cli.scene.photo_files import read_photo_files
 from querysplat_cli.scene.photo_names import short_names
 from querysplat_cli.scene.photos import WHOLE, find_photos, load_photo
@@ -110,12 +110,12 @@ def _convert_cameras(request: Conversion) -> dict[str, Any]:
 
 
 def _with_lenses(folder: Path, cameras: Mapping[str, PhotoCamera]) -> dict[str, PhotoCamera]:
-    """The cameras of a scene with the lenses of its photos, at the photos' own size, where these are known."""
+    """The cameras of a scene for its photos as they are stored, with their lenses and sizes, where these are known."""
     found = dict(cameras)
     for name, file in read_photo_files(folder / "photos.json").items():
         if name in cameras:
             lens = rescaled(file.lens, *file.full_size()) if file.path.is_file() else file.lens
-            found[name] = replace(lens, w2c=cameras[name].w2c)
+            found[name] = stored_camera(replace(lens, w2c=cameras[name].w2c), file.orientation)
     return found
 
 

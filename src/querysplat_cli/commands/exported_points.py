@@ -4,13 +4,16 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from querysplat_cli.pipeline.gaussian_files import file_of_scene, read_gaussians
 from querysplat_cli.reporting.stored_report import backdrop_of
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.formats.colmap import Observed
 from querysplat_cli.scene.formats.point_cloud import PointCloud, points_of
 from querysplat_cli.scene.formats.transforms import read_working_cameras
-from querysplat_cli.scene.photo_files import read_photo_files
+from querysplat_cli.scene.orientation import stored_pixels
+from querysplat_cli.scene.photo_files import PhotoFile, read_photo_files
 from querysplat_cli.scene.sim3 import Sim3
 from querysplat_cli.scene.sparse_points import read_sparse_points
 
@@ -29,9 +32,15 @@ def observed_points(listing: Path, cameras: Mapping[str, PhotoCamera]) -> Observ
     pixels, rows = {}, {}
     for view, name in enumerate(inputs.names):
         own = points.view == view
-        scale = cameras[name].width / files[name].width
-        pixels[name], rows[name] = (scale * points.pixels[own].double()).numpy(), points.point[own].numpy()
+        pixels[name] = _seen(points.pixels[own].double().numpy(), files[name], cameras[name])
+        rows[name] = points.point[own].numpy()
     return Observed(PointCloud(places.numpy(), points.colours.numpy()), pixels, rows)
+
+
+def _seen(pixels: np.ndarray, file: PhotoFile, camera: PhotoCamera) -> np.ndarray:
+    """Pixels [k, 2] of an upright photo as those of its camera, which is for the photo as it is stored."""
+    stored = stored_pixels(pixels, file.height, file.width, file.orientation)
+    return stored * max(camera.height, camera.width) / max(file.height, file.width)
 
 
 def points_without_photos(folder: Path) -> Observed | None:

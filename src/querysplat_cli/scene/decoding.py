@@ -117,6 +117,15 @@ def longer_side(path: Path, default: int) -> int:
         return default
 
 
+def orientation_of(path: Path) -> int:
+    """EXIF's orientation of the picture in a file; 1, which is upright, where it states none."""
+    try:
+        with _opened(path) as image:
+            return int(image.getexif().get(ExifTags.Base.Orientation, 1))
+    except UnidentifiedImageError:
+        return 1
+
+
 def _opened(path: Path) -> Image.Image:
     _reads_heif()  # a HEIC photo may have any suffix
     return Image.open(path)

@@ -13,6 +13,8 @@ TURNS = {
     8: np.array([[0.0, 1.0], [-1.0, 0.0]]),
 }
 """For each EXIF orientation that turns, what it does to x (right) and y (down). 6 is a quarter turn clockwise."""
+TURNS_BACK = {3: 3, 6: 8, 8: 6}
+"""The orientation that undoes each of these."""
 MIRRORED = {2, 4, 5, 7}
 """EXIF orientations that mirror. No camera sees a mirrored picture."""
 
@@ -31,13 +33,25 @@ def upright_camera(camera: PhotoCamera, photo: Photo) -> PhotoCamera:
     return camera
 
 
+def stored_camera(camera: PhotoCamera, orientation: int) -> PhotoCamera:
+    """The camera for the stored pixels, of one for the upright photo. It stays where EXIF turns nothing, or mirrors."""
+    return turned(camera, TURNS_BACK[orientation]) if orientation in TURNS_BACK else camera
+
+
+def stored_pixels(pixels: np.ndarray, height: int, width: int, orientation: int) -> np.ndarray:
+    """Where pixels [k, 2] of an upright photo of `height` × `width` lie in the stored one."""
+    if orientation not in TURNS_BACK:
+        return pixels
+    turn = TURNS[TURNS_BACK[orientation]]
+    return pixels @ turn.T - _corner(turn, height, width)
+
+
 def turned(camera: PhotoCamera, orientation: int) -> PhotoCamera:
     """The camera when the picture is turned as an EXIF orientation (3, 6 or 8) says."""
     turn = TURNS[orientation]
     whole = np.eye(4)
     whole[:2, :2] = turn
-    # Corners go to corners: the corner of the turned picture is the lowest of the turned corners.
-    corner = np.minimum(turn @ (camera.width, camera.height), 0)
+    corner = _corner(turn, camera.height, camera.width)
     width, height = np.abs(turn @ (camera.width, camera.height))
     fx, fy = np.abs(turn @ camera.focal)
     cx, cy = turn @ camera.principal - corner
@@ -50,3 +64,8 @@ def turned(camera: PhotoCamera, orientation: int) -> PhotoCamera:
         camera, w2c=whole @ camera.w2c, focal=(float(fx), float(fy)), principal=(float(cx), float(cy)),
         distortion=distortion, height=round(height), width=round(width), as_stored=False,
     )  # fmt: skip
+
+
+def _corner(turn: np.ndarray, height: int, width: int) -> np.ndarray:
+    """The corner of a turned picture. Corners go to corners, so it is the lowest of the turned ones."""
+    return np.minimum(turn @ (width, height), 0)

@@ -15,7 +15,7 @@ from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.json_files import read_json
 from querysplat_cli.runtime.tables import STRICT, from_tables
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera, same_shape
-from querysplat_cli.scene.decoding import longer_side, reduced
+from querysplat_cli.scene.decoding import longer_side, orientation_of, reduced
 from querysplat_cli.scene.films import film_size, frame_pixels
 from querysplat_cli.scene.lenses import shown_part
 from querysplat_cli.scene.masks import Overlay
@@ -73,6 +73,12 @@ class PhotoFile:
             scale = longer_side(self.path, default=0) / max(self.height, self.width) or 1.0
             whole = round(self.height * scale), round(self.width * scale)
         return self.view.shape(self.view.photo_width(max(whole))) if self.view else whole
+
+    @property
+    def orientation(self) -> int:
+        """That of EXIF, which turns the stored pixels; 1 for frames of films, views and photos that are gone."""
+        whole = self.pts is None and self.view is None
+        return orientation_of(self.path) if whole and self.path.is_file() else 1
 
     def load(self, max_side: int) -> Photo:
         """The photo, reduced to a longer side of at most `max_side`. Raises QuerySplatError when it has changed."""
