@@ -1,5 +1,7 @@
 """Cameras for photos that are stored on their side or upside down."""
 
+import json
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -86,6 +88,11 @@ def test_a_mirrored_photo_has_no_camera_of_colmap(tmp_path: Path) -> None:
     assert "mirrored: save it as it is shown" in left_out.why
 
 
+def half_size(name: str, path: Path, camera: PhotoCamera) -> PhotoFile:
+    half = rescaled(camera, camera.height // 2, camera.width // 2)
+    return PhotoFile(name, path, half.focal, half.principal, half.distortion, half.height, half.width)
+
+
 @pytest.mark.parametrize("orientation", [1, 3, 6, 8])
 def test_the_model_of_a_scene_is_for_its_photos_as_they_are_stored(tmp_path: Path, orientation: int) -> None:
     """Also where the scene is of photos that were reduced to half of their size."""
@@ -93,9 +100,7 @@ def test_the_model_of_a_scene_is_for_its_photos_as_they_are_stored(tmp_path: Pat
     camera = upright_camera(STORED, seen)
     (tmp_path / "s").mkdir()
     write_transforms(tmp_path / "s" / "cameras.json", {"a.png": camera})
-    half = rescaled(camera, seen.height // 2, seen.width // 2)
-    lens = half.focal, half.principal, half.distortion, half.height, half.width
-    write_photo_files(tmp_path / "s" / "photos.json", [PhotoFile("a.png", tmp_path / "a.png", *lens)])
+    write_photo_files(tmp_path / "s" / "photos.json", [half_size("a.png", tmp_path / "a.png", camera)])
     row, column = np.unravel_index(seen.pixels[..., 0].argmax(), seen.pixels.shape[:2])
     places, colours = torch.tensor([[0.0, 0, 3]]), torch.zeros(1, 3, dtype=torch.uint8)
     view, point = torch.zeros(1, dtype=torch.int32), torch.zeros(1, dtype=torch.int32)
@@ -110,3 +115,29 @@ def test_the_model_of_a_scene_is_for_its_photos_as_they_are_stored(tmp_path: Pat
     assert observed.xy == pytest.approx([40.5, 20.5])
     again = upright_camera(made, seen)
     assert again.w2c == pytest.approx(camera.w2c)
+
+
+def test_a_scene_agrees_with_a_model_of_its_photos_as_they_are_stored(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Also where only one of the photos was taken on its side."""
+    given, upright, files = {}, {}, []
+    (tmp_path / "s").mkdir()
+    for number, orientation in enumerate((1, 6, 3)):
+        name = f"{number}.png"
+        seen = photo(tmp_path, orientation)
+        (tmp_path / "a.png").rename(tmp_path / name)
+        pose = POSE.copy()
+        pose[:3, 3] = number, number**2, 1
+        given[name] = replace(STORED, w2c=pose)
+        upright[name] = upright_camera(given[name], seen)
+        files.append(half_size(name, tmp_path / name, upright[name]))
+    write_transforms(tmp_path / "s" / "cameras.json", upright)
+    write_photo_files(tmp_path / "s" / "photos.json", files)
+    (tmp_path / "model").mkdir()
+    write_colmap(tmp_path / "model", given)
+    for pair in (("s", "model"), ("model", "s/cameras.json")):
+        assert run(["poses", *(str(tmp_path / each) for each in pair), "--json", "-q"]) == 0
+        found = json.loads(capsys.readouterr().out)
+        assert found["rotation_degrees"]["max"] == pytest.approx(0, abs=1e-3)
+        assert found["focal_error"]["max_abs"] == pytest.approx(0, abs=1e-6)

@@ -1,5 +1,6 @@
 """What `poses` does: the errors of one set of cameras against another."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,9 @@ from querysplat_cli.scene.files import refuse_existing
 from querysplat_cli.scene.formats.known import find_known_cameras, read_known_cameras
 from querysplat_cli.scene.formats.transforms import listed_paths
 from querysplat_cli.scene.formats.transforms_frame import is_rigid
-from querysplat_cli.scene.photo_files import check_photo_files, read_photo_files
+from querysplat_cli.scene.match_cameras import matched_names
+from querysplat_cli.scene.orientation import upright_camera
+from querysplat_cli.scene.photo_files import PhotoFile, check_photo_files, read_photo_files
 from querysplat_cli.scene.photo_names import names_a_photo
 from querysplat_cli.scene.photos import LONGEST_SIDE, PICTURE_FOLDERS, find_photos, load_photos
 from querysplat_cli.scene.views import Photo
@@ -31,9 +34,10 @@ def compare(request: PosesRequest, stages: Stages) -> tuple[dict[str, Any], str]
     if request.plot:
         check_drawing(request.plot)
         refuse_existing([request.plot], force=request.force)
-    first = _rigid_cameras(request.first)
+    files = {name: file for place in (request.second, request.first) if place for name, file in _files(place).items()}
+    first = _upright(_rigid_cameras(request.first), files)
     if request.second:
-        second, name = _rigid_cameras(request.second), str(request.second)
+        second, name = _upright(_rigid_cameras(request.second), files), str(request.second)
     else:
         with stages("photos") as progress:
             photos = _photos(request.first, progress)
@@ -55,13 +59,24 @@ def _rigid_cameras(place: Path) -> dict[str, PhotoCamera]:
     return cameras
 
 
+def _upright(cameras: dict[str, PhotoCamera], files: Mapping[str, PhotoFile]) -> dict[str, PhotoCamera]:
+    """The cameras for the upright photos, where these are known. Those of COLMAP are for the stored ones."""
+    pairs = matched_names({name: file.path for name, file in files.items()}, cameras)
+    return {**cameras, **{key: upright_camera(cameras[key], files[name]) for name, key in pairs.items()}}
+
+
+def _files(place: Path) -> dict[str, PhotoFile]:
+    """The photos of which the scene in or at `place` was made, by name; none where it is no scene."""
+    return read_photo_files((place if place.is_dir() else place.parent) / "photos.json")
+
+
 def _photos(place: Path, progress: Progress) -> list[Photo]:
     """The photos that the cameras in or at `place` belong to.
 
     Those of a scene are the ones that it was made of. The small pictures in its folder have too little detail.
     """
     folder = place if place.is_dir() else place.parent
-    files = list(read_photo_files(folder / "photos.json").values())
+    files = list(_files(place).values())
     if files:
         check_photo_files(files)
         return [file.load(LONGEST_SIDE) for file in files]

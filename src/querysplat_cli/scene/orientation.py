@@ -1,11 +1,11 @@
 """Cameras of photos that EXIF's orientation turns. We read photos upright, and COLMAP reads them as stored."""
 
 from dataclasses import replace
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
 from querysplat_cli.scene.cameras import PhotoCamera, same_shape
-from querysplat_cli.scene.views import Photo
 
 TURNS = {
     3: np.array([[-1.0, 0.0], [0.0, -1.0]]),
@@ -19,7 +19,19 @@ MIRRORED = {2, 4, 5, 7}
 """EXIF orientations that mirror. No camera sees a mirrored picture."""
 
 
-def upright_camera(camera: PhotoCamera, photo: Photo) -> PhotoCamera:
+@runtime_checkable
+class Oriented(Protocol):
+    """An upright photo, and the EXIF orientation that turned it."""
+
+    @property
+    def height(self) -> int: ...
+    @property
+    def width(self) -> int: ...
+    @property
+    def orientation(self) -> int: ...
+
+
+def upright_camera(camera: PhotoCamera, photo: Oriented) -> PhotoCamera:
     """The camera for the upright pixels of a photo, where it was made for the pixels as stored; else itself.
 
     It was where its format says so, or where its shape does.
