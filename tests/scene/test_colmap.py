@@ -125,3 +125,15 @@ def test_text_cannot_hold_names_with_spaces(tmp_path: Path) -> None:
     pycolmap.Reconstruction(tmp_path / "binary").write_text(tmp_path / "text")
     with pytest.raises(QuerySplatError, match=r"cuts the name 'my photo \d.jpg' in images.txt"):
         read_known_cameras(tmp_path / "text")
+
+
+def test_a_last_photo_without_its_second_line_is_not_lost_silently(tmp_path: Path) -> None:
+    """COLMAP reads such a model without it."""
+    write_model(tmp_path, "PINHOLE", [500, 510, 320, 240], text=True)
+    images = tmp_path / "images.txt"
+    images.write_text(images.read_text().rstrip("\n") + "\n")
+    assert len(pycolmap.Reconstruction(tmp_path).images) == 2
+    with pytest.raises(QuerySplatError, match=r"ends at 'right/2\.jpg', and COLMAP leaves that photo out"):
+        read_known_cameras(tmp_path)
+    images.write_text(images.read_text() + "\n")
+    assert len(read_known_cameras(tmp_path)) == 3

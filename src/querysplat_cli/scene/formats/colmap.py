@@ -170,8 +170,8 @@ def _check_text(folder: Path, names: Iterable[str]) -> None:
         )
 
 
-def _check_names(folder: Path) -> None:
-    """Raise QuerySplatError where COLMAP would cut a name in a model's images.txt at a space."""
+def _check_lines(folder: Path) -> None:
+    """Raise QuerySplatError where COLMAP would cut a name in images.txt at a space, or miss the last photo."""
     if (folder / "images.bin").is_file() or not (folder / "images.txt").is_file():
         return
     with (folder / "images.txt").open(errors="replace") as lines:
@@ -185,12 +185,16 @@ def _check_names(folder: Path) -> None:
                     f"{folder}: COLMAP cuts the name {shown(name)} in images.txt at its space",
                     "Export the model as binary files.",
                 )
-            next(lines, None)  # the points that the photo shows
+            if next(lines, None) is None:  # the points that the photo shows
+                raise QuerySplatError(
+                    f"{folder}: images.txt ends at {shown(fields[-1])}, and COLMAP leaves that photo out",
+                    "Add an empty line at its end: each photo has two lines.",
+                )
 
 
 def _opened(folder: Path) -> Any:
     check_binary(folder)
-    _check_names(folder)
+    _check_lines(folder)
     try:
         return load_pycolmap().Reconstruction(folder)
     except Exception as error:  # damage can raise anything in COLMAP's parser
