@@ -128,6 +128,17 @@ def test_names_decide_not_the_order_and_other_properties_do_not_matter(tmp_path:
         torch.testing.assert_close(read_ply(tmp_path / "a.ply").sh, scene.sh)
 
 
+@pytest.mark.parametrize("code", ["utf-8", "latin-1"])
+def test_comments_may_have_letters_beyond_ascii(tmp_path: Path, code: str) -> None:
+    write_ply(tmp_path / "a.ply", gaussians(5, 1), ["made by X"])
+    content = (tmp_path / "a.ply").read_bytes()
+    (tmp_path / "b.ply").write_bytes(content.replace(b"made by X", "fotos/café".encode(code)))
+    assert read_ply(tmp_path / "b.ply").means.equal(read_ply(tmp_path / "a.ply").means)
+    (tmp_path / "b.ply").write_bytes(content.replace(b"made by X", "café".encode(code)) + b"more")
+    with pytest.raises(QuerySplatError, match="more data than its header says"):
+        read_ply(tmp_path / "b.ply")
+
+
 def test_saturated_numbers_of_other_writers_are_read(tmp_path: Path) -> None:
     """An exporter that clamps in float32 writes an infinite logit for an opacity of 1."""
     names = columns(0)

@@ -5,9 +5,11 @@ colour (all bands of red, of green, of blue), opacity as a logit, scale_0…2 as
 w x y z. Readers go by the properties' names.
 """
 
+import io
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 import torch
@@ -167,9 +169,10 @@ def _vertices(path: Path) -> np.ndarray:
     if not path.is_file():
         raise QuerySplatError(f"{path}: no such file", "Give a 3D Gaussian splatting .ply.")
     try:
-        with path.open("rb") as stream:
-            data = PlyData.read(stream)
-            surplus = not data.text and stream.read(1)
+        try:
+            data, surplus = _parsed(path.open("rb"))
+        except UnicodeDecodeError:
+            data, surplus = _parsed(io.BytesIO(_with_plain_header(path.read_bytes())))
         vertices = data["vertex"].data
     except PermissionError as error:
         raise _locked(path) from error
@@ -180,3 +183,16 @@ def _vertices(path: Path) -> np.ndarray:
     if surplus:
         raise QuerySplatError(f"{path}: holds more data than its header says", "Export or download it again.")
     return vertices
+
+
+def _parsed(stream: BinaryIO) -> tuple[PlyData, bool]:
+    """What a stream holds, and whether more comes after that."""
+    with stream:
+        data = PlyData.read(stream)
+        return data, not data.text and bool(stream.read(1))
+
+
+def _with_plain_header(content: bytes) -> bytes:
+    """The content of a .ply with a header of ASCII: comments may have been written in any other code."""
+    header, end, rest = content.partition(b"end_header")
+    return header.decode("ascii", "ignore").encode() + end + rest
