@@ -15,7 +15,13 @@ import torch
 
 from querysplat_cli.scene.files import atomic_path
 from querysplat_cli.scene.formats.gltf_nodes import placement
-from querysplat_cli.scene.formats.ply import HIGHEST_OPACITY, LOWEST_OPACITY, damage_named, finite_gaussians
+from querysplat_cli.scene.formats.ply import (
+    HIGHEST_OPACITY,
+    LARGEST_LOG_SCALE,
+    LOWEST_OPACITY,
+    damage_named,
+    finite_gaussians,
+)
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.sim3 import Sim3
 
@@ -147,10 +153,13 @@ def _gaussians(document: dict[str, Any], attributes: dict[str, int], binary: byt
     while _coefficient(degree + 1, 0) in attributes:
         degree += 1
     bands = [column(_coefficient(each, number)) for each in range(degree + 1) for number in range(2 * each + 1)]
+    scales = column(f"{EXTENSION}:SCALE")
+    if (scales < 0).any():  # no linear scale is; drafts of the specification had logarithms
+        scales = scales.clamp_max(LARGEST_LOG_SCALE).exp()
     return Gaussians(
         column("POSITION"),
         column(f"{EXTENSION}:ROTATION")[:, [3, 0, 1, 2]],
-        column(f"{EXTENSION}:SCALE"),
+        scales,
         column(f"{EXTENSION}:OPACITY")[:, 0].clamp(LOWEST_OPACITY, HIGHEST_OPACITY),
         torch.stack(bands, 1),
     )
