@@ -115,6 +115,15 @@ def test_logarithms_of_scales_are_read_as_such(tmp_path: Path) -> None:
     torch.testing.assert_close(read_glb(tmp_path / "a.glb")[0].scales, scene.scales)
 
 
+def test_linear_colours_are_refused(tmp_path: Path) -> None:
+    file = tmp_path / "a.glb"
+    write_glb(file, cloud(7, 0))
+    document = json.loads(file.read_bytes()[20 : 20 + struct.unpack_from("<I", file.read_bytes(), 12)[0]])
+    document["meshes"][0]["primitives"][0]["extensions"][EXTENSION]["colorSpace"] = "lin_rec709_display"
+    with pytest.raises(QuerySplatError, match="colours are those of lin_rec709_display"):
+        read_glb(rewritten(file, meshes=document["meshes"]))
+
+
 @pytest.mark.parametrize("content", [b"", b"no such file", b"glTF" + bytes(40)])
 def test_damaged_files_are_refused(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "a.glb").write_bytes(content)

@@ -26,6 +26,8 @@ from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.sim3 import Sim3
 
 EXTENSION = "KHR_gaussian_splatting"
+COLOUR_SPACE = "srgb_rec709_display"
+"""That of 3DGS. Linear colours are blended otherwise, so that no coefficients give the same pictures."""
 MAGIC, JSON_CHUNK, BINARY_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
 FLOAT, ARRAY_BUFFER, POINTS = 5126, 34962, 0
 KINDS = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
@@ -97,7 +99,7 @@ def _document(columns: dict[str, np.ndarray], offsets: list[int]) -> dict[str, A
     primitive = {
         "attributes": {name: number for number, name in enumerate(columns)},
         "mode": POINTS,
-        "extensions": {EXTENSION: {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"}},
+        "extensions": {EXTENSION: {"kernel": "ellipse", "colorSpace": COLOUR_SPACE}},
     }
     return {
         "asset": {"version": "2.0", "generator": "querysplat"},
@@ -133,6 +135,9 @@ def _first_primitive(document: dict[str, Any]) -> tuple[int, dict[str, int]]:
     for number, mesh in enumerate(document["meshes"]):
         for primitive in mesh["primitives"]:
             if EXTENSION in primitive.get("extensions", {}):
+                space = primitive["extensions"][EXTENSION].get("colorSpace", COLOUR_SPACE)
+                if space != COLOUR_SPACE:
+                    raise ValueError(f"its colours are those of {space}, and only {COLOUR_SPACE} is read")
                 return number, primitive["attributes"]
     raise ValueError(f"nothing in it has {EXTENSION}; a mesh is no scene of Gaussians")
 
