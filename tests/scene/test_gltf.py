@@ -5,6 +5,7 @@ import struct
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from test_compressed import cloud
@@ -12,6 +13,7 @@ from test_compressed import cloud
 from querysplat_cli.pipeline.gaussian_files import FLIPPED, read_gaussians, write_gaussians
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.formats.gltf import EXTENSION, read_glb, write_glb
+from querysplat_cli.scene.formats.mesh import TriangleMesh, write_mesh
 from querysplat_cli.splat.transform import transform_gaussians
 
 
@@ -122,6 +124,31 @@ def test_linear_colours_are_refused(tmp_path: Path) -> None:
     document["meshes"][0]["primitives"][0]["extensions"][EXTENSION]["colorSpace"] = "lin_rec709_display"
     with pytest.raises(QuerySplatError, match="colours are those of lin_rec709_display"):
         read_glb(rewritten(file, meshes=document["meshes"]))
+
+
+def test_colours_of_a_mesh_are_linear(tmp_path: Path) -> None:
+    """As glTF says of COLOR_0. An sRGB of 188 is half of the light."""
+    trimesh = pytest.importorskip("trimesh")
+    colours = np.array([[0, 10, 188], [255, 128, 50], [1, 2, 3]], np.uint8)
+    places = np.array([[0, 0, 2], [1, 0, 2], [0, 1, 3]], np.float32)
+    write_mesh(tmp_path / "m.glb", TriangleMesh(places, colours, np.array([[0, 1, 2]])))
+    content = (tmp_path / "m.glb").read_bytes()
+    (length,) = struct.unpack_from("<I", content, 12)
+    document = json.loads(content[20 : 20 + length])
+    accessor = document["accessors"][document["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"]]
+    assert (accessor["componentType"], accessor["type"], accessor["normalized"]) == (5123, "VEC4", True)
+    start = 28 + length + document["bufferViews"][accessor["bufferView"]]["byteOffset"]
+    stored = np.frombuffer(content, "<u2", 12, start).reshape(3, 4) / 65535
+    assert stored[0, 2] == pytest.approx(0.5029, abs=1e-4)
+    assert stored[1, :2] == pytest.approx([1, 0.2159], abs=1e-4)
+    assert stored[0, 1] == pytest.approx(10 / 255 / 12.92, abs=1e-5)
+    assert (stored[:, 3] == 1).all()
+    found = trimesh.load(tmp_path / "m.glb", process=False, force="mesh")
+    assert found.vertices == pytest.approx(places * [1, -1, -1])
+    assert found.faces.tolist() == [[0, 1, 2]]
+    write_mesh(tmp_path / "m.ply", TriangleMesh(places, colours, np.array([[0, 1, 2]])))
+    found = trimesh.load(tmp_path / "m.ply", process=False)
+    assert found.visual.vertex_colors[:, :3].tolist() == colours.tolist()  # as other tools take those of a .ply
 
 
 @pytest.mark.parametrize("content", [b"", b"no such file", b"glTF" + bytes(40)])

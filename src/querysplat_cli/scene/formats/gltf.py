@@ -7,6 +7,7 @@ and sign of 3DGS. Axes are those of the file: +y is up.
 import itertools
 import json
 import struct
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -40,16 +41,21 @@ def write_glb(path: Path, gaussians: Gaussians) -> int:
     finite = finite_gaussians(path, gaussians)
     columns = {name: np.ascontiguousarray(values, "<f4") for name, values in _attributes(finite).items()}
     offsets = np.concatenate([[0], np.cumsum([values.nbytes for values in columns.values()])]).tolist()
-    document = _document(columns, offsets)
+    write_chunks(path, _document(columns, offsets), list(columns.values()))
+    return len(finite)
+
+
+def write_chunks(path: Path, document: dict[str, Any], columns: Sequence[np.ndarray]) -> None:
+    """Write a .glb of the JSON `document` and one buffer: the bytes of all columns in order, each a multiple of 4."""
     listing = json.dumps(document, separators=(",", ":")).encode()
     listing += b" " * (-len(listing) % 4)
-    total = HEADER.size + CHUNK.size + len(listing) + CHUNK.size + offsets[-1]
+    size = sum(values.nbytes for values in columns)
+    total = HEADER.size + CHUNK.size + len(listing) + CHUNK.size + size
     with atomic_path(path) as draft, draft.open("wb") as file:
         file.write(HEADER.pack(MAGIC, 2, total) + CHUNK.pack(len(listing), JSON_CHUNK) + listing)
-        file.write(CHUNK.pack(offsets[-1], BINARY_CHUNK))
-        for values in columns.values():
+        file.write(CHUNK.pack(size, BINARY_CHUNK))
+        for values in columns:
             file.write(values.tobytes())
-    return len(finite)
 
 
 def read_glb(path: Path) -> tuple[Gaussians, Sim3 | None]:

@@ -12,10 +12,12 @@ from jaxtyping import Float, Int, UInt8
 from querysplat_cli.runtime.errors import MissingPart
 from querysplat_cli.runtime.optional_parts import OPTIONAL_PARTS
 from querysplat_cli.scene.files import atomic_path
+from querysplat_cli.scene.formats.gltf import ARRAY_BUFFER, FLOAT, write_chunks
 
 MESH_KINDS = (".ply", ".glb", ".obj")
-Y_UP_MESHES = (".glb",)
-"""Kinds whose specification says that y points up."""
+Y_UP = np.array([1, -1, -1], np.float32)
+"""From the axes of a scene to those of glTF."""
+UNSIGNED_SHORT, UNSIGNED_INT, ELEMENT_ARRAY_BUFFER, TRIANGLES = 5123, 5125, 34963, 4
 
 
 @dataclass(frozen=True)
@@ -47,10 +49,51 @@ def mesh_part(module: str) -> Any:
 
 def write_mesh(path: Path, mesh: TriangleMesh) -> None:
     """Write the mesh, whole or not at all, in the kind that the suffix of `path` names."""
+    if path.suffix.lower() == ".glb":
+        _write_glb(path, mesh)
+        return
     trimesh = mesh_part("trimesh")
-    flip = np.array([1, -1, -1]) if path.suffix.lower() in Y_UP_MESHES else np.ones(3)
-    found = trimesh.Trimesh(mesh.places * flip, mesh.triangles, vertex_colors=mesh.colours, process=False)
+    found = trimesh.Trimesh(mesh.places, mesh.triangles, vertex_colors=mesh.colours, process=False)
     options: Mapping[str, Any] = {"vertex_normal": False} if path.suffix.lower() == ".ply" else {}
     content = found.export(file_type=path.suffix.lower()[1:], **options)
     with atomic_path(path) as draft:
         draft.write_bytes(content.encode() if isinstance(content, str) else content)
+
+
+def _write_glb(path: Path, mesh: TriangleMesh) -> None:
+    """Colours of a glTF are linear. They have 16 bits, since 8 linear ones show steps in the dark."""
+    places = np.ascontiguousarray(mesh.places * Y_UP, "<f4")
+    colours = np.full((len(places), 4), 65535, "<u2")
+    colours[:, :3] = np.rint(65535 * _linear(mesh.colours / 255))
+    columns = [places, colours, np.ascontiguousarray(mesh.triangles, "<u4")]
+    kinds = [(FLOAT, "VEC3"), (UNSIGNED_SHORT, "VEC4"), (UNSIGNED_INT, "SCALAR")]
+    accessors: list[dict[str, Any]] = [
+        {"bufferView": view, "componentType": component, "type": kind, "count": len(places)}
+        for view, (component, kind) in enumerate(kinds)
+    ]
+    accessors[0] |= {"min": places.min(0).tolist(), "max": places.max(0).tolist()}
+    accessors[1] |= {"normalized": True}
+    accessors[2] |= {"count": mesh.triangles.size}
+    ends = np.cumsum([values.nbytes for values in columns]).tolist()
+    targets = [ARRAY_BUFFER, ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER]
+    views = [
+        {"buffer": 0, "byteOffset": end - values.nbytes, "byteLength": values.nbytes, "target": target}
+        for end, values, target in zip(ends, columns, targets, strict=True)
+    ]
+    primitive = {"attributes": {"POSITION": 0, "COLOR_0": 1}, "indices": 2, "mode": TRIANGLES}
+    document = {
+        "asset": {"version": "2.0", "generator": "querysplat"},
+        "scene": 0,
+        "scenes": [{"nodes": [0]}],
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": [primitive]}],
+        "accessors": accessors,
+        "bufferViews": views,
+        "buffers": [{"byteLength": ends[-1]}],
+    }
+    write_chunks(path, document, columns)
+
+
+def _linear(colours: np.ndarray) -> np.ndarray:
+    """Linear values of sRGB ones, both in [0, 1]."""
+    return np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
