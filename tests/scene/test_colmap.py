@@ -137,3 +137,11 @@ def test_a_last_photo_without_its_second_line_is_not_lost_silently(tmp_path: Pat
         read_known_cameras(tmp_path)
     images.write_text(images.read_text() + "\n")
     assert len(read_known_cameras(tmp_path)) == 3
+
+
+@pytest.mark.parametrize("name", ["cameras.xml", "scene.splat"])
+def test_a_file_of_another_program_does_not_stand_for_its_folder(tmp_path: Path, name: str) -> None:
+    write_model(tmp_path, "PINHOLE", [500, 510, 320, 240])
+    (tmp_path / name).touch()
+    with pytest.raises(QuerySplatError, match=f"{name}: not a kind of file"):
+        read_known_cameras(tmp_path / name)

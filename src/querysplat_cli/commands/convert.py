@@ -16,7 +16,7 @@ from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import PhotoCamera, rescaled
 from querysplat_cli.scene.files import FolderKind, atomic_folder, refuse_existing, with_name
 from querysplat_cli.scene.formats.colmap import copy_colmap, write_colmap
-from querysplat_cli.scene.formats.known import find_known_cameras, read_known_cameras
+from querysplat_cli.scene.formats.known import MODEL_KINDS, find_known_cameras, read_known_cameras
 from querysplat_cli.scene.formats.mesh import MESH_KINDS
 from querysplat_cli.scene.formats.transforms import write_transforms
 from querysplat_cli.scene.formats.transforms_frame import is_rigid
@@ -29,7 +29,6 @@ from querysplat_cli.scene.pictures import stored_name
 from querysplat_cli.scene.undistort import undistorted
 from querysplat_cli.scene.views import LeftOut
 
-MODEL_KINDS = (".bin", ".txt")
 MODEL = FolderKind(
     tuple(f"{part}{kind}" for part in ("cameras", "images", "points3D") for kind in MODEL_KINDS),
     tuple(f"{part}{kind}" for part in ("rigs", "frames") for kind in MODEL_KINDS),

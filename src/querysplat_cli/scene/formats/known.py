@@ -10,6 +10,9 @@ from querysplat_cli.scene.formats.transforms import read_transforms
 JSON_NAMES = ("transforms.json", "cameras.json", "colmap/transforms.json", "nerfstudio/transforms.json")
 """Where nerfstudio, our scene folder and DL3DV keep the file."""
 
+MODEL_KINDS = (".bin", ".txt")
+"""A file of such a kind stands for the COLMAP model in its folder."""
+
 
 def read_known_cameras(path: Path, *, fisheye: bool = False) -> dict[str, PhotoCamera]:
     """Cameras by photo name from a transforms.json, a folder that holds one, or a COLMAP model's folder.
@@ -24,6 +27,11 @@ def find_known_cameras(path: Path) -> Path:
     """What `read_known_cameras` reads: a .json file, or the folder of a COLMAP model. Raises like it."""
     if not path.exists():
         raise QuerySplatError(f"{path}: no such file or folder", "Give a transforms.json or a COLMAP folder.")
+    if path.is_file() and path.suffix.lower() not in (".json", *MODEL_KINDS):
+        raise QuerySplatError(
+            f"{path}: not a kind of file for cameras or Gaussians that is read",
+            "Cameras are a transforms.json or a COLMAP model, Gaussians a .ply, .spz, .sog or .glb.",
+        )
     if path.is_file():
         return path if path.suffix.lower() == ".json" else find_known_cameras(path.parent)
     listing = next((path / name for name in JSON_NAMES if (path / name).is_file()), None)
