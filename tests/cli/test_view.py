@@ -12,13 +12,16 @@ from hashlib import sha256
 from pathlib import Path
 from urllib.parse import urlsplit
 
+import numpy as np
 import pytest
 import torch
+from plyfile import PlyData, PlyElement
 
 from querysplat_cli.cli import run
 from querysplat_cli.commands.view_server import serving
 from querysplat_cli.commands.viewed_scene import viewed_scene
 from querysplat_cli.commands.viewer_files import LICENCES, RELEASED, VIEWER, checksums
+from querysplat_cli.pipeline.gaussian_files import write_gaussians
 from querysplat_cli.runtime.errors import ExitCode, QuerySplatError
 from querysplat_cli.scene.formats.ply import read_ply, write_ply
 from querysplat_cli.scene.gaussians import Gaussians
@@ -80,6 +83,30 @@ def test_a_kind_that_the_page_cannot_read_becomes_one_that_it_can(ply: Path, tmp
     assert (scene.manifest["kind"], scene.manifest["gaussians"]) == ("ply", "scene.ply")
     (tmp_path / "again.ply").write_bytes(scene.file("scene.ply") or b"")
     torch.testing.assert_close(read_ply(tmp_path / "again.ply").means, read_ply(ply).means)
+
+
+@pytest.mark.parametrize("what", ["ascii", "big-endian", "line ends", "other elements", "new .spz"])
+def test_files_that_only_we_read_become_what_the_page_reads(ply: Path, tmp_path: Path, what: str) -> None:
+    """Spark reads no ASCII and no .spz of version 4, and takes what stands in a header literally."""
+    scene, data = read_ply(ply), PlyData.read(str(ply))
+    file = tmp_path / ("other.spz" if what == "new .spz" else "other.ply")
+    data.text, data.byte_order = what == "ascii", "=" if what == "ascii" else ">" if what == "big-endian" else "<"
+    if what == "other elements":
+        data = PlyData([*data.elements, PlyElement.describe(np.zeros(2, [("fov", "<f4")]), "camera")], byte_order="<")
+    if what == "new .spz":
+        pytest.importorskip("gsply")
+        write_gaussians(file, scene, "4")
+    else:
+        data.write(str(file))
+    if what == "line ends":
+        header, end, rest = file.read_bytes().partition(b"end_header\n")
+        file.write_bytes((header + end).replace(b"\n", b"\r\n") + rest)
+    shown = viewed_scene(file)
+    assert (shown.manifest["kind"], shown.manifest["gaussians"]) == ("ply", "scene.ply")
+    assert isinstance(shown.gaussians, bytes)  # and not the file itself
+    (tmp_path / "shown.ply").write_bytes(shown.gaussians)
+    assert viewed_scene(tmp_path / "shown.ply").gaussians == tmp_path / "shown.ply"
+    torch.testing.assert_close(read_ply(tmp_path / "shown.ply").means, scene.means, atol=1e-5, rtol=0)
 
 
 def test_a_port_that_is_taken_is_refused(ply: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -25,8 +25,10 @@ from querysplat_cli.scene.quantiles import picked
 from querysplat_cli.scene.upright import up_direction
 from querysplat_cli.splat.conventions import RenderSettings
 
-PAGE_KINDS = (".ply", ".spz", ".sog")
-"""Kinds of files that the page reads as they are (`viewer/splats.js`)."""
+HEADER_BYTES = 1 << 16
+"""No .ply of Gaussians has a longer header."""
+GZIP = b"\x1f\x8b"
+"""With which an .spz up to version 3 begins."""
 OUTSIDE_SIZE = (720, 960)
 """Height and width of the first picture of a scene without cameras."""
 DEPTH_SHARES = (0.05, 0.95)
@@ -77,8 +79,8 @@ def viewed_scene(path: Path) -> ViewedScene:
             entry["photo"] = f"photos/{len(views)}.jpg"
             photos[entry["photo"]] = picture
         views.append(entry)
-    shown: Path | bytes = file if file.suffix.lower() in PAGE_KINDS else _as_ply(gaussians)
-    kind = file.suffix.lower()[1:] if shown == file else "ply"
+    shown: Path | bytes = file if _page_reads(file) else _as_ply(gaussians)
+    kind = "ply" if isinstance(shown, bytes) else file.suffix.lower()[1:]
     manifest = {
         **framing(gaussians, inputs, frame.scale if frame else None),
         "name": file.stem,
@@ -92,8 +94,22 @@ def viewed_scene(path: Path) -> ViewedScene:
     return ViewedScene(manifest, shown, photos)
 
 
+def _page_reads(file: Path) -> bool:
+    """Whether the page (`viewer/splats.js`) reads a file as it is: a .ply as we write it, an old .spz or a .sog."""
+    kind = file.suffix.lower()
+    if kind not in (".ply", ".spz", ".sog"):
+        return False
+    with file.open("rb") as stream:
+        start = stream.read(HEADER_BYTES)
+    if kind == ".ply":
+        header, end, _ = start.partition(b"\nend_header\n")
+        little_endian = header.startswith(b"ply\nformat binary_little_endian 1.0\n")
+        return bool(end) and little_endian and header.count(b"\nelement ") == 1
+    return kind == ".sog" or start.startswith(GZIP)
+
+
 def _as_ply(gaussians: Gaussians) -> bytes:
-    """For kinds of files that the page cannot read."""
+    """For files that the page cannot read."""
     with scratch_folder() as folder:
         write_ply(folder / "scene.ply", gaussians)
         return (folder / "scene.ply").read_bytes()
