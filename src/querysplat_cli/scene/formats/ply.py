@@ -9,7 +9,6 @@ import io
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO
 
 import numpy as np
 import torch
@@ -185,7 +184,7 @@ def _vertices(path: Path) -> np.ndarray:
     return vertices
 
 
-def _parsed(stream: BinaryIO) -> tuple[PlyData, bool]:
+def _parsed(stream: io.BufferedIOBase) -> tuple[PlyData, bool]:
     """What a stream holds, and whether more comes after that."""
     with stream:
         data = PlyData.read(stream)
