@@ -16,6 +16,7 @@ from safetensors.torch import load_file
 
 from querysplat_cli.model.checkpoints import load_file as load_model
 from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.splat.render import render
 from querysplat_cli.training.config import LossSettings, OptimiserSettings, StageSettings, TrainConfig
 from querysplat_cli.training.data import CachedSamples, Draw
 from querysplat_cli.training.journal import Journal
@@ -180,6 +181,20 @@ def test_bf16_stays_near_float32(tmp_path: Path) -> None:
     assert half.means.dtype == torch.float32
     assert (half.scales / exact.scales).log().abs().median() < 0.02
     assert not torch.equal(half.scales, exact.scales)
+
+
+def test_bf16_is_for_the_model_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In bf16, SSIM's variances cancel, and projections are off by pixels."""
+    config = training(tmp_path / "cache", optimiser=OptimiserSettings(precision="bf16"))
+    model, scene, drawn = starting_model(config), sample(0), []
+
+    def spied(*given, **settings):  # type: ignore[no-untyped-def]
+        drawn.append(torch.is_autocast_enabled("cpu"))
+        return render(*given, **settings)
+
+    monkeypatch.setattr("querysplat_cli.training.step.render", spied)
+    add_gradient(model, scene, anchored(scene), StepSettings(config, weights(0, config.losses)), torch.Generator())
+    assert drawn == [False]
 
 
 @pytest.mark.parametrize(("branches", "blocks"), [("two", 2), ("one", 2)])

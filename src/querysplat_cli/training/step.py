@@ -70,18 +70,29 @@ def anchored(sample: Sample) -> Anchors:
 def decoded(model: QuerySplat, sample: Sample, anchors: Anchors | None, precision: str) -> Iterator[Gaussians]:
     """Gaussians of the inputs alone, in float32, with a graph back to the weights.
 
-    There is one scene, or, with rounds of refinement, that of each round.
+    There is one scene, or, with rounds of refinement, that of each round. The lower precision is that of the model
+    alone: what the caller does with a scene has its own.
     """
-    geometry, device = sample.geometry, sample.views.images.device
-    with torch.autocast(device.type, torch.bfloat16, enabled=precision == "bf16"):
-        memories = model.encode(geometry.features, sample.views.images, sample.cameras)
-        if anchors is not None:
-            memories, anchors = attended_rows(memories, anchors)
-        if anchors is None or not model.config.refinement_rounds:
-            yield model.decode(memories, anchors).map(Tensor.float)
+    scenes = _scenes(model, sample, anchors)
+    while True:
+        # Not around a yield: rendering and losses of the caller would be in bf16, too.
+        with torch.autocast(sample.views.images.device.type, torch.bfloat16, enabled=precision == "bf16"):
+            scene = next(scenes, None)
+        if scene is None:
             return
-        for each in refinements(model, memories, anchors, sample.views, sample.cameras, geometry):
-            yield each.scene.map(Tensor.float)
+        yield scene.map(Tensor.float)
+
+
+def _scenes(model: QuerySplat, sample: Sample, anchors: Anchors | None) -> Iterator[Gaussians]:
+    geometry = sample.geometry
+    memories = model.encode(geometry.features, sample.views.images, sample.cameras)
+    if anchors is not None:
+        memories, anchors = attended_rows(memories, anchors)
+    if anchors is None or not model.config.refinement_rounds:
+        yield model.decode(memories, anchors)
+        return
+    for each in refinements(model, memories, anchors, sample.views, sample.cameras, geometry):
+        yield each.scene
 
 
 def add_gradient(
