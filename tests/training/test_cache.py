@@ -52,6 +52,18 @@ def test_a_sample_is_impossible_only_by_its_own_fault(
     assert not list(cache_folder(data, ROOM).glob("*.failed"))
 
 
+def test_the_samples_of_all_processes_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first of two processes counted what the other one had made by chance until then."""
+    data = DataSettings((ROOM,), cache=str(tmp_path), max_size=66)
+    monkeypatch.setattr("querysplat_cli.training.data.make_sample", lambda *_, **__: sample(0))
+
+    def other() -> None:
+        prepare_samples(data, lambda: None, rank=1, world=2, progress=silent)  # type: ignore[arg-type, return-value]
+
+    found = prepare_samples(data, lambda: None, rank=0, world=2, wait=other, progress=silent)  # type: ignore[arg-type, return-value]
+    assert found.ready == 2
+
+
 def test_samples_of_other_trainings_are_not_drawn(tmp_path: Path) -> None:
     """More draws of a scene, made for another training, lie in the same folder."""
     data = training(tmp_path, scenes=2).data

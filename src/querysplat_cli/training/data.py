@@ -67,15 +67,16 @@ def prepare_samples(
     *,
     rank: int = 0,
     world: int = 1,
+    wait: Callable[[], None] = lambda: None,
     engine: Engine = IN_PROCESS,
     progress: Progress,
 ) -> PreparedSamples:
     """Make every sample that is not in the cache yet; process `rank` of `world` makes its share.
 
-    `engine` does the work. A sample that cannot be made leaves a .failed file with the
-    reason, and is not tried again. Raises QuerySplatError, once all others are made, for samples whose process ended;
-    those are tried again. `encoder` is called only when a sample has to be made, once in each worker; it can
-    be pickled where there are several.
+    `wait` returns once all processes have made theirs: the result counts these, too. `engine` does the work. A sample
+    that cannot be made leaves a .failed file with the reason, and is not tried again. Raises QuerySplatError, once all
+    others are made, for samples whose process ended; those are tried again. `encoder` is called only when a sample has
+    to be made, once in each worker; it can be pickled where there are several.
     """
     every = wanted_samples(data, data.sources)
     share = [each for number, each in enumerate(every) if number % world == rank]
@@ -96,6 +97,7 @@ def prepare_samples(
         raise QuerySplatError(
             f"{counted(len(lost), 'sample')} could not be made, as {lost[0]}", "The same command makes what is missing."
         )
+    wait()
     failed = tuple(f"{each.path.stem}: {each.reason.read_text()}" for each in every if each.reason.is_file())
     return PreparedSamples(sum(each.path.is_file() for each in every), failed)
 

@@ -117,8 +117,9 @@ def _samples(
     data = replace(config.data, sources=tuple(sources_of_stages(config.data, config.stages)))
     workers = request.workers or (max(1, cores() // processes.world) if data.encoder == "classical" else 1)
     engine = find_engine(request.cluster, Workers(workers) if workers > 1 else None, stages.say)
-    prepared = prepare_samples(data, make, rank=processes.rank, world=processes.world, engine=engine, progress=progress)
-    processes.wait()
+    prepared = prepare_samples(
+        data, make, rank=processes.rank, world=processes.world, wait=processes.wait, engine=engine, progress=progress
+    )
     samples = CachedSamples(config.data, config.seed)
     for stage in config.stages:
         if not samples.paths(stage.inputs):
