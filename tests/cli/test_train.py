@@ -37,6 +37,14 @@ def test_train_resume_and_refuse(config: Path, capsys: pytest.CaptureFixture[str
     assert run([*command, "--resume"]) == ExitCode.DONE
 
 
+def test_a_model_that_cannot_read_the_encoder_is_refused(config: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """It ended in a traceback, as a bug."""
+    command = ["train", "--config", str(config), "-o", str(config.parent / "run"), "--set", "model.vgm_width=16"]
+    for more in ([], ["--dry-run"]):
+        assert run([*command, *more]) == ExitCode.BAD_INPUT
+        assert "layers of 12 channels, the model reads 1 of 16" in capsys.readouterr().err
+
+
 def test_bad_input_is_refused_before_samples_are_made(
     config: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

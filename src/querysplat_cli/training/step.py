@@ -71,7 +71,8 @@ def decoded(model: QuerySplat, sample: Sample, anchors: Anchors | None, precisio
     """Gaussians of the inputs alone, in float32, with a graph back to the weights.
 
     There is one scene, or, with rounds of refinement, that of each round. The lower precision is that of the model
-    alone: what the caller does with a scene has its own.
+    alone: what the caller does with a scene has its own. Raises QuerySplatError where the model cannot read the
+    encoder's features.
     """
     scenes = _scenes(model, sample, anchors)
     while True:
@@ -85,6 +86,7 @@ def decoded(model: QuerySplat, sample: Sample, anchors: Anchors | None, precisio
 
 def _scenes(model: QuerySplat, sample: Sample, anchors: Anchors | None) -> Iterator[Gaussians]:
     geometry = sample.geometry
+    model.check_features(geometry.features, *sample.views.images.shape[-2:])
     memories = model.encode(geometry.features, sample.views.images, sample.cameras)
     if anchors is not None:
         memories, anchors = attended_rows(memories, anchors)
