@@ -3,13 +3,16 @@
 from dataclasses import replace
 from pathlib import Path
 
+import pytest
 import torch
 from safetensors.torch import load_file
 
+from querysplat_cli.queries.evidence import gather_evidence
 from querysplat_cli.training.config import StageSettings
 from querysplat_cli.training.start import starting_model
+from querysplat_cli.training.step import anchored, decoded
 from querysplat_cli.training.trainer import MODEL, STATE
-from training_scenes import run, training
+from training_scenes import run, sample, training
 
 
 def test_rounds_of_refinement_learn_and_the_model_below_stays(tmp_path: Path) -> None:
@@ -28,3 +31,19 @@ def test_rounds_of_refinement_learn_and_the_model_below_stays(tmp_path: Path) ->
     changed = {name for name, tensor in before.items() if not torch.equal(tensor, after[f"model.{name}"])}
     assert changed
     assert all(name.startswith("refiner.") for name in changed), changed
+
+
+def test_in_bf16_rounds_read_the_scene_in_float32(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """bf16 has eight bits: a projection would be off by pixels."""
+    config = training(tmp_path / "cache")
+    model = starting_model(replace(config, model=replace(config.model, refinement_rounds=2)))
+    read = []
+
+    def spied(anchors, scene, raw, *others):  # type: ignore[no-untyped-def]
+        read.append((torch.is_autocast_enabled("cpu"), scene.means.dtype, raw.dtype))
+        return gather_evidence(anchors, scene, raw, *others)
+
+    monkeypatch.setattr("querysplat_cli.queries.refine.gather_evidence", spied)
+    scene = sample(0)
+    assert len(list(decoded(model, scene, anchored(scene), "bf16"))) == 2
+    assert read == [(False, torch.float32, torch.float32)] * 2

@@ -56,7 +56,8 @@ def refinements(
 ) -> Iterator[Round]:
     """The rounds of the model, one after another.
 
-    Gradients reach the weights through the last round alone: each reads the scene of the one before as it is.
+    Gradients reach the weights through the last round alone: each reads the scene of the one before as it is. Where
+    the caller computes in a lower precision, the model alone does: scenes and what is read of them are float32.
     """
     if not model.config.refinement_rounds:
         return
@@ -65,11 +66,11 @@ def refinements(
     queries, per_query = anchors.opacities.shape
     around = Surroundings(views.images, cameras, geometry.depth, geometry.confidence, _nearest_queries(anchors))
     with torch.no_grad():
-        start = torch.cat(model.anchored_raw(memories, anchors), 1).unflatten(0, (queries, per_query))
+        start = torch.cat(model.anchored_raw(memories, anchors), 1).float().unflatten(0, (queries, per_query))
     total, tokens = torch.zeros_like(start), None
     for _ in range(model.config.refinement_rounds):
         before = start + total
-        with torch.no_grad():
+        with torch.no_grad(), torch.autocast(start.device.type, enabled=False):
             scene = _scene(before, anchors, model)
             comparison = compare(scene, views, cameras, QUERY_POLICY.refining_grey)
             # Each head's numbers follow one another, query by query.
@@ -77,7 +78,7 @@ def refinements(
             evidence = gather_evidence(anchors, scene, torch.cat(halves, 1), comparison, around)
         found = model.refiner(evidence, tokens)
         changes = [part.unflatten(1, (per_query, -1)) for part in (found.geometry, found.appearance)]
-        after = total + torch.cat(changes, 2)
+        after = total + torch.cat(changes, 2).float()
         yield Round(after, _scene(start + after, anchors, model), found.reading)
         total, tokens = after.detach(), found.tokens.detach()
 
