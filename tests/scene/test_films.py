@@ -5,13 +5,14 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import av
 import numpy as np
 import pytest
 
 from film_files import pan, write_film
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene import films
-from querysplat_cli.scene.film_colours import HLG, PQ, tone_mapped
+from querysplat_cli.scene.film_colours import BT709, HLG, PQ, WHITE_CODE, rgb_of, tone_mapped
 from querysplat_cli.scene.films import FilmFrame, evenly_spaced_frames, film_frames, film_size, frame_pixels, read_ahead
 
 BT2020 = 9
@@ -83,12 +84,47 @@ def test_ten_bits_of_standard_range_keep_their_colour(tmp_path: Path) -> None:
     assert np.abs(next(film_frames(deep)).rgb().astype(int) - eight).max() <= 4
 
 
+def plain_frame(luma: int, blue: int, red: int, bits: int) -> av.VideoFrame:
+    """A frame in YCbCr of BT.709 and limited range, whose numbers have so many bits."""
+    frame = av.VideoFrame(64, 48, "yuv420p" if bits == 8 else "yuv420p10le")
+    for plane, value in zip(frame.planes, (luma, blue, red), strict=True):
+        kind = np.uint8 if bits == 8 else np.uint16
+        plane.update(np.full(plane.buffer_size // kind().itemsize, value, kind).tobytes())
+    frame.colorspace, frame.color_range = BT709, 1
+    return frame
+
+
+@pytest.mark.parametrize("bits", [8, 10])
+def test_colours_are_not_too_dark(bits: int) -> None:
+    """The standard's colour, but for rounding."""
+    unit = 1 << (bits - 8)
+    errors = []
+    for y, u, v in np.random.default_rng(0).integers((40, 118, 118), (220, 139, 139), (200, 3)) * unit:
+        luma, blue, red = (y / unit - 16) / 219, (u / unit - 128) / 224, (v / unit - 128) / 224
+        r, b = luma + 1.5748 * red, luma + 1.8556 * blue
+        true = 255 * np.array([r, (luma - 0.2126 * r - 0.0722 * b) / 0.7152, b])
+        error = rgb_of(plain_frame(y, u, v, bits), BT709).mean((0, 1)) - true
+        errors.append(error[(true >= 0) & (true <= 255)].mean())
+    assert abs(np.mean(errors)) < 0.1
+
+
+def test_hdr_is_not_too_dark() -> None:
+    """Greys up to 140 nits, by SMPTE ST 2084 and the curve of sRGB."""
+    errors = []
+    for luma in range(300, 530):
+        power = ((luma - 64) / 876) ** (1 / 78.84375)
+        nits = 1e4 * ((power - 0.8359375) / (18.8515625 - 18.6875 * power)) ** (1 / 0.1593017578125)
+        true = 255 * (1.055 * (nits / 203) ** (1 / 2.4) - 0.055)
+        errors.append(rgb_of(plain_frame(luma, 512, 512, 10), PQ).mean() - true)
+    assert abs(np.mean(errors)) < 0.2
+
+
 @pytest.mark.parametrize("transfer", [PQ, HLG])
 def test_hdr_is_tone_mapped(tmp_path: Path, transfer: int) -> None:
     tags = {"color_trc": transfer, "color_primaries": BT2020, "colorspace": BT2020}
     path = write_film(tmp_path / "hdr.mp4", plain((150, 150, 150)), codec="libx265", pixels="yuv420p10le", tags=tags)
     (pixel,) = np.unique(next(film_frames(path)).rgb().reshape(-1, 3), axis=0)
-    expected = tone_mapped(np.full((1, 1, 3), round(150 / 255 * 65535), np.uint16), transfer)[0, 0]
+    expected = tone_mapped(np.full((1, 1, 3), round(150 / 255 * WHITE_CODE), np.uint16), transfer)[0, 0]
     assert np.abs(pixel.astype(int) - expected).max() <= 3
     assert np.ptp(pixel) <= 2  # grey stays grey
 
@@ -96,7 +132,7 @@ def test_hdr_is_tone_mapped(tmp_path: Path, transfer: int) -> None:
 def test_tone_mapping_follows_the_standards() -> None:
     """100 nits have the sRGB code of 100/203 of the light (BT.2408), and the curve never falls."""
     for transfer, code in ((PQ, 0.5081), (HLG, 0.6296)):
-        found = tone_mapped(np.full((1, 1, 3), round(code * 65535), np.uint16), transfer)
+        found = tone_mapped(np.full((1, 1, 3), round(code * WHITE_CODE), np.uint16), transfer)
         assert np.abs(found.astype(int) - 186).max() <= 1, transfer
         ramp = np.repeat(np.arange(0, 65536, 64, dtype=np.uint16)[None, :, None], 3, axis=2)
         grey = tone_mapped(ramp, transfer)[0, :, 0].astype(int)

@@ -12,6 +12,10 @@ UNTAGGED = 2
 BT709 = 1
 HD_HEIGHT = 720
 """Films that do not state their colour matrix have BT.709 from this height on, and BT.601 below, as players assume."""
+EXACTLY = 2 | 1 << 13 | 1 << 18
+"""FFmpeg's flags bilinear, full_chroma_int and accurate_rnd. Without them, colours are one to two of 255 too dark."""
+WHITE_CODE = 65283
+"""Of 16 bits, the code that FFmpeg makes of white."""
 WHITE_NITS = 203.0
 """Luminance of white paper in HDR (ITU-R BT.2408). It becomes sRGB white, before highlights are compressed."""
 PEAK_NITS = 1000.0
@@ -32,11 +36,11 @@ def rgb_of(frame: av.VideoFrame, transfer: int) -> np.ndarray:
     matrix = BT709 if frame.colorspace == UNTAGGED and frame.height >= HD_HEIGHT else None
     if transfer in (PQ, HLG):
         return tone_mapped(frame.to_ndarray(format="rgb48le", src_colorspace=matrix), transfer)
-    return np.asarray(frame.to_ndarray(format="rgb24", src_colorspace=matrix))
+    return np.asarray(frame.to_ndarray(format="rgb24", src_colorspace=matrix, interpolation=EXACTLY))
 
 
 def tone_mapped(pixels: np.ndarray, transfer: int) -> np.ndarray:
-    """8-bit sRGB of 16-bit BT.2020 colours [height, width, 3] with the transfer PQ or HLG.
+    """8-bit sRGB of 16-bit BT.2020 colours [height, width, 3] with the transfer PQ or HLG; white is `WHITE_CODE`.
 
     Up to `KNEE` the light is kept. Above, up to `PEAK_NITS`, it is compressed along an extended Reinhard curve
     (Reinhard et al. 2002, eq. 4) of the largest channel, so that hues are kept.
@@ -58,7 +62,7 @@ def tone_mapped(pixels: np.ndarray, transfer: int) -> np.ndarray:
 @cache
 def _linear_light(transfer: int) -> np.ndarray:
     """Of each 16-bit code value: for PQ light relative to white paper, for HLG the light of the scene in [0, 1]."""
-    code = np.linspace(0, 1, 1 << 16)
+    code = np.minimum(np.arange(1 << 16) / WHITE_CODE, 1)
     if transfer == PQ:
         # SMPTE ST 2084.
         power = code ** (1 / 78.84375)
