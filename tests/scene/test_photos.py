@@ -172,6 +172,17 @@ def test_large_photos_are_reduced_by_area(tmp_path: Path, suffix: str) -> None:
     assert np.abs(pixels.astype(int) - blocks[::8, ::8]).mean() < 4
 
 
+@pytest.mark.parametrize(("width", "height"), [(1600, 1200), (1601, 1201), (1605, 1203), (1606, 1207)])
+def test_reduced_photos_end_where_the_photo_ends(tmp_path: Path, width: int, height: int) -> None:
+    """A bump near the lower right corner is where it was, in shares of the sides."""
+    bump = [np.exp(-0.5 * ((np.arange(side) + 0.5 - 0.9 * side) / 24) ** 2) for side in (height, width)]
+    path = save(tmp_path / "a.jpg", (200 * np.outer(*bump))[..., None].repeat(3, 2).astype(np.uint8), quality=98)
+    pixels = load_one(path, max_side=200).pixels[..., 0].astype(float)
+    for axis, side in enumerate(pixels.shape):
+        weight = pixels.sum(1 - axis) * (pixels.sum(1 - axis) > 0.1 * pixels.sum(1 - axis).max())
+        assert weight @ (np.arange(side) + 0.5) / weight.sum() == pytest.approx(0.9 * side, abs=0.1)
+
+
 @pytest.mark.parametrize(
     ("tags", "focal"),
     [

@@ -17,6 +17,8 @@ HALF_OPAQUE = 128
 """Pixels of a smaller alpha, of 255, take no part."""
 ON_THEIR_SIDE = {5, 6, 7, 8}
 """EXIF orientations of pictures that are stored with rows for columns."""
+JPEG_PARTS = 8, 4, 2
+"""Of the size of a JPEG, as Pillow can decode it."""
 MOST_PIXELS = 500_000_000
 """Of a photo. Phones take 200 million."""
 
@@ -58,8 +60,10 @@ def decode(path: Path, max_side: int) -> Decoded:
             raise Image.DecompressionBombError
         focal, panorama, gps = focal_length(image), says_panorama(image), gps_place(image)
         orientation = image.getexif().get(ExifTags.Base.Orientation, 1)
-        scale = min(1.0, max_side / max(width, height))
-        image.draft("RGB", (round(width * scale), round(height * scale)))
+        # JPEG is read faster at a fraction of its size, but what is no whole multiple would be stretched by a pixel.
+        parts = [n for n in JPEG_PARTS if width % n == height % n == 0 and max(width, height) >= n * max_side]
+        if parts:
+            image.draft("RGB", (width // parts[0], height // parts[0]))
         upright = ImageOps.exif_transpose(image)
         pixels = reduced(_rgb(upright), max_side)
         opaque = np.asarray(upright.convert("RGBA").getchannel("A")) >= HALF_OPAQUE if _has_alpha(upright) else None
