@@ -15,8 +15,11 @@ from querysplat_cli.encoders.classical.sparse_model import SparseModel
 from querysplat_cli.scene.cameras import PhotoCamera
 
 
-def camera_warnings(model: SparseModel, matches: Matches) -> tuple[str, ...]:
-    """Sentences that say why the cameras may be wrong. Empty when every check passes."""
+def camera_warnings(model: SparseModel, matches: Matches, *, known: bool = False) -> tuple[str, ...]:
+    """Sentences that say why the cameras may be wrong. Empty when every check passes.
+
+    `known` cameras were given: how well photos determine them does not matter then.
+    """
     policy = CAMERA_POLICY
     support = epipolar_support(model, matches)
     angle = median_angle(model)
@@ -29,13 +32,16 @@ def camera_warnings(model: SparseModel, matches: Matches) -> tuple[str, ...]:
             support.coverage < policy.covered_share or len(model.points) < policy.few_points,
             f"only {len(model.points)} points tie the cameras together, which may be wrong",
         ),
-        (angle < policy.small_angle, f"the camera hardly moved (rays meet at {angle:.1f}°), so depth is uncertain"),
         (
-            is_flat(model) and not all(matches.focals[photo] for photo in model.cameras),
+            len(model.points) > 0 and angle < policy.small_angle,
+            f"the camera hardly moved (rays meet at {angle:.1f}°), so depth is uncertain",
+        ),
+        (
+            not known and is_flat(model) and not all(matches.focals[photo] for photo in model.cameras),
             "all matched points lie in one plane, which leaves the focal length and the cameras' tilt uncertain",
         ),
         (is_forward(model), "the camera moved along its viewing direction, where depth is hardest to measure"),
-        *_focal_warnings(model, matches),
+        *_focal_warnings(model, matches, known=known),
         *_behind(model),
     ]
     return tuple(text for applies, text in sentences if applies)
@@ -95,7 +101,7 @@ def exif_ratios(model: SparseModel, matches: Matches) -> list[float]:
     return [found / exif for found, exif in stated if exif]
 
 
-def _focal_warnings(model: SparseModel, matches: Matches) -> list[tuple[bool, str]]:
+def _focal_warnings(model: SparseModel, matches: Matches, *, known: bool) -> list[tuple[bool, str]]:
     fields = [field_of_view(camera) for camera in model.cameras.values()]
     ratios = exif_ratios(model, matches)
     furthest = max((ratio - 1 for ratio in ratios), key=abs, default=0.0)
@@ -105,7 +111,7 @@ def _focal_warnings(model: SparseModel, matches: Matches) -> list[tuple[bool, st
             f"the photos seem to span {min(fields):.0f}° to {max(fields):.0f}°, unusual for a lens",
         ),
         (
-            len(model.cameras) == 2 and not ratios,
+            not known and len(model.cameras) == 2 and not ratios,
             "two photos without a stated focal length hardly determine it, so proportions in depth may be wrong",
         ),
         (

@@ -151,7 +151,10 @@ def _place_known(
         {numbers[i]: pixels for i, pixels in model.pixels.items()},
     )
     return Placement(
-        renumbered, tuple(left_out), camera_warnings(model, matches), median_epipolar_error(model, matches)
+        renumbered,
+        tuple(left_out),
+        camera_warnings(model, matches, known=True),
+        median_epipolar_error(model, matches),
     )
 
 
