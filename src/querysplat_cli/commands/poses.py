@@ -1,6 +1,6 @@
 """What `poses` does: the errors of one set of cameras against another."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -40,7 +40,7 @@ def compare(request: PosesRequest, stages: Stages) -> tuple[dict[str, Any], str]
         second, name = _upright(_rigid_cameras(request.second), files), str(request.second)
     else:
         with stages("photos") as progress:
-            photos = _photos(request.first, progress)
+            photos = _photos(request.first, list(files.values()), progress)
         second, name = estimate_with_colmap(photos, seed=request.seed, stages=stages), "COLMAP"
     errors = compare_cameras(first, second)
     if request.plot:
@@ -70,16 +70,15 @@ def _files(place: Path) -> dict[str, PhotoFile]:
     return read_photo_files((place if place.is_dir() else place.parent) / "photos.json")
 
 
-def _photos(place: Path, progress: Progress) -> list[Photo]:
+def _photos(place: Path, files: Sequence[PhotoFile], progress: Progress) -> list[Photo]:
     """The photos that the cameras in or at `place` belong to.
 
-    Those of a scene are the ones that it was made of. The small pictures in its folder have too little detail.
+    Those of a scene are `files`, of which it was made. The small pictures in its folder have too little detail.
     """
-    folder = place if place.is_dir() else place.parent
-    files = list(_files(place).values())
     if files:
         check_photo_files(files)
         return [file.load(LONGEST_SIDE) for file in files]
+    folder = place if place.is_dir() else place.parent
     source = find_known_cameras(place)
     paths = {} if source.is_dir() else listed_paths(source)
     listed = {name: source.parent / path for name, path in paths.items() if names_a_photo(path)}

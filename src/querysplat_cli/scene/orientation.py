@@ -1,11 +1,12 @@
 """Cameras of photos that EXIF's orientation turns. We read photos upright, and COLMAP reads them as stored."""
 
 from dataclasses import replace
-from typing import Protocol, runtime_checkable
 
 import numpy as np
 
 from querysplat_cli.scene.cameras import PhotoCamera, same_shape
+from querysplat_cli.scene.photo_files import PhotoFile
+from querysplat_cli.scene.views import Photo
 
 TURNS = {
     3: np.array([[-1.0, 0.0], [0.0, -1.0]]),
@@ -19,29 +20,18 @@ MIRRORED = {2, 4, 5, 7}
 """EXIF orientations that mirror. No camera sees a mirrored picture."""
 
 
-@runtime_checkable
-class Oriented(Protocol):
-    """An upright photo, and the EXIF orientation that turned it."""
-
-    @property
-    def height(self) -> int: ...
-    @property
-    def width(self) -> int: ...
-    @property
-    def orientation(self) -> int: ...
-
-
-def upright_camera(camera: PhotoCamera, photo: Oriented) -> PhotoCamera:
+def upright_camera(camera: PhotoCamera, photo: Photo | PhotoFile) -> PhotoCamera:
     """The camera for the upright pixels of a photo, where it was made for the pixels as stored; else itself.
 
     It was where its format says so, or where its shape does.
     """
-    if photo.orientation not in TURNS:
+    orientation = photo.orientation  # of a PhotoFile, this reads the file
+    if orientation not in TURNS:
         return camera
     upright, given = (photo.height, photo.width), (camera.height, camera.width)
-    stored = upright if photo.orientation == 3 else upright[::-1]
+    stored = upright if orientation == 3 else upright[::-1]
     if same_shape(stored, given) and (camera.as_stored or not same_shape(upright, given)):
-        return turned(camera, photo.orientation)
+        return turned(camera, orientation)
     return camera
 
 

@@ -7,7 +7,7 @@ and sign of 3DGS. Axes are those of the file: +y is up.
 import itertools
 import json
 import struct
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +30,8 @@ EXTENSION = "KHR_gaussian_splatting"
 COLOUR_SPACE = "srgb_rec709_display"
 """That of 3DGS. Linear colours are blended otherwise, so that no coefficients give the same pictures."""
 MAGIC, JSON_CHUNK, BINARY_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
-FLOAT, ARRAY_BUFFER, POINTS = 5126, 34962, 0
+FLOAT, ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, POINTS, TRIANGLES = 5126, 34962, 34963, 0, 4
+COMPONENTS = {"<f4": FLOAT, "<u2": 5123, "<u4": 5125}
 KINDS = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
 HEADER = struct.Struct("<III")
 CHUNK = struct.Struct("<II")
@@ -39,15 +40,29 @@ CHUNK = struct.Struct("<II")
 def write_glb(path: Path, gaussians: Gaussians) -> int:
     """Write the finite Gaussians; returns how many there are."""
     finite = finite_gaussians(path, gaussians)
-    columns = {name: np.ascontiguousarray(values, "<f4") for name, values in _attributes(finite).items()}
-    offsets = np.concatenate([[0], np.cumsum([values.nbytes for values in columns.values()])]).tolist()
-    write_chunks(path, _document(columns, offsets), list(columns.values()))
+    attributes = {name: np.ascontiguousarray(values, "<f4") for name, values in _attributes(finite).items()}
+    write_primitive(path, attributes, extensions={EXTENSION: {"kernel": "ellipse", "colorSpace": COLOUR_SPACE}})
     return len(finite)
 
 
-def write_chunks(path: Path, document: dict[str, Any], columns: Sequence[np.ndarray]) -> None:
-    """Write a .glb of the JSON `document` and one buffer: the bytes of all columns in order, each a multiple of 4."""
-    listing = json.dumps(document, separators=(",", ":")).encode()
+def write_primitive(
+    path: Path, attributes: Mapping[str, np.ndarray], triangles: np.ndarray | None = None, **properties: Any
+) -> None:
+    """Write a .glb of one primitive of points, or of `triangles` [m, 3] (uint32), with further `properties`.
+
+    Attributes [n, k] are float32, or uint16 for shares of 65,535. POSITION is the first. A row takes a multiple of 4
+    bytes.
+    """
+    columns = list(attributes.values())
+    primitive = {
+        "attributes": {name: number for number, name in enumerate(attributes)},
+        "mode": POINTS if triangles is None else TRIANGLES,
+        **properties,
+    }
+    if triangles is not None:
+        primitive["indices"] = len(columns)
+        columns.append(triangles.reshape(-1, 1))
+    listing = json.dumps(_document(columns, primitive), separators=(",", ":")).encode()
     listing += b" " * (-len(listing) % 4)
     size = sum(values.nbytes for values in columns)
     total = HEADER.size + CHUNK.size + len(listing) + CHUNK.size + size
@@ -90,26 +105,33 @@ def _coefficient(degree: int, number: int) -> str:
     return f"{EXTENSION}:SH_DEGREE_{degree}_COEF_{number}"
 
 
-def _document(columns: dict[str, np.ndarray], offsets: list[int]) -> dict[str, Any]:
-    accessors: list[dict[str, Any]] = []
-    for number, values in enumerate(columns.values()):
-        accessors.append(
-            {"bufferView": number, "componentType": FLOAT, "count": len(values), "type": KINDS[values.shape[1]]}
-        )
-    position = columns["POSITION"]
-    accessors[0] |= {"min": position.min(0).tolist(), "max": position.max(0).tolist()}
-    views = [
-        {"buffer": 0, "byteOffset": start, "byteLength": end - start, "target": ARRAY_BUFFER}
-        for start, end in itertools.pairwise(offsets)
+def _document(columns: Sequence[np.ndarray], primitive: Mapping[str, Any]) -> dict[str, Any]:
+    """The JSON of a .glb whose buffer holds the columns of its primitive, one after another."""
+    accessors: list[dict[str, Any]] = [
+        {
+            "bufferView": number,
+            "componentType": COMPONENTS[values.dtype.str],
+            "count": len(values),
+            "type": KINDS[values.shape[1]],
+            **({"normalized": True} if values.dtype == np.uint16 else {}),
+        }
+        for number, values in enumerate(columns)
     ]
-    primitive = {
-        "attributes": {name: number for number, name in enumerate(columns)},
-        "mode": POINTS,
-        "extensions": {EXTENSION: {"kernel": "ellipse", "colorSpace": COLOUR_SPACE}},
-    }
+    accessors[0] |= {"min": columns[0].min(0).tolist(), "max": columns[0].max(0).tolist()}
+    offsets = np.concatenate([[0], np.cumsum([values.nbytes for values in columns])]).tolist()
+    views = [
+        {
+            "buffer": 0,
+            "byteOffset": start,
+            "byteLength": end - start,
+            "target": ELEMENT_ARRAY_BUFFER if number == primitive.get("indices") else ARRAY_BUFFER,
+        }
+        for number, (start, end) in enumerate(itertools.pairwise(offsets))
+    ]
+    extensions = primitive.get("extensions")
     return {
         "asset": {"version": "2.0", "generator": "querysplat"},
-        "extensionsUsed": [EXTENSION],
+        **({"extensionsUsed": list(extensions)} if extensions else {}),
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": [{"mesh": 0}],

@@ -12,12 +12,11 @@ from jaxtyping import Float, Int, UInt8
 from querysplat_cli.runtime.errors import MissingPart
 from querysplat_cli.runtime.optional_parts import OPTIONAL_PARTS
 from querysplat_cli.scene.files import atomic_path
-from querysplat_cli.scene.formats.gltf import ARRAY_BUFFER, FLOAT, write_chunks
+from querysplat_cli.scene.formats.gltf import write_primitive
 
 MESH_KINDS = (".ply", ".glb", ".obj")
 Y_UP = np.array([1, -1, -1], np.float32)
 """From the axes of a scene to those of glTF."""
-UNSIGNED_SHORT, UNSIGNED_INT, ELEMENT_ARRAY_BUFFER, TRIANGLES = 5123, 5125, 34963, 4
 
 
 @dataclass(frozen=True)
@@ -65,33 +64,7 @@ def _write_glb(path: Path, mesh: TriangleMesh) -> None:
     places = np.ascontiguousarray(mesh.places * Y_UP, "<f4")
     colours = np.full((len(places), 4), 65535, "<u2")
     colours[:, :3] = np.rint(65535 * _linear(mesh.colours / 255))
-    columns = [places, colours, np.ascontiguousarray(mesh.triangles, "<u4")]
-    kinds = [(FLOAT, "VEC3"), (UNSIGNED_SHORT, "VEC4"), (UNSIGNED_INT, "SCALAR")]
-    accessors: list[dict[str, Any]] = [
-        {"bufferView": view, "componentType": component, "type": kind, "count": len(places)}
-        for view, (component, kind) in enumerate(kinds)
-    ]
-    accessors[0] |= {"min": places.min(0).tolist(), "max": places.max(0).tolist()}
-    accessors[1] |= {"normalized": True}
-    accessors[2] |= {"count": mesh.triangles.size}
-    ends = np.cumsum([values.nbytes for values in columns]).tolist()
-    targets = [ARRAY_BUFFER, ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER]
-    views = [
-        {"buffer": 0, "byteOffset": end - values.nbytes, "byteLength": values.nbytes, "target": target}
-        for end, values, target in zip(ends, columns, targets, strict=True)
-    ]
-    primitive = {"attributes": {"POSITION": 0, "COLOR_0": 1}, "indices": 2, "mode": TRIANGLES}
-    document = {
-        "asset": {"version": "2.0", "generator": "querysplat"},
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}],
-        "meshes": [{"primitives": [primitive]}],
-        "accessors": accessors,
-        "bufferViews": views,
-        "buffers": [{"byteLength": ends[-1]}],
-    }
-    write_chunks(path, document, columns)
+    write_primitive(path, {"POSITION": places, "COLOR_0": colours}, np.ascontiguousarray(mesh.triangles, "<u4"))
 
 
 def _linear(colours: np.ndarray) -> np.ndarray:
