@@ -128,7 +128,12 @@ class ReconstructSettings:
     max_views: Annotated[
         int | None,
         Ge(1),
-        Option("The most photos to use, evenly spaced. auto is as many as memory holds.", metavar="N|auto", auto=True),
+        Option(
+            "The most photos to use, evenly spaced. auto is as many as memory holds with the encoders vggt and "
+            "vggt_omega, and all with classical.",
+            metavar="N|auto",
+            auto=True,
+        ),
     ] = None
     regions: Annotated[
         int | None,
