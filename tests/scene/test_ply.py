@@ -140,7 +140,7 @@ def test_comments_may_have_letters_beyond_ascii(tmp_path: Path, code: str) -> No
 
 
 def test_saturated_numbers_of_other_writers_are_read(tmp_path: Path) -> None:
-    """An exporter that clamps in float32 writes an infinite logit for an opacity of 1."""
+    """An exporter that clamps in float32 writes an infinite logit for an opacity of 1 or 0."""
     names = columns(0)
     vertices = np.zeros(4, [(name, "f4") for name in names])
     vertices["rot_0"] = 1
@@ -152,6 +152,7 @@ def test_saturated_numbers_of_other_writers_are_read(tmp_path: Path) -> None:
     assert torch.isfinite(back.scales).all()
     assert back.opacities.tolist() == pytest.approx([1, 0, 0.5], abs=1e-6)
     assert (back.opacities < 1).all()
+    assert (back.opacities > 0).all()  # levels of detail weigh by opacity, and two of 0 have no mean
 
 
 def test_files_that_are_no_scene_are_refused(tmp_path: Path) -> None:

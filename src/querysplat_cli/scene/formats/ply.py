@@ -90,9 +90,9 @@ def write_ply(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = 
 def read_ply(path: str | Path) -> Gaussians:
     """The Gaussians in any 3DGS .ply (SH degree 0 to 3, binary or ASCII), float32.
 
-    Saturated numbers are kept within float32: opacities below 1, scales finite. Rows with a NaN, or with a number
-    beyond float32, are left out. Raises QuerySplatError when the file is no .ply, not one of Gaussians, or damaged, and
-    when no row is left.
+    Saturated numbers are kept within float32: opacities above 0 and below 1, scales finite. Rows with a NaN, or with
+    a number beyond float32, are left out. Raises QuerySplatError when the file is no .ply, not one of Gaussians, or
+    damaged, and when no row is left.
     """
     path = Path(path)
     vertices = _vertices(path)
@@ -159,7 +159,7 @@ def _gaussians(rows: Float[Tensor, "rows columns"]) -> Gaussians:
         means=means,
         quats=rotation,
         scales=scale.clamp_max(LARGEST_LOG_SCALE).exp(),
-        opacities=opacity[:, 0].sigmoid().clamp_max(HIGHEST_OPACITY),
+        opacities=opacity[:, 0].sigmoid().clamp(LOWEST_OPACITY, HIGHEST_OPACITY),
         sh=bands,
     ).to(torch.float32)
 
