@@ -3,13 +3,16 @@
 from collections.abc import Callable
 
 import pytest
+import torch
 from tto_scenes import photo_of_wall, wall
 
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.views import Views
+from querysplat_cli.tto.coverage_loss import CoverageLoss
 from querysplat_cli.tto.full_size import FullSizeResult, optimise_full_size
 from querysplat_cli.tto.full_size_plan import FullSizePlan, FullSizeStage
+from querysplat_cli.tto.gaussians import optimise_gaussians
 from querysplat_cli.tto.options import TtoSettings
 from querysplat_cli.tto.rendering_loss import RenderingLoss
 
@@ -68,3 +71,17 @@ def test_while_all_photos_are_compared(monkeypatch: pytest.MonkeyPatch, call: in
     assert [len(result.history) for _, result in found.runs] == steps
     assert found.gaussians.means.equal(start().means) == (steps == [0])
     assert found.not_kept == ()
+
+
+def test_while_the_coverage_between_a_few_photos_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The scene from before the steps is kept, as it is while all photos are compared."""
+
+    def interrupt(gaussians: Gaussians, cameras: Cameras) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(CoverageLoss, "of", interrupt)
+    target, settings = RenderingLoss(*photo_of_wall(SMALL)), TtoSettings(10, 0.02, keep_cover=True)
+    found = optimise_gaussians(start(), target, settings, generator=torch.Generator())
+    assert found.interrupted
+    assert found.history == ()
+    assert found.gaussians.means.equal(start().means)

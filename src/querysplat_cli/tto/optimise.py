@@ -73,9 +73,11 @@ def optimise(
     views = list(range(len(target.views)))
     with torch.no_grad():
         first = start.decode(start.variables)
-    interrupted = False
+    interrupted, coverage = False, None
     try:
         losses = target.values(first, views)
+        if settings.steps and settings.keep_cover:
+            coverage = CoverageLoss.of(first, target.cameras)
     except KeyboardInterrupt:
         losses, interrupted = target.values(first, views[:1]), True
     loss = sum(losses) / len(losses)
@@ -83,7 +85,6 @@ def optimise(
     if interrupted or not settings.steps:
         return before
     refined = RefinedCameras(target.cameras, first) if refine_cameras else None
-    coverage = CoverageLoss.of(first, target.cameras) if settings.keep_cover else None
     run = _Run(start, settings, callbacks, target, losses, refined, coverage, generator)
     try:
         run.take_steps(_draws(len(views), settings.views_per_step, generator))
