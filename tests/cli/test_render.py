@@ -1,6 +1,7 @@
 """`querysplat render` on a small .ply: every kind of output, and every way to choose the cameras."""
 
 import json
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from querysplat_cli.cli import run
 from querysplat_cli.runtime.errors import ExitCode
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.formats.known import read_known_cameras
-from querysplat_cli.scene.formats.ply import write_ply
+from querysplat_cli.scene.formats.ply import read_ply, write_ply
 from querysplat_cli.scene.formats.transforms import write_cameras
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
 from querysplat_cli.scene.views import Views
@@ -96,6 +97,30 @@ def test_a_film_of_a_scene_without_cameras(ball: Path) -> None:
         assert opened.streams.video[0].average_rate == 24
     assert [picture.shape for picture in pictures] == [(60, 80, 3)] * 8
     assert all(np.asarray(picture)[30, 40, 0] > 150 for picture in pictures)
+
+
+@pytest.mark.parametrize("unit", [1000.0, 0.002])
+@pytest.mark.parametrize("given", [True, False], ids=["cameras in a file", "orbit"])
+def test_files_of_other_programs_may_have_any_unit(ball: Path, unit: float, given: bool) -> None:
+    """The splatter's near and far suit the units that scenes are made in: in others, pictures were black."""
+    give_cameras(ball, ("left.jpg", "right.jpg"))
+    cameras = ball.with_name("cameras.json")
+    ball.with_suffix("").joinpath("cameras.json").rename(cameras)
+    pictures = []
+    for scale in (1.0, unit):
+        scene = read_ply(ball)
+        write_ply(ball.with_name("other.ply"), replace(scene, means=scale * scene.means, scales=scale * scene.scales))
+        listed = json.loads(cameras.read_text())
+        for frame in listed["frames"]:
+            for row in frame["transform_matrix"][:3]:
+                row[3] *= scale
+        ball.with_name("moved.json").write_text(json.dumps(listed))
+        chosen = ["--cameras", str(ball.with_name("moved.json"))] if given else ["--frames", "2", "--size", "64x48"]
+        out = ball.with_name(f"frames{scale}")
+        assert run(["render", str(ball.with_name("other.ply")), "-o", str(out), *chosen, "--depth", "-q"]) == 0
+        pictures.append([cv2.imread(str(path)) for path in sorted(out.glob("*[!h].png"))])
+    assert max(picture.max() for picture in pictures[0]) > 200
+    np.testing.assert_allclose(pictures[0], pictures[1], atol=2)
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """The library prints nothing, takes text for paths, reports its progress, and refuses wrong settings."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -100,6 +101,15 @@ def test_a_file_of_any_program_is_a_scene(ply: Path, capfd: pytest.CaptureFixtur
     with pytest.raises(qs.QuerySplatError, match=r"cameras\.json"):
         scene.cameras  # noqa: B018 - the access is the test
     assert capfd.readouterr() == ("", "")
+
+
+def test_a_file_may_have_any_unit(ply: Path) -> None:
+    """Beyond the usual limit of depth, 125 units, the picture was black."""
+    one = qs.read_ply(str(ply))
+    qs.write_ply(str(ply), replace(one, means=100 * one.means, scales=100 * one.scales))
+    K = torch.tensor([[[60.0, 0, 32], [0, 60, 24], [0, 0, 1]]])
+    near = qs.Cameras(torch.eye(4)[None].double(), K.double(), 48, 64)
+    torch.testing.assert_close(qs.render(ply, near).colour, qs.render(one, near).colour, atol=1e-4, rtol=0)
 
 
 def test_gaussians_without_cameras_and_missing_scenes_are_refused(ply: Path) -> None:

@@ -19,6 +19,7 @@ from querysplat_cli.runtime.tables import from_values
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.formats.transforms import NamedCameras, read_cameras, working_frame
 from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.paths import usual_depth
 from querysplat_cli.splat.conventions import RenderSettings
 from querysplat_cli.splat.render import Rendering
 from querysplat_cli.splat.render import render as draw
@@ -118,19 +119,24 @@ def render(scene: Scene | Gaussians | Place, cameras: Cameras | None = None, **h
     if isinstance(scene, str | Path):
         scene = open_scene(scene)
     if isinstance(scene, Scene):
+        cameras = cameras if cameras is not None else scene.cameras
         if "settings" not in how:
-            how["settings"] = _limits(scene.ply)
-        return draw(scene.gaussians, cameras if cameras is not None else scene.cameras, **how)
+            how["settings"] = _limits(scene, cameras)
+        return draw(scene.gaussians, cameras, **how)
     if cameras is None:
         raise QuerySplatError("Gaussians have no cameras of their own", "Give render(gaussians, cameras).")
     return draw(scene, cameras, **how)
 
 
-def _limits(ply: Path) -> RenderSettings:
-    """The splatter's limits in the units of the file: they are made for those in which the scene was made."""
-    beside, usual = folder_of_scene(ply) / "cameras.json", RenderSettings()
-    frame = working_frame(beside) if beside.is_file() else None
-    return replace(usual, near=usual.near * frame.scale, far=usual.far * frame.scale) if frame else usual
+def _limits(scene: Scene, cameras: Cameras) -> RenderSettings:
+    """The splatter's limits in the units of the file: they are made for those in which a scene is made."""
+    beside, usual = folder_of_scene(scene.ply) / "cameras.json", RenderSettings()
+    if beside.is_file():
+        frame = working_frame(beside)
+        unit = frame.scale if frame else 1.0
+    else:
+        unit = usual_depth(scene.gaussians, cameras)
+    return replace(usual, near=usual.near * unit, far=usual.far * unit)
 
 
 def _stages(progress: Listener | None) -> Stages:

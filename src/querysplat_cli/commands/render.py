@@ -29,8 +29,9 @@ from querysplat_cli.scene.formats.transforms import (
     write_transforms,
 )
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.scene.paths import centred, interpolate, opaque_centres, orbit, scene_middle, surround
+from querysplat_cli.scene.paths import centred, interpolate, opaque_centres, orbit, scene_middle, surround, usual_depth
 from querysplat_cli.scene.pictures import distinct_stems, eight_bit, write_picture
+from querysplat_cli.scene.sim3 import Sim3
 from querysplat_cli.splat.render import Rendering, render
 from querysplat_cli.splat.surface_depth import SurfaceDepth, surface_depth
 from querysplat_cli.splat.transform import transform_gaussians
@@ -88,7 +89,7 @@ def render_file(request: RenderRequest, stages: Stages) -> Rendered:
         names, cameras, sizes = _cameras(request, beside, gaussians)
         _check_names(names, request)
         listed = _listed(names, cameras, sizes, request.size)
-        frame = working_frame(beside) if beside.is_file() else None
+        frame = working_frame(beside) if beside.is_file() else _frame_by_depth(gaussians, cameras)
         if frame:  # the splatter's limits are in the units in which the scene was made
             gaussians, cameras = transform_gaussians(gaussians, frame.inverse()), cameras.transformed(frame.inverse())
         unit = frame.scale if frame else 1.0
@@ -156,6 +157,11 @@ def _cameras(request: RenderRequest, beside: Path, gaussians: Gaussians) -> Path
     if request.is_film and (file == beside or request.seconds):
         return _through(inputs, request)
     return distinct_stems(inputs.names), inputs.cameras, list(inputs.sizes)
+
+
+def _frame_by_depth(gaussians: Gaussians, cameras: Cameras) -> Sim3:
+    """A frame for a file of any unit: in it, surfaces have the depth that they have where scenes are made."""
+    return Sim3(usual_depth(gaussians, cameras), torch.eye(3).double(), torch.zeros(3).double())
 
 
 def _orbit(request: RenderRequest, known: NamedCameras | None, gaussians: Gaussians) -> Path3D:

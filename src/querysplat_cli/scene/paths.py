@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from torch import Tensor
 
 from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.sequences import evenly_spaced
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.upright import up_direction
@@ -19,6 +20,8 @@ RING_GAP = 2.1
 """The inputs surround their middle when no gap between their directions is wider than this, in radians."""
 LEAST_SWAY = 0.05
 """Half the width and height of the path in radians, where all inputs were taken from one place."""
+DEPTH_VIEWS = 8
+"""Cameras that `usual_depth` asks, at most."""
 ORBIT_SHARE = 0.8
 """Share of the inputs' angular range that the path uses. Near the ends fewer photos show what is rendered."""
 
@@ -59,6 +62,18 @@ def orbit(cameras: Cameras, middle: Float[Tensor, "3"], frames: int) -> Cameras:
 def opaque_centres(gaussians: Gaussians) -> Float[Tensor, "n 3"]:
     """Centres of the Gaussians that stand for surfaces (`Gaussians.surfaces`)."""
     return gaussians.means[gaussians.surfaces]
+
+
+def usual_depth(gaussians: Gaussians, cameras: Cameras) -> float:
+    """The median depth of `opaque_centres` before some of the cameras; 1 where none lies before them.
+
+    It is about 1 in the units in which scenes are made, and tells the unit of a file of another program.
+    """
+    centres = opaque_centres(gaussians)
+    some, cameras = evenly_spaced(range(len(cameras)), DEPTH_VIEWS), cameras.to(centres.dtype)
+    depths = torch.cat([centres[:0, 2], *(cameras.local(centres, view)[:, 2] for view in some)])
+    ahead = depths[depths > 0]
+    return float(ahead.median()) if len(ahead) else 1.0
 
 
 def scene_middle(gaussians: Gaussians) -> Float[Tensor, "3"]:
