@@ -139,6 +139,23 @@ def test_photos_of_each_size_are_looked_at_alone() -> None:
     assert found[0].source.overlay == overlay
 
 
+def saved_again(picture: np.ndarray, quality: int) -> np.ndarray:
+    _, data = cv2.imencode(".jpg", picture, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    return np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR))
+
+
+@pytest.mark.parametrize("places", [4, 5])
+def test_copies_of_photos_make_no_overlay(places: int) -> None:
+    """A few photos, each there three times: edges of four of five places agree by chance. A logo is still found."""
+    blurred = [cv2.GaussianBlur(picture, (0, 0), 1.5).astype(float) for picture in textures(places)]
+    originals = [(128 + 3 * (picture - 128)).clip(0, 255).astype(np.uint8) for picture in blurred]
+    copies = [copy for each in originals for copy in (each, saved_again(each, 70), each)]
+    assert find_static_part(copies) is not None
+    assert without_overlays([photo(each, f"{n}.jpg") for n, each in enumerate(copies)])[1] is None
+    marked = without_overlays([photo(text(1.0)(each), f"{n}.jpg") for n, each in enumerate(copies)])[1]
+    assert (marked is not None) == (places == 5)
+
+
 def test_large_photos_are_masked_too(tmp_path: Path) -> None:
     """The overlay is found on small copies, kept in photos.json, and applies at the size of the file."""
     overlay = Overlay(((0.25, 0.125, 0.5, 0.25),))

@@ -83,10 +83,38 @@ def without_overlays(photos: Sequence[Photo]) -> tuple[list[Photo], Overlaid | N
 
 
 def _static_part(photos: Sequence[Photo]) -> StaticPart | None:
-    """That of some of the photos, evenly spaced; None where there are too few."""
+    """That of some of the photos, evenly spaced; None where there are too few that differ.
+
+    Copies say the same thing twice: a few places, each photographed or saved several times, agree by chance.
+    """
     if len(photos) < OVERLAY_POLICY.fewest:
         return None
-    return find_static_part([_picture(photo) for photo in evenly_spaced(photos, OVERLAY_POLICY.most)])
+    pictures = [_picture(photo) for photo in evenly_spaced(photos, OVERLAY_POLICY.most)]
+    part = find_static_part(pictures)
+    different = _different(pictures) if part else pictures
+    if len(different) == len(pictures):
+        return part
+    return find_static_part(different) if len(different) >= OVERLAY_POLICY.fewest else None
+
+
+def _different(pictures: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Those that are no copy of an earlier one: saved anew, or taken from the same place."""
+    found: list[tuple[np.ndarray, np.ndarray]] = []
+    for picture in pictures:
+        gradients = _gradients(reduced(picture, OVERLAY_POLICY.copy_size))
+        if all(_alike(gradients, other) < OVERLAY_POLICY.copies for _, other in found):
+            found.append((picture, gradients))
+    return [picture for picture, _ in found]
+
+
+def _alike(one: Float[np.ndarray, "height width 3 2"], other: Float[np.ndarray, "height width 3 2"]) -> float:
+    """Share of the edges of two pictures of one size that both have at the same place."""
+    policy = OVERLAY_POLICY
+    mean = (one + other) / 2
+    clear, strength = _lengths(mean), (_lengths(one) + _lengths(other)) / 2
+    both = (_lengths(one - mean) < policy.deviation * clear) & (clear > policy.least_gradient)
+    edges = (strength > policy.least_gradient).any(-1)
+    return float(both.any(-1).sum() / max(edges.sum(), 1))
 
 
 def _picture(photo: Photo) -> np.ndarray:

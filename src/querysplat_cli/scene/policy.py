@@ -44,6 +44,12 @@ class OverlayPolicy:
     """In fewer photos of one size, edges of a scene stay in place by chance."""
     most: int = 16
     """So many photos of one size are looked at, evenly spaced."""
+    copy_size: int = 160
+    """Longer side, in pixels, of the pictures in which copies are looked for, where noise and JPEG hardly count."""
+    copies: float = 0.92
+    """Share of the edges of two pictures from which on one is a copy of the other. Photos of fortress that were saved
+    again or shifted by a pixel have 0.95 and more, other photos at most 0.4, and a turntable with 84 % of all edges in
+    its surroundings 0.86."""
     least_gradient: float = 6.0
     """Length, in grey levels per pixel, of the mean gradient of an edge that stays in place."""
     deviation: float = 0.5
