@@ -163,10 +163,10 @@ def test_a_folder_without_permission_is_named_by_itself(tmp_path: Path, monkeypa
 
 def test_a_file_where_a_folder_is_needed(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(QuerySplatError, match="a file is where a folder is needed"):
-        check_writable(tmp_path / "file")
-    with pytest.raises(QuerySplatError, match="a file is where a folder is needed"):
-        check_writable(tmp_path / "file" / "below")
+    for folder in (tmp_path / "file", tmp_path / "file" / "below"):
+        with pytest.raises(QuerySplatError) as caught:
+            check_writable(folder)
+        assert caught.value.message == f"{folder}: a file is where a folder is needed"
 
 
 def test_a_writable_folder_is_made_and_left_empty(tmp_path: Path) -> None:

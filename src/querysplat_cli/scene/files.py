@@ -237,19 +237,19 @@ def _remove_if_empty(folder: Path) -> None:
 def _in_words(error: Exception, place: Path) -> QuerySplatError | None:
     # A draft may hold drafts; messages name the output.
     path = Path(*(part for part in place.parts if not part.startswith(DRAFTS)))
+    shown = path.parent if path.name == PROBE else path
     reason = getattr(error, "errno", None)
     if reason in FORBIDDEN:
-        where = path.parent if path.name == PROBE else path
         return QuerySplatError(
-            f"{where}: no permission to write there", "Choose another output, or change the folder's permissions."
+            f"{shown}: no permission to write there", "Choose another output, or change the folder's permissions."
         )
     if reason in NO_FOLDER and not path.parent.is_dir():
-        return QuerySplatError(f"{path}: a file is where a folder is needed", "Choose another output.")
+        return QuerySplatError(f"{shown}: a file is where a folder is needed", "Choose another output.")
     if reason in NO_SPACE or os.strerror(errno.ENOSPC) in str(error) or _silent_failure(error, path.parent):
-        return QuerySplatError(f"{path}: the disk is full", "Free some space, or choose an output on another disk.")
+        return QuerySplatError(f"{shown}: the disk is full", "Free some space, or choose an output on another disk.")
     failed = Path(str(getattr(error, "filename", None)))
     if reason and (failed.name.startswith(DRAFTS) or failed in place.parents):
-        why = f"{path}: nothing can be written there: {os.strerror(reason)}"
+        why = f"{shown}: nothing can be written there: {os.strerror(reason)}"
         return QuerySplatError(why, "Choose another output.")
     return None
 
