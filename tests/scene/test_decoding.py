@@ -51,6 +51,14 @@ def test_a_panorama_strip_is_left_out_with_its_own_size(tmp_path: Path) -> None:
     assert left_out == LeftOut("strip.png", "12000 × 400 pixels are too long and narrow")
 
 
+def test_the_thumbnail_of_a_raw_photo_is_no_photo(tmp_path: Path) -> None:
+    raw = tmp_path / "DSC_1.NEF"
+    Image.fromarray(SMOOTH).save(raw, "TIFF", tiffinfo={decoding.SUBFILE_TYPE: 1})
+    photos, left_out = load_photos([save(tmp_path / "DSC_1.jpg"), raw])
+    assert [photo.name for photo in photos] == ["DSC_1.jpg"]
+    assert "raw photos" in left_out[0].why
+
+
 @pytest.mark.parametrize("reads", [True, False])
 def test_the_package_for_heic_is_named_only_where_it_is_missing(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, reads: bool

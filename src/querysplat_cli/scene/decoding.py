@@ -7,7 +7,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from PIL import ExifTags, Image, ImageOps, UnidentifiedImageError
+from PIL import ExifTags, Image, ImageOps, TiffImagePlugin, UnidentifiedImageError
 
 from querysplat_cli.runtime.optional_parts import install_command
 from querysplat_cli.scene.exif import Gps, focal_length, gps_place, says_panorama
@@ -19,6 +19,8 @@ ON_THEIR_SIDE = {5, 6, 7, 8}
 """EXIF orientations of pictures that are stored with rows for columns."""
 JPEG_PARTS = 8, 4, 2
 """Of the size of a JPEG, as Pillow can decode it."""
+SUBFILE_TYPE = 254
+"""A tag of TIFF. Its first bit marks a reduced copy of another picture of the file; raw photos begin with one."""
 MOST_PIXELS = 500_000_000
 """Of a photo. Phones take 200 million."""
 
@@ -58,6 +60,8 @@ def decode(path: Path, max_side: int) -> Decoded:
         width, height = image.size
         if width * height > MOST_PIXELS:
             raise Image.DecompressionBombError
+        if isinstance(image, TiffImagePlugin.TiffImageFile) and image.tag_v2.get(SUBFILE_TYPE, 0) & 1:
+            raise ValueError("its first picture is a thumbnail, as in raw photos; export it as JPEG")
         focal, panorama, gps = focal_length(image), says_panorama(image), gps_place(image)
         orientation = image.getexif().get(ExifTags.Base.Orientation, 1)
         # JPEG is read faster at a fraction of its size, but what is no whole multiple would be stretched by a pixel.
