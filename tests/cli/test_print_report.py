@@ -70,6 +70,15 @@ def test_before_and_after() -> None:
     )
 
 
+@pytest.mark.parametrize("corrected", [True, False])
+def test_scores_without_exposure_stand_beside_the_plain_ones_where_exposures_differ(corrected: bool) -> None:
+    """A good scene of bracketed photos has 16 dB, because no render has the exposure of its photo."""
+    quality = {**REPORT.quality, "input": {"psnr": 16.32, "ssim": 0.7, "psnr_cc": 27.54}}
+    said = list(lines(replace(REPORT, quality=quality, exposure={"disagreement": 0.3, "corrected": corrected})))
+    beside = " (27.54 colour-corrected)" if corrected else ""
+    assert said[1] == f"PSNR 16.32 dB{beside}, SSIM 0.700 on the photos"
+
+
 def test_a_stage_that_was_not_kept_has_a_line() -> None:
     stages = {"level": "high", "ended": "every planned step was taken", "not_kept": [1600]}
     said = list(lines(replace(REPORT, full_size=stages)))

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from zipfile import ZipFile
 
 import cv2
 import numpy as np
@@ -62,8 +63,9 @@ def test_the_largest_pictures_of_a_scene_folder_are_taken(tmp_path: Path, scene:
         (lambda folder: folder, "empty folder", "Put the photos there"),
         (lambda folder: (folder / "notes.txt").write_text("x") and folder, "no pictures", "JPEG"),
         (lambda folder: save(folder / "holiday" / "a.png") and folder, "no pictures", "holiday"),
+        (lambda folder: all(save(folder / day / "a.png") for day in "12") and folder, "no pictures", "folders 1, 2"),
     ],
-    ids=["missing", "empty", "no pictures", "pictures further down"],
+    ids=["missing", "empty", "no pictures", "pictures further down", "in several folders"],
 )
 def test_inputs_without_pictures_are_refused(
     tmp_path: Path, make: Callable[[Path], Path], message: str, hint: str
@@ -79,6 +81,7 @@ def test_bad_files_among_good_ones_are_left_out_by_name(tmp_path: Path) -> None:
     save(tmp_path / "tiny.png", SMOOTH[:10, :10])
     (tmp_path / "empty.jpg").touch()
     (tmp_path / "text.jpg").write_text("not a picture")
+    ZipFile(tmp_path / "photos.zip", "w").close()
     (tmp_path / "phone.heic").write_bytes(b"\0\0\0\x18ftypheic" + bytes(100))
     for name, whole in (("cut.jpg", "good_2.jpg"), ("cut.png", "good_1.png")):
         content = (tmp_path / whole).read_bytes()
@@ -86,9 +89,10 @@ def test_bad_files_among_good_ones_are_left_out_by_name(tmp_path: Path) -> None:
     photos, left_out = load_photos(find_photos([tmp_path]))
     assert [photo.name for photo in photos] == ["good_1.png", "good_2.jpg"]
     why = {each.name: each.why for each in left_out}
-    assert why.keys() == {"tiny.png", "empty.jpg", "text.jpg", "phone.heic", "cut.jpg", "cut.png"}
+    assert why.keys() == {"tiny.png", "empty.jpg", "text.jpg", "photos.zip", "phone.heic", "cut.jpg", "cut.png"}
     assert why["empty.jpg"] == "the file is empty"
     assert "not a picture" in why["text.jpg"]
+    assert "unpack" in why["photos.zip"]
     assert "10 × 10" in why["tiny.png"]
     assert "querysplat[heic]" in why["phone.heic"]
     assert "truncated" in why["cut.jpg"]

@@ -88,10 +88,18 @@ def _quality(report: Report) -> Iterator[str]:
         found = quality.get(group)
         if found:
             was = f"{before[group]:.2f} → " if before.get(group) is not None else ""
-            yield f"PSNR {was}{found['psnr']:.2f} dB, SSIM {found['ssim']:.3f} on {where}"
+            yield f"PSNR {was}{found['psnr']:.2f} dB{_corrected(report, found)}, SSIM {found['ssim']:.3f} on {where}"
         if large and large.get(group):
             size = f"at {large['max_size']} px"
-            yield f"PSNR {large[group]['psnr']:.2f} dB, SSIM {large[group]['ssim']:.3f} on {where} {size}"
+            sharp = large[group]
+            psnr = f"{sharp['psnr']:.2f} dB{_corrected(report, sharp)}"
+            yield f"PSNR {psnr}, SSIM {sharp['ssim']:.3f} on {where} {size}"
+
+
+def _corrected(report: Report, scores: dict[str, Any]) -> str:
+    """The PSNR without the photos' exposures, where these differ so much that the plain one says little."""
+    differ = (report.exposure or {}).get("corrected") and "psnr_cc" in scores
+    return f" ({scores['psnr_cc']:.2f} colour-corrected)" if differ else ""
 
 
 def _file(report: Report) -> str:

@@ -4,6 +4,7 @@ import warnings
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from zipfile import is_zipfile
 
 import cv2
 import numpy as np
@@ -113,7 +114,7 @@ def why_not_a_picture(path: Path) -> str:
     """Why a file is no picture that can be read, as a phrase for the user."""
     if path.suffix.lower() in HEIF_SUFFIXES and not _reads_heif():
         return f"HEIC needs one more package: {install_command('heic')}"
-    return "not a picture that can be read"
+    return "an archive; unpack it" if is_zipfile(path) else "not a picture that can be read"
 
 
 def longer_side(path: Path, default: int) -> int:

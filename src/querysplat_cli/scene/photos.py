@@ -159,8 +159,16 @@ def _folder_photos(folder: Path) -> list[Path]:
     if not any(folder.iterdir()):
         raise QuerySplatError(f"{folder}: an empty folder", "Put the photos there, or give another folder.")
     inside = [each.name for each in sorted(folder.iterdir()) if each.is_dir() and _holds_pictures(each)]
-    hint = f"There are pictures in its folder {inside[0]}." if inside else "Give a folder of JPEG or PNG photos."
-    raise QuerySplatError(f"{folder}: no pictures in this folder", hint)
+    raise QuerySplatError(f"{folder}: no pictures in this folder", _where_pictures_are(inside))
+
+
+def _where_pictures_are(folders: list[str]) -> str:
+    if not folders:
+        return "Give a folder of JPEG or PNG photos."
+    if len(folders) == 1:
+        return f"There are pictures in its folder {folders[0]}."
+    some = ", ".join(folders[:3]) + (", …" if folders[3:] else "")
+    return f"There are pictures in its folders {some}: give those that belong together, one after the other."
 
 
 def _holds_pictures(folder: Path) -> bool:
