@@ -198,6 +198,14 @@ def test_no_query_extends_a_photo_where_another_photo_shows_the_place() -> None:
     torch.testing.assert_close(anchors.spacing[-1], anchors.spacing[0] * QUERY_POLICY.border_coarser)
 
 
+def test_cut_out_things_do_not_go_on_beyond_the_photos() -> None:
+    """Where masks leave less than half of the photos, they leave out what is around the things in them."""
+    views, cameras, depth, confidence = plane([0.0])
+    for shown, beyond in ((WIDTH, True), (WIDTH // 4, False)):
+        views.masks[:, :, shown:] = False
+        assert (build(views, cameras, depth, confidence)[1].beyond > 0) == beyond
+
+
 def test_blocks_outside_the_photos_keep_about_the_size_of_their_prior() -> None:
     """The bundled decoder was not trained on any. With their true features it makes them several times larger."""
     views, cameras, depth, confidence = plane([0.0, 0.3])

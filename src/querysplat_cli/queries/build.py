@@ -15,6 +15,7 @@ from torch import Tensor
 
 from querysplat_cli.encoders.base import Geometry
 from querysplat_cli.model.anchors import Anchors, Neighbours, Reading
+from querysplat_cli.queries.backdrop import shows_background
 from querysplat_cli.queries.cells import CELLS, Cells, discs, measure_cells
 from querysplat_cli.queries.coverage import AnchorReport, ViewComparison, choose_blocks, compare_views
 from querysplat_cli.queries.features import border_features, photo_features
@@ -56,6 +57,8 @@ def build_anchors(
     border = border_blocks(views, cameras, depth, QUERY_POLICY.border_coarser * (side // CELLS))
     if queries is not None:
         border = border.map(lambda part: part[: queries - chosen.report.kept])
+    if not shows_background(views):
+        border = border.map(lambda part: part[:0])
     features = torch.cat([photo_features(chosen.cells, chosen.comparison)[keep], border_features(border)])
     cells = replace(chosen.cells, colour=chosen.comparison.colour).map(lambda part: part[keep]).joined(border)
     anchors = _anchors(cells, features, cameras.patch_places(depth, geometry.patch).reshape(-1, 3))

@@ -31,6 +31,8 @@ class TtoPolicy:
     smoothness: float = 2 / 448
     """In Gaussian space, weight in the loss of how rough the depth is that no other view confirms
     (`tto/smooth_depth.py`). Chosen on fortress, dtu106, kermit and fox (docs/tried.md)."""
+    spilt: float = 0.1
+    """Weight in the loss of the alpha beside what cut-out photos show. Chosen on fortress (docs/tried.md)."""
     guessed_opacity: float = 0.15
     """In Gaussian space, weight in the loss of the mean opacity, each by the Gaussian's share in guessed pixels, from
     the first split to the last. What one photo alone shows then has no more Gaussians than it needs, and those that no

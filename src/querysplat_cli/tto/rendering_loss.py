@@ -8,6 +8,7 @@ from jaxtyping import Bool
 from torch import Tensor
 from torch.nn import functional as F
 
+from querysplat_cli.queries.backdrop import shows_background
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.views import Views
@@ -68,6 +69,7 @@ class RenderingLoss:
     confirmed: where the depth of each working picture agrees with another view. These maps may be smaller than the
         pictures here, and have no padding. Elsewhere gradients keep the depth of the scene smooth
         (`tto/smooth_depth.py`; None: nothing does).
+    cut_out: the masks leave out what is around the things in the photos. Gradients keep the scene transparent there.
     """
 
     views: Views
@@ -80,6 +82,7 @@ class RenderingLoss:
     perceptual: Perceptual | None = None
     halved: float = 0.0
     confirmed: tuple[Bool[Tensor, "rows columns"], ...] | None = None
+    cut_out: bool = False
 
     @classmethod
     def for_solid_scenes(
@@ -89,8 +92,8 @@ class RenderingLoss:
 
         Over a fixed background, dark or bright places of the photos would become transparent instead of opaque.
         """
-        grey = torch.full((3,), MID_GREY, device=cameras.w2c.device)
-        return cls(views, cameras, grey, backgrounds=generator, exposures=exposures, finest=cameras)
+        grey, alone = torch.full((3,), MID_GREY, device=cameras.w2c.device), not shows_background(views)
+        return cls(views, cameras, grey, backgrounds=generator, exposures=exposures, finest=cameras, cut_out=alone)
 
     def render(self, gaussians: Gaussians, view: int) -> Rendering:
         """One view over black, in the colours of its photo."""
@@ -122,14 +125,14 @@ class RenderingLoss:
         for view in chosen:
             rendering = self._render(leaves, cameras, view)
             photo = self._photo(view)
-            rough = self._roughness(rendering, photo, view)
+            beside = self._roughness(rendering, photo, view) + self._spilt(rendering, view)
             if self.exposures:
                 self.exposures.refit(view, rendering, photo[0][0], photo[1][0])
                 rendering = self._exposed(rendering, view)
             picture = self._recorded(rendering.over(behind), photo[0])
             distance = self._distance(picture, photo)
             smaller = TTO_POLICY.half * self._half_loss(leaves, cameras, behind, view, photo) if halve else 0.0
-            ((photometric_loss(picture, *photo) + distance + smaller + rough) / len(chosen)).backward()
+            ((photometric_loss(picture, *photo) + distance + smaller + beside) / len(chosen)).backward()
             # Over changing backgrounds the distance is another one than that of the value.
             value, error = self._compared(rendering, photo, view, None if self.backgrounds else distance.detach())
             losses.append(value)
@@ -155,6 +158,15 @@ class RenderingLoss:
         if self.confirmed is None:
             return 0.0
         return TTO_POLICY.smoothness * depth_roughness(rendering, *photo, self.guessed(view))
+
+    def _spilt(self, rendering: Rendering, view: int) -> Tensor | float:
+        """The alpha beside what a cut-out photo shows, in units of the pixels that it shows, by its weight."""
+        if not self.cut_out:
+            return 0.0
+        (height, width), shown = self.views.sizes[view], self.views.masks[[view]]
+        # At the edge of the thing, pixels are partly covered.
+        empty = F.max_pool2d(shown[:, None, :height, :width].float(), 3, 1, 1)[:, 0] == 0
+        return TTO_POLICY.spilt * rendering.alpha[:, :height, :width][empty].sum() / shown.sum().clamp(min=1)
 
     def guessed(self, view: int) -> Bool[Tensor, "1 height width"]:
         """The pixels of a view whose depth no other view confirms; none where that is not known."""
