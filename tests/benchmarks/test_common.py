@@ -57,6 +57,7 @@ def test_a_long_set_is_read_at_even_distances(tmp_path: Path) -> None:
     assert [path.stem for path in three.photos(tmp_path)] == ["0", "4", "8"]
 
 
+@pytest.mark.slow
 def test_what_the_encoder_found_is_made_once(tmp_path: Path) -> None:
     made: list[Sample] = []
 
@@ -86,6 +87,7 @@ def test_tables_and_files_hold_what_was_measured(tmp_path: Path, capsys: pytest.
     assert found == {"machine": output.machine(), "rows": [{"set": "fox", "psnr": 21.456}]}
 
 
+@pytest.mark.slow
 def test_a_scene_is_optimised_again_as_it_was() -> None:
     """The same queries and settings give the same Gaussians; other settings do not."""
     torch.manual_seed(0)

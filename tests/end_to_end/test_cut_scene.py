@@ -82,7 +82,9 @@ def test_a_cut_copy_in_place_of_the_scenes_own_file_is_not_optimised(
     assert run(["tto", str(cut), "--steps", "0", "-q"]) == ExitCode.DONE
 
 
-@pytest.mark.parametrize(("option", "metres"), [("--scale=2", False), ("--no-backdrop", True)])
+@pytest.mark.parametrize(
+    ("option", "metres"), [("--scale=2", False), pytest.param("--no-backdrop", True, marks=pytest.mark.slow)]
+)
 def test_a_scene_in_metres_that_is_scaled_is_in_metres_no_more(option: str, metres: bool, tmp_path: Path) -> None:
     photos = [str(path) for path in take_photos(tmp_path / "photos", 3, 2)]
     apart = f"{Path(photos[0]).name},{Path(photos[1]).name}=0.5"

@@ -179,6 +179,7 @@ def test_official_models_are_optimised_with_lpips_where_its_weights_are(room: Pa
     assert optimised[0] != optimised[1]
 
 
+@pytest.mark.slow
 def test_cases_on_a_cluster_score_the_same(evaluated: tuple[Path, dict[str, Any]], room: Path, tmp_path: Path) -> None:
     """Dask's workers make the scenes that one process made before."""
     pytest.importorskip("distributed")

@@ -36,6 +36,7 @@ def made(folder: Path, name: str, capsys: pytest.CaptureFixture[str], *more: str
     return ply, report
 
 
+@pytest.mark.slow
 def test_photos_that_agree_need_no_transforms(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The scene is then the same, byte for byte, as without the comparison."""
     folder = photos(tmp_path / "photos")

@@ -21,6 +21,7 @@ from querysplat_cli.pipeline.policy import PIPELINE_POLICY
 from querysplat_cli.runtime.errors import ExitCode
 
 
+@pytest.mark.slow
 def test_photos_that_lie_in_a_file_make_the_same_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     photos = take_photos(tmp_path / "photos", 3, 3)
     made = ["reconstruct", *map(str, photos), "--max-size", "96", "--tto", "2", "--quality", "draft", "-q", "-o"]
@@ -106,6 +107,7 @@ def test_good_photos_are_used_where_some_are_bad(
     assert report["quality"]["input"]["psnr"] > 18
 
 
+@pytest.mark.slow
 def test_two_places_in_one_folder(room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The larger place becomes the scene; every photo of the other is named."""
     folder = tmp_path / "two"
@@ -220,7 +222,8 @@ def test_a_full_disk_leaves_nothing(room: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("stage", "number"),
     [
-        *((stage, signal.SIGINT) for stage in ("photos", "cameras", "depth", "score", "write")),
+        *((stage, signal.SIGINT) for stage in ("photos", "write")),
+        *(pytest.param(stage, signal.SIGINT, marks=pytest.mark.slow) for stage in ("cameras", "depth", "score")),
         ("cameras", signal.SIGTERM),
         ("depth", signal.SIGHUP),
         pytest.param("write", signal.SIGTERM, marks=pytest.mark.slow),

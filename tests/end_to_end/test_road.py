@@ -197,6 +197,7 @@ def test_a_scene_can_do_without_a_backdrop(room: Path, tmp_path: Path, capsys: p
     assert json.loads(capsys.readouterr().out)["backdrop"] == 0
 
 
+@pytest.mark.slow
 def test_everything_can_be_kept(
     room: Path, scene: tuple[Path, dict[str, Any]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -208,7 +209,7 @@ def test_everything_can_be_kept(
     assert {part["what"] for part in report["left_out"]} == {"LPIPS loss"}
 
 
-@pytest.mark.parametrize(("steps", "finest"), [("0", True), ("2", False)])
+@pytest.mark.parametrize(("steps", "finest"), [("0", True), pytest.param("2", False, marks=pytest.mark.slow)])
 def test_scenes_to_be_optimised_have_no_more_queries_than_there_is_time_for(
     room: Path,
     tmp_path: Path,
