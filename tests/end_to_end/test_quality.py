@@ -77,6 +77,18 @@ def test_a_finished_scene_is_taken_further(scene: Path, capsys: pytest.CaptureFi
     assert len(again["tto"]) == 3
 
 
+def test_a_scene_of_large_photos_is_taken_further_on_them_unless_an_option_says_otherwise(
+    standard: Path, scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Steps on the small pictures would take the detail of the large ones."""
+    taken_further(scene, capsys)
+    for options, last in (([], {"space": "gaussians", "max_size": 320}), (["--steps", "1"], {"space": "gaussians"})):
+        assert run(["tto", str(scene), *options, "--json", "-q"]) == ExitCode.DONE
+        report = json.loads(capsys.readouterr().out)
+        assert {key: report["tto"][-1].get(key) for key in ("space", "max_size")} == {"max_size": None, **last}
+    assert report["full_size"]["level"] == "high"
+
+
 def test_the_same_seed_gives_the_same_bytes(standard: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     files = []
     for name in ("one", "two"):

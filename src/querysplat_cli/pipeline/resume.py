@@ -3,7 +3,7 @@
 from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import torch
 
@@ -14,7 +14,7 @@ from querysplat_cli.pipeline.gaussian_files import check_target, file_of_scene, 
 from querysplat_cli.pipeline.optimise import optimise_start
 from querysplat_cli.pipeline.perceptual import optimisation_lpips
 from querysplat_cli.pipeline.read_scene import check_model, read_scene, read_scene_gaussians, require_scene
-from querysplat_cli.pipeline.resume_settings import ResumeSettings
+from querysplat_cli.pipeline.resume_settings import ResumeSettings, against_quality
 from querysplat_cli.pipeline.scene_folder import StoredScene, scores_of, write_scene
 from querysplat_cli.prune.gaussians import target_count
 from querysplat_cli.reporting import omissions
@@ -52,19 +52,22 @@ def optimise_scene(settings: ResumeSettings, stages: Stages | None = None) -> Re
         path = folder.resolve()  # the scene is elsewhere, and not the folder alone
     check_target(file_of_scene(path))
     settings = replace(settings, scene=path)
-    if settings.quality:
-        _check_plain(settings)
+    conflict = against_quality(settings)
+    if settings.quality and conflict:
+        raise conflict
     check_writable(path.parent)
     with claimed(without_steps(folder)):
         return _optimised(settings, stages or Stages())
 
 
 def _optimised(settings: ResumeSettings, stages: Stages) -> Report:
-    if settings.quality:
-        return _at_full_size(settings, settings.quality, stages)
     path, options = settings.scene, _options(settings)
     with stages("read"):
         scene, before = _read(settings)
+    level = settings.quality or (None if against_quality(settings) else _level_again(scene, before))
+    if level:
+        return _at_full_size(settings, level, scene, before, stages)
+    with stages("read"):
         model = load_again(scene, before["settings"], settings.weights, find_device(settings.device))
         spaces = [run["space"] for run in before["tto"] if run["steps"]]
         space = options.space or (spaces[-1] if spaces else "features")
@@ -98,12 +101,18 @@ def joined_of_regions(path: Path, hint: str) -> QuerySplatError:
     return QuerySplatError(f"{path} was joined from regions, and has no queries", hint)
 
 
-def _at_full_size(settings: ResumeSettings, level: FullSizeLevel, stages: Stages) -> Report:
+def _level_again(scene: StoredScene, before: dict[str, Any]) -> FullSizeLevel | None:
+    """The level that a scene of large photos has: steps on the small pictures would take their detail."""
+    level = (before.get("full_size") or {}).get("level")
+    return level if _finest_size(scene, before) and level in get_args(FullSizeLevel) else None
+
+
+def _at_full_size(
+    settings: ResumeSettings, level: FullSizeLevel, scene: StoredScene, before: dict[str, Any], stages: Stages
+) -> Report:
     """Optimise the Gaussians of the stored scene on its large photos, and write it back."""
     path, device = settings.scene, find_device(settings.device)
-    with stages("read"):
-        scene, before = _read(settings)
-        gaussians = _own_gaussians(path, scene, before)
+    gaussians = _own_gaussians(path, scene, before)
     inputs, heldout = stored_photos(scene)
     with stages("full size") as progress:
         photos = replace(inputs.summary(), reached=_finest_size(scene, before) or 0)
@@ -202,22 +211,6 @@ def _psnr(quality: dict[str, Any]) -> dict[str, float | None]:
     groups = {name: quality.get(name) for name in ("input", "heldout")}
     values = {name: group.get("psnr") if isinstance(group, dict) else None for name, group in groups.items()}
     return {name: float(value) if isinstance(value, int | float) else None for name, value in values.items()}
-
-
-def _check_plain(settings: ResumeSettings) -> None:
-    """Refuse options that --quality decides itself."""
-    for option in ("steps", "lr", "densify"):
-        if getattr(settings, option) is not None:
-            raise QuerySplatError(f"--quality plans everything that --{option} sets", f"Leave --{option} out.")
-    if settings.space not in (None, "gaussians") or settings.prune != "off" or settings.refine_cameras:
-        raise QuerySplatError(
-            "--quality works in Gaussian space, prunes nothing and keeps the cameras",
-            "Leave --space, --prune and --refine-cameras out.",
-        )
-    if settings.lpips:
-        raise QuerySplatError(
-            "--quality optimises without LPIPS, which large photos would need too much memory for", "Leave --lpips out."
-        )
 
 
 def _options(settings: ResumeSettings) -> OptimiseOptions:

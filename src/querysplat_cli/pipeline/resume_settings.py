@@ -7,6 +7,7 @@ from annotated_types import Ge, Le
 
 from querysplat_cli.pipeline.settings import REFINE_CAMERAS, SPACE_HELP, TtoLpips
 from querysplat_cli.runtime.choices import ExposureCorrection, FullSizeLevel, Space
+from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.options import Device, MovedWeights, Option, Prune, Seed, StoredScenePath
 
 
@@ -20,7 +21,7 @@ class ResumeSettings:
         Option(
             "Optimise the Gaussians on the photos at up to 900 pixels (standard), 1600 pixels (high) or their own size "
             "(max). The photos must still be where they were.",
-            default="the small pictures only",
+            default="what a scene of larger photos has, else the small pictures only",
         ),
     ] = None
     steps: Annotated[int | None, Ge(0), Option("Optimisation steps.", metavar="STEPS|auto", auto=True)] = None
@@ -59,3 +60,20 @@ class ResumeSettings:
             "Go on with the colour transforms of the photos, if the scene has any. off: leave them out from now on.",
         ),
     ] = "auto"
+
+
+def against_quality(settings: ResumeSettings) -> QuerySplatError | None:
+    """The error where an option is asked for that --quality decides itself."""
+    for option in ("steps", "lr", "densify"):
+        if getattr(settings, option) is not None:
+            return QuerySplatError(f"--quality plans everything that --{option} sets", f"Leave --{option} out.")
+    if settings.space not in (None, "gaussians") or settings.prune != "off" or settings.refine_cameras:
+        return QuerySplatError(
+            "--quality works in Gaussian space, prunes nothing and keeps the cameras",
+            "Leave --space, --prune and --refine-cameras out.",
+        )
+    if settings.lpips:
+        return QuerySplatError(
+            "--quality optimises without LPIPS, which large photos would need too much memory for", "Leave --lpips out."
+        )
+    return None
