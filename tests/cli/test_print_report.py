@@ -33,6 +33,20 @@ def test_what_how_good_how_long_where_and_what_next() -> None:
     assert "querysplat tto s" in said[4]
 
 
+@pytest.mark.parametrize(
+    ("level", "further"),
+    [
+        ("standard", ", or querysplat tto s --quality high for a better scene"),
+        ("high", ", or querysplat tto s --quality max for a better scene"),
+        ("max", ""),
+    ],
+)
+def test_a_scene_of_large_photos_is_not_sent_back_to_small_pictures(level: str, further: str) -> None:
+    quality = {**REPORT.quality, "full_size": {"max_size": 900, "input": {"psnr": 30.0, "ssim": 0.9}, "heldout": None}}
+    *_, last = lines(replace(REPORT, quality=quality, full_size={"level": level}))
+    assert last == f"next: querysplat view s.ply{further}"
+
+
 def test_the_next_command_can_be_copied_where_names_have_spaces() -> None:
     *_, last = lines(replace(REPORT, ply="my room/s.ply", scene="my room/s"))
     assert "querysplat view 'my room/s.ply', or querysplat tto 'my room/s' for" in last

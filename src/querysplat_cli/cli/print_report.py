@@ -16,6 +16,8 @@ from querysplat_cli.runtime.words import counted
 
 LONGEST_STAGES = 3
 """How many stages are named beside the whole time."""
+FURTHER = {None: "", "standard": " --quality high", "high": " --quality max"}
+"""Options of `tto`, by the level that a scene has on large photos. Steps on small pictures would take their detail."""
 
 
 def print_report(report: Report, printing: Printing) -> None:
@@ -116,7 +118,9 @@ def _next(report: Report) -> str:
     before, after = (quality.get("before") or {}).get("input"), (quality.get("input") or {}).get("psnr")
     # What begins with a dash would be an option.
     ply, scene = (quote(f"./{path}" if path.startswith("-") else path) for path in (report.ply, report.scene))
-    further = "" if before and after and after <= before else f", or querysplat tto {scene} for a better scene"
+    level = (report.full_size or {}).get("level") if quality.get("full_size") else None
+    gained = not (before and after and after <= before)
+    further = f", or querysplat tto {scene}{FURTHER[level]} for a better scene" if gained and level != "max" else ""
     return f"next: {'' if current_folder.is_there() else 'cd . && '}querysplat view {ply}{further}"
 
 
