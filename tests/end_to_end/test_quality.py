@@ -11,6 +11,7 @@ import pytest
 from rooms import take_photos
 
 from querysplat_cli.cli import run
+from querysplat_cli.prune import bands
 from querysplat_cli.runtime.errors import ExitCode
 from querysplat_cli.scene.formats.ply import read_ply
 from querysplat_cli.tto import full_size_plan
@@ -87,6 +88,18 @@ def test_a_scene_of_large_photos_is_taken_further_on_them_unless_an_option_says_
         report = json.loads(capsys.readouterr().out)
         assert {key: report["tto"][-1].get(key) for key in ("space", "max_size")} == {"max_size": None, **last}
     assert report["full_size"]["level"] == "high"
+
+
+def test_small_pictures_do_not_decide_on_the_bands_of_a_scene_of_large_photos(
+    scene: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    taken_further(scene, capsys)
+    before = read_ply(scene)
+    assert before.sh_degree == 1
+    monkeypatch.setattr(bands, "PRUNE_POLICY", replace(bands.PRUNE_POLICY, psnr_of_bands=100.0))
+    assert run(["tto", str(scene), "--steps", "0", "--prune", str(len(before) // 2), "-q"]) == ExitCode.DONE
+    assert len(read_ply(scene)) < len(before)
+    assert read_ply(scene).sh_degree == 1
 
 
 def test_the_same_seed_gives_the_same_bytes(standard: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -39,7 +39,9 @@ def optimise_start(
 
     Its Gaussians are nowhere thinner than the pixels of the finest photo that sees them, and far ones are drawn in.
     Scenes of official models have no such bounds, keep all bands, and all Gaussians unless a number is asked for, and
-    are optimised over mid-grey, as in the release. `exposures` are the colour transforms of the photos to start with.
+    are optimised over mid-grey, as in the release. Scenes of larger photos (`options.finest_size`) keep all bands, too:
+    small pictures do not tell what these are worth there. `exposures` are the colour transforms of the photos to start
+    with.
     """
     if options.keep_all or start.anchors is None:
         options = replace(options, keep_all=True, prune="off" if options.prune == "auto" else options.prune)
@@ -55,7 +57,7 @@ def optimise_start(
     if target.finest is not None:
         finest = _enlarged(adapted.cameras, options.finest_size)
         adapted = replace(adapted, gaussians=bounded(drawn_in(adapted.gaussians, adapted.cameras), finest))
-    if not options.keep_all:
+    if not options.keep_all and options.finest_size is None:
         last, tested = replace(target, cameras=adapted.cameras), tested_views(len(target.views))
         fewer, idle = without_idle_bands(adapted.gaussians, lambda some: last.psnr(some, tested))
         adapted = replace(adapted, gaussians=fewer, idle_bands=idle)
