@@ -181,6 +181,8 @@ def test_gaussians_are_split_up_to_a_number(
     assert run([*command, str(target)]) == ExitCode.BAD_INPUT
     assert "Use --space gaussians" in capsys.readouterr().err
     assert run([*command, str(count), "--space", "gaussians"]) == ExitCode.BAD_INPUT
+    assert run([*command, "90", "--prune", "100", "--space", "gaussians"]) == ExitCode.BAD_INPUT
+    assert "--densify 90: the scene has 100 Gaussians already" in capsys.readouterr().err
     assert run([*command, str(target), "--space", "gaussians", "--json", "-q"]) == 0
     after = json.loads(capsys.readouterr().out)
     assert after["gaussians"] == target + after["backdrop"] == len(read_ply(ply))

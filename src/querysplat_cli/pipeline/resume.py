@@ -253,9 +253,10 @@ def _check(path: Path, options: OptimiseOptions, space: Space, count: int, *, ap
         return
     if space == "features":
         raise QuerySplatError("--densify splits Gaussians, which memories cannot follow", "Use --space gaussians.")
-    if options.prune == "off" and options.densify_to <= count:
+    left = min(count, options.prune) if isinstance(options.prune, int) else count
+    if options.prune != "auto" and options.densify_to <= left:
         raise QuerySplatError(
-            f"--densify {options.densify_to}: the scene has {count:,} Gaussians already",
+            f"--densify {options.densify_to}: the scene has {left:,} Gaussians already",
             "Ask for more, or use --prune N for fewer.",
         )
 
