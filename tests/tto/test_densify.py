@@ -110,6 +110,16 @@ def test_disagreement_is_the_error_under_each_gaussian() -> None:
     torch.testing.assert_close(guessed, ((alpha * inside).sum() / alpha.sum())[None], rtol=1e-4, atol=0)
 
 
+def test_padding_is_no_pixel_that_another_view_confirms() -> None:
+    """A portrait photo beside a landscape one: what is guessed in all of both has a share of 1."""
+    photos, half = views(torch.rand(2, 3, SIZE, SIZE)), SIZE // 2
+    photos.masks[1, :, half:] = False
+    guesses = torch.zeros(SIZE, SIZE, dtype=torch.bool), torch.zeros(SIZE, half, dtype=torch.bool)
+    target = RenderingLoss(replace(photos, sizes=((SIZE, SIZE), (SIZE, half))), cameras(2), confirmed=guesses)
+    _, guessed = disagreement(wall(6, size=0.8, opacity=0.8), target)
+    torch.testing.assert_close(guessed, torch.ones(36), rtol=1e-4, atol=0)
+
+
 def test_gaussians_of_a_wrong_colour_are_split() -> None:
     some = wall(6, size=0.8, opacity=0.8)
     target = RenderingLoss(views(render(some, cameras(3)).colour), cameras(3))

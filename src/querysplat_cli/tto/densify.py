@@ -71,6 +71,7 @@ def disagreement(gaussians: Gaussians, target: RenderingLoss) -> tuple[Float[Ten
     """The error that each Gaussian has a part in, and the share of its blending weight in guessed pixels.
 
     The error is the absolute one of every pixel of every view, times the Gaussian's blending weight in it, added up.
+    Pixels beside a smaller photo, on the canvas of a larger one, count for neither.
     """
     total = gaussians.opacities.new_zeros(3, len(gaussians))
     for view in range(len(target.views)):
@@ -78,6 +79,8 @@ def disagreement(gaussians: Gaussians, target: RenderingLoss) -> tuple[Float[Ten
         with torch.no_grad():
             picture = target.render(gaussians, view).over(target.background)[0]
             error = (picture - photo).abs().mean(0) * target.views.masks[view]
-        pixels = torch.stack([error, target.guessed(view)[0].to(error), torch.ones_like(error)])
+        (height, width), shown = target.views.sizes[view], torch.zeros_like(error)
+        shown[:height, :width] = 1  # the padding of a smaller photo says nothing of what was guessed
+        pixels = torch.stack([error, target.guessed(view)[0].to(error), shown])
         total += three_blending_weights(gaussians, camera, pixels, target.settings)
     return total[0], total[1] / total[2].clamp_min(1e-12)
