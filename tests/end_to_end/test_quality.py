@@ -11,6 +11,7 @@ import pytest
 from rooms import take_photos
 
 from querysplat_cli.cli import run
+from querysplat_cli.pipeline.resume_settings import COARSE
 from querysplat_cli.prune import bands
 from querysplat_cli.runtime.errors import ExitCode
 from querysplat_cli.scene.formats.ply import read_ply
@@ -79,14 +80,16 @@ def test_a_finished_scene_is_taken_further(scene: Path, capsys: pytest.CaptureFi
 
 
 def test_a_scene_of_large_photos_is_taken_further_on_them_unless_an_option_says_otherwise(
-    standard: Path, scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    scene: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Steps on the small pictures would take the detail of the large ones."""
     taken_further(scene, capsys)
-    for options, last in (([], {"space": "gaussians", "max_size": 320}), (["--steps", "1"], {"space": "gaussians"})):
+    for options, size in (["--steps", "1"], None), ([], 320):
         assert run(["tto", str(scene), *options, "--json", "-q"]) == ExitCode.DONE
         report = json.loads(capsys.readouterr().out)
-        assert {key: report["tto"][-1].get(key) for key in ("space", "max_size")} == {"max_size": None, **last}
+        assert report["tto"][-1]["space"] == "gaussians"
+        assert report["tto"][-1].get("max_size") == size
+        assert (COARSE in report["warnings"]) == (size is None)
     assert report["full_size"]["level"] == "high"
 
 

@@ -14,7 +14,7 @@ from querysplat_cli.pipeline.gaussian_files import check_target, file_of_scene, 
 from querysplat_cli.pipeline.optimise import optimise_start
 from querysplat_cli.pipeline.perceptual import optimisation_lpips
 from querysplat_cli.pipeline.read_scene import check_model, read_scene, read_scene_gaussians, require_scene
-from querysplat_cli.pipeline.resume_settings import ResumeSettings, against_quality
+from querysplat_cli.pipeline.resume_settings import COARSE, ResumeSettings, against_quality
 from querysplat_cli.pipeline.scene_folder import StoredScene, scores_of, write_scene
 from querysplat_cli.prune.gaussians import target_count
 from querysplat_cli.reporting import omissions
@@ -93,7 +93,8 @@ def _optimised(settings: ResumeSettings, stages: Stages) -> Report:
         stored, gaussians = _behind(_with(scene, adapted), adapted.gaussians)
     runs = tto_entries(adapted.runs)
     left_out = omissions.taken_further(before["left_out"], adapted, with_lpips=perceptual is not None)
-    return _write_back(path, stored, gaussians, before, stages, tto=runs, left_out=left_out)
+    coarse = [COARSE] if options.finest_size and any(run["steps"] for run in runs) else []
+    return _write_back(path, stored, gaussians, before, stages, tto=runs, left_out=left_out, warnings=coarse)
 
 
 def joined_of_regions(path: Path, hint: str) -> QuerySplatError:
@@ -150,11 +151,13 @@ def _write_back(
     *,
     tto: list[dict[str, Any]],
     quality: dict[str, Any] | None = None,
+    warnings: Collection[str] = (),
     **changes: Any,
 ) -> Report:
     """Score the scene, and write it with the report `before` brought up to date.
 
-    `tto` are the entries of new runs, `quality` further scores, and `changes` other fields of the report.
+    `tto` are the entries of new runs, `quality` further scores, `warnings` those of these runs, and `changes` other
+    fields of the report.
     """
     with stages("score"):
         scores = scores_of(scene, gaussians)
@@ -173,6 +176,7 @@ def _write_back(
             unseen=film.entry() if film else None,
             backdrop=scene.backdrop,
             resumed=[],
+            warnings=[*(each for each in before["warnings"] if each != COARSE), *warnings],
             **changes,
         )
         entries = report.as_dict()

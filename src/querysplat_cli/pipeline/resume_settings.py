@@ -10,6 +10,12 @@ from querysplat_cli.runtime.choices import ExposureCorrection, FullSizeLevel, Sp
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.options import Device, MovedWeights, Option, Prune, Seed, StoredScenePath
 
+COARSE = (
+    "the last steps were on the small pictures, and took detail that the large photos had given; tto --quality brings "
+    "it back"
+)
+"""The warning where steps on the small pictures followed those on larger photos."""
+
 
 @dataclass(frozen=True)
 class ResumeSettings:
