@@ -122,8 +122,11 @@ def search(photos: Sequence[Photo], choice: MatcherChoice, *, seed: int, progres
             return replace(found, matching=trial.matching).refined()
         if not affine:
             return trial.refined()
-    progress("matching again", 0.7)
-    with matched(photos, seed=seed, progress=lambda *_: None, effort=CAMERA_POLICY.thorough) as again:
+
+    def once_more(text: str, fraction: float) -> None:
+        progress(f"{text} again", 0.7 + 0.45 * fraction)
+
+    with matched(photos, seed=seed, progress=once_more, effort=CAMERA_POLICY.thorough) as again:
         return _better(trial, replace(_Trial.of(again, photos, seed), matching=trial.matching)).refined()
 
 
