@@ -211,6 +211,7 @@ def test_two_strangers_make_a_scene_of_one() -> None:
     assert "no parallax" in found.warnings[1]
 
 
+@pytest.mark.slow
 def test_many_strangers_are_refused() -> None:
     strangers = [photographs(room(100 + 10 * i), arc(1), str(i))[0] for i in range(5)]
     with pytest.raises(ImpossibleScene, match="no two of the 5 photos") as error:

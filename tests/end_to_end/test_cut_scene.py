@@ -16,7 +16,7 @@ def report_in(folder: Path) -> dict[str, Any]:
     return found
 
 
-@pytest.mark.parametrize("kind", [".ply", ".spz"])
+@pytest.mark.parametrize("kind", [".ply", pytest.param(".spz", marks=pytest.mark.slow)])
 def test_its_report_is_that_of_the_gaussians_that_are_left(
     kind: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -51,6 +51,7 @@ def test_its_report_is_that_of_the_gaussians_that_are_left(
     assert again["input"]["psnr"] == pytest.approx(again["before"]["input"], abs=0.05 if kind == ".ply" else 0.1)
 
 
+@pytest.mark.slow
 def test_a_scene_of_nothing_but_its_backdrop_is_not_optimised(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -63,7 +64,7 @@ def test_a_scene_of_nothing_but_its_backdrop_is_not_optimised(
         assert "nothing but its backdrop is left" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("space", ["features", "gaussians"])
+@pytest.mark.parametrize("space", ["features", pytest.param("gaussians", marks=pytest.mark.slow)])
 def test_a_cut_copy_in_place_of_the_scenes_own_file_is_not_optimised(
     space: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -144,7 +144,7 @@ def test_our_renders_score_the_same_as_predictions(evaluated: tuple[Path, dict[s
     assert {row["group"]: row["psnr"] for row in found["rows"]} == pytest.approx(ours, abs=0.02)  # 8-bit pictures
 
 
-@pytest.mark.parametrize("protocol", ["release", "text"])
+@pytest.mark.parametrize("protocol", [pytest.param("release", marks=pytest.mark.slow), "text"])
 def test_an_encoder_that_looks_at_squares_is_shown_whole_photos(
     protocol: str, room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

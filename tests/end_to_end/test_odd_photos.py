@@ -54,6 +54,7 @@ def test_known_poses(
     assert report["quality"]["input"]["psnr"] > 22
 
 
+@pytest.mark.slow
 def test_known_poses_that_are_wrong_are_refined(
     room: Path, scene: tuple[Path, dict[str, Any]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

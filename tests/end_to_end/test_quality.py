@@ -177,7 +177,12 @@ def test_photos_no_larger_than_the_working_pictures_are_scored_once(
 
 
 @pytest.mark.parametrize(
-    "options", [["--quality", "draft", "--max-views", "2"], ["--tto", "4"], ["--keep-everything", "--max-views", "2"]]
+    "options",
+    [
+        ["--quality", "draft", "--max-views", "2"],
+        ["--tto", "4"],
+        pytest.param(["--keep-everything", "--max-views", "2"], marks=pytest.mark.slow),
+    ],
 )
 def test_draft_and_given_steps_stay_in_feature_space(
     options: list[str], photos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -190,6 +190,7 @@ def test_gaussians_are_split_up_to_a_number(
     assert after["quality"]["input"]["psnr"] > before["quality"]["input"]["psnr"]
 
 
+@pytest.mark.slow
 def test_a_scene_can_do_without_a_backdrop(room: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Also after it was optimised further."""
     ply = tmp_path / "a.ply"
