@@ -114,8 +114,8 @@ def test_padding_is_no_pixel_that_another_view_confirms() -> None:
     """A portrait photo beside a landscape one: what is guessed in all of both has a share of 1."""
     photos, half = views(torch.rand(2, 3, SIZE, SIZE)), SIZE // 2
     photos.masks[1, :, half:] = False
-    sizes, guesses = ((SIZE, SIZE), (SIZE, half)), (torch.zeros(half, half, dtype=torch.bool),) * 2
-    target = RenderingLoss(replace(photos, sizes=sizes), cameras(2), confirmed=guesses)
+    guesses = torch.zeros(SIZE, SIZE, dtype=torch.bool), torch.zeros(SIZE, half, dtype=torch.bool)
+    target = RenderingLoss(replace(photos, sizes=((SIZE, SIZE), (SIZE, half))), cameras(2), confirmed=guesses)
     _, guessed = disagreement(wall(6, size=0.8, opacity=0.8), target)
     torch.testing.assert_close(guessed, torch.ones(36), rtol=1e-4, atol=0)
 

@@ -70,7 +70,7 @@ class LargePhotos:
             return self.views, self.cameras
         return large_views(self.files, self.views, self.cameras, size)
 
-    def confirmed_pictures(self) -> tuple[Bool[Tensor, "rows columns"], ...] | None:
+    def confirmed_pictures(self) -> tuple[Bool[Tensor, "_ _"], ...] | None:
         """`confirmed` of each picture, without the padding of the canvas."""
         if not len(self.confirmed):
             return None

@@ -31,7 +31,7 @@ class PhotoFacts:
     """
 
     exposures: Exposures | None = None
-    confirmed: tuple[Bool[Tensor, "rows columns"], ...] | None = None
+    confirmed: tuple[Bool[Tensor, "_ _"], ...] | None = None
 
 
 INTERRUPTED = "Ctrl-C"

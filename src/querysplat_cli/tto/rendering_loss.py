@@ -81,7 +81,7 @@ class RenderingLoss:
     finest: Cameras | None = None
     perceptual: Perceptual | None = None
     halved: float = 0.0
-    confirmed: tuple[Bool[Tensor, "rows columns"], ...] | None = None
+    confirmed: tuple[Bool[Tensor, "_ _"], ...] | None = None
     cut_out: bool = False
 
     @classmethod
