@@ -90,18 +90,16 @@ def _quality(report: Report) -> Iterator[str]:
         found = quality.get(group)
         if found:
             was = f"{before[group]:.2f} → " if before.get(group) is not None else ""
-            yield f"PSNR {was}{found['psnr']:.2f} dB{_corrected(report, found)}, SSIM {found['ssim']:.3f} on {where}"
+            yield f"{_scores(report, found, was)} on {where}"
         if large and large.get(group):
-            size = f"at {large['max_size']} px"
-            sharp = large[group]
-            psnr = f"{sharp['psnr']:.2f} dB{_corrected(report, sharp)}"
-            yield f"PSNR {psnr}, SSIM {sharp['ssim']:.3f} on {where} {size}"
+            yield f"{_scores(report, large[group])} on {where} at {large['max_size']} px"
 
 
-def _corrected(report: Report, scores: dict[str, Any]) -> str:
-    """The PSNR without the photos' exposures, where these differ so much that the plain one says little."""
-    differ = (report.exposure or {}).get("corrected") and "psnr_cc" in scores
-    return f" ({scores['psnr_cc']:.2f} colour-corrected)" if differ else ""
+def _scores(report: Report, found: dict[str, Any], was: str = "") -> str:
+    """PSNR and SSIM, and the PSNR without exposures where the photos' differ so much that the plain one says little."""
+    differ = (report.exposure or {}).get("corrected") and "psnr_cc" in found
+    corrected = f" ({found['psnr_cc']:.2f} colour-corrected)" if differ else ""
+    return f"PSNR {was}{found['psnr']:.2f} dB{corrected}, SSIM {found['ssim']:.3f}"
 
 
 def _file(report: Report) -> str:

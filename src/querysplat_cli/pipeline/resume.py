@@ -113,7 +113,8 @@ def _at_full_size(
 ) -> Report:
     """Optimise the Gaussians of the stored scene on its large photos, and write it back."""
     path, device = settings.scene, find_device(settings.device)
-    gaussians = _own_gaussians(path, scene, before)
+    with stages("read"):
+        gaussians = _own_gaussians(path, scene, before)
     inputs, heldout = stored_photos(scene)
     with stages("full size") as progress:
         photos = replace(inputs.summary(), reached=_finest_size(scene, before) or 0)

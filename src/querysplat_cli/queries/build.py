@@ -54,15 +54,15 @@ def build_anchors(
     keep, side = chosen.keep, chosen.report.side
     if not keep.any():
         raise QuerySplatError("the masks hide nearly all of every photo", "White in a mask is what takes part.")
-    border = border_blocks(views, cameras, depth, QUERY_POLICY.border_coarser * (side // CELLS))
-    if queries is not None:
-        border = border.map(lambda part: part[: queries - chosen.report.kept])
-    if not shows_background(views):
-        border = border.map(lambda part: part[:0])
-    features = torch.cat([photo_features(chosen.cells, chosen.comparison)[keep], border_features(border)])
-    cells = replace(chosen.cells, colour=chosen.comparison.colour).map(lambda part: part[keep]).joined(border)
+    features = photo_features(chosen.cells, chosen.comparison)[keep]
+    cells = replace(chosen.cells, colour=chosen.comparison.colour).map(lambda part: part[keep])
+    if shows_background(views):
+        border = border_blocks(views, cameras, depth, QUERY_POLICY.border_coarser * (side // CELLS))
+        if queries is not None:
+            border = border.map(lambda part: part[: queries - chosen.report.kept])
+        features, cells = torch.cat([features, border_features(border)]), cells.joined(border)
     anchors = _anchors(cells, features, cameras.patch_places(depth, geometry.patch).reshape(-1, 3))
-    return anchors, replace(chosen.report, beyond=len(border.point))
+    return anchors, replace(chosen.report, beyond=len(cells.point) - chosen.report.kept)
 
 
 def _whole(depth: Float[Tensor, "views height width"]) -> Float[Tensor, "views height width"]:
