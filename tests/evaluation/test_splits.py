@@ -142,3 +142,10 @@ def test_a_scene_cannot_name_a_folder_elsewhere(tmp_path: Path) -> None:
     (split,) = read_splits(tmp_path / "s.json")
     assert isinstance(split, Split)
     assert "/" not in split.cases[0].name
+
+
+def test_a_case_of_a_scene_that_cannot_be_read_says_why() -> None:
+    damaged = CapturedScene("s", (), {}, (), fault="transforms.json: cut off")
+    case = Case("s_000", "s", {"input": (FrameRef("", 0),)})
+    with pytest.raises(QuerySplatError, match="cut off"):
+        resolve(case, damaged)

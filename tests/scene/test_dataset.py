@@ -126,6 +126,37 @@ def test_a_damaged_listing_is_named(tmp_path: Path) -> None:
         find_scenes([tmp_path])
 
 
+def test_one_scene_that_cannot_be_read_leaves_the_others(tmp_path: Path) -> None:
+    """A cut off listing, and a zip whose download broke off, stopped the evaluation of a whole folder."""
+    write_scene(tmp_path / "good")
+    write_scene(tmp_path / "cut")
+    (tmp_path / "cut" / "transforms.json").write_text("{")
+    (tmp_path / "torn.zip").write_bytes(b"PK\3\4")
+    cut, good, torn = find_scenes([tmp_path])
+    assert (len(good.frames), good.fault) == (FRAMES, "")
+    for scene, reason in ((cut, "transforms.json"), (torn, "no zip")):
+        assert not scene.frames
+        assert reason in scene.fault
+        assert scene.notes == (f"left out: {scene.fault}",)
+
+
+def test_a_damaged_member_of_a_zip_is_named(tmp_path: Path) -> None:
+    """It ended in a traceback, or was listed as a bug."""
+    write_scene(tmp_path / "abc" / "scene1")
+    packed = tmp_path / "archive.zip"
+    with zipfile.ZipFile(packed, "w") as archive:
+        for file in (tmp_path / "abc").rglob("*.*"):
+            archive.write(file, file.relative_to(tmp_path / "abc"))
+    whole = packed.read_bytes()
+    (scene,) = find_scenes([packed])
+    packed.write_bytes(whole.replace(b"IDAT", b"JDAT"))
+    with pytest.raises(QuerySplatError, match=r"archive\.zip.*cannot be unpacked"):
+        fetch(scene.frames, tmp_path / "scratch")
+    packed.write_bytes(whole.replace(b'"frames"', b'"grames"'))
+    with pytest.raises(QuerySplatError, match=r"transforms\.json.*cannot be unpacked"):
+        find_scenes([packed])
+
+
 def test_our_scene_folder_with_its_held_out_photos(tmp_path: Path) -> None:
     numbers = list(range(1, FRAMES + 1))
     write_pictures(tmp_path / "scene" / "images", numbers)

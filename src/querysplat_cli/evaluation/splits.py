@@ -124,8 +124,10 @@ def resolve(case: Case, scene: CapturedScene) -> dict[str, list[Frame]]:
     """The scene's frames of each group: by the file name in the path, or by number where there is no path.
 
     A dataset's folders are renamed and reordered by its users, so the rest of the path does not count.
-    Raises QuerySplatError when a frame is not on disk.
+    Raises QuerySplatError when a frame is not on disk, or the scene cannot be read.
     """
+    if scene.fault:
+        raise QuerySplatError(scene.fault, "Download the scene again, or leave the case out.")
     by_name = {frame.name: frame for frame in scene.frames}
     by_index = {frame.index: frame for frame in scene.frames}
     found: dict[str, list[Frame]] = {}

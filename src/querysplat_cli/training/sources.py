@@ -82,6 +82,8 @@ class Captured:
             inputs, targets = drawn_views(chance, settings, len(film))
             photos = {frame: film[frame] for frame in sorted({*inputs, *targets})}
             return Capture(place.name, tuple(photos.values()), tuple(photos[frame].name for frame in inputs), None)
+        if place.fault:
+            raise QuerySplatError(place.fault, "Download the scene again.")
         inputs, targets = drawn_views(chance, settings, len(place.frames))
         chosen = sorted({*inputs, *targets})
         frames = [place.frames[i] for i in chosen]

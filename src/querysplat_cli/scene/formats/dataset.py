@@ -2,7 +2,9 @@
 
 import shutil
 import zipfile
+import zlib
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.resources.abc import Traversable
 from pathlib import Path
@@ -47,21 +49,23 @@ class CapturedScene:
     """The photos of one scene in natural order, those that are on disk, and the dataset's cameras by name.
 
     `cameras` is empty where the dataset has none; cameras whose matrix is no rigid motion are not in it. `notes` are
-    phrases for the user about what is missing or unusual.
+    phrases for the user about what is missing or unusual. `fault` is why the scene cannot be read; it has no photos
+    then.
     """
 
     name: str
     frames: tuple[Frame, ...]
     cameras: dict[str, PhotoCamera]
     notes: tuple[str, ...]
+    fault: str = ""
 
 
 def find_scenes(places: Sequence[Path], pictures: str = DATASET_FOLDERS[0]) -> list[CapturedScene]:
     """Every scene in `places`: scene folders, zips of scenes, or folders of those, by name in natural order.
 
     `pictures` is the preferred folder of pictures (images_4, …). Where a scene does not have it another one is taken,
-    with a note. Raises QuerySplatError when a place is missing, damaged or holds no scene, and when two
-    scenes have one name.
+    with a note. One of several scenes in a folder that cannot be read has a `fault`. Raises QuerySplatError when a
+    place is missing, damaged or holds no scene, and when two scenes have one name.
     """
     scenes: dict[str, CapturedScene] = {}
     for place in places:
@@ -72,6 +76,8 @@ def find_scenes(places: Sequence[Path], pictures: str = DATASET_FOLDERS[0]) -> l
             raise QuerySplatError(
                 f"{place}: no scene in it", "A scene is a folder of pictures, or has images_4 and a transforms.json."
             )
+        if all(scene.fault for scene in found):
+            raise QuerySplatError(found[0].fault, "Download or export the scene again.")
         for scene in found:
             if scene.name in scenes:
                 raise QuerySplatError(f"two scenes are called {scene.name}", "Give each scene once.")
@@ -89,6 +95,7 @@ def fetch(frames: Sequence[Frame], scratch: Path) -> list[Path]:
         copy = scratch / f"{frame.index:06d}" / Path(frame.file.member).name
         copy.parent.mkdir(parents=True, exist_ok=True)
         with (
+            _damage_named(frame.file.archive),
             zipfile.ZipFile(frame.file.archive) as archive,
             archive.open(frame.file.member) as source,
             copy.open("wb") as target,
@@ -96,6 +103,15 @@ def fetch(frames: Sequence[Frame], scratch: Path) -> list[Path]:
             shutil.copyfileobj(source, target)
         files.append(copy)
     return files
+
+
+@contextmanager
+def _damage_named(file: object) -> Iterator[None]:
+    """Inside, what is wrong with the bytes of a zip becomes an error that names `file`."""
+    try:
+        yield
+    except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError) as error:
+        raise QuerySplatError(f"{file}: cannot be unpacked: {error}", "Download the zip again.") from error
 
 
 def _opened(place: Path) -> Traversable:
@@ -119,10 +135,19 @@ def _scenes(place: Traversable, name: str, pictures: str, depth: int) -> Iterato
         for entry in sorted(place.iterdir(), key=lambda entry: entry.name):
             if entry.name.startswith("."):
                 continue
-            if entry.is_dir():
-                yield from _scenes(entry, entry.name, pictures, depth - 1)
-            elif isinstance(entry, Path) and entry.suffix.lower() == ".zip":
-                yield from _scenes(_opened(entry), _stem(entry), pictures, depth - 1)
+            yield from _inner_scenes(entry, pictures, depth - 1)
+
+
+def _inner_scenes(entry: Traversable, pictures: str, depth: int) -> Sequence[CapturedScene]:
+    """The scenes in a folder or zip in a folder of scenes. One that cannot be read leaves the others alone."""
+    packed = isinstance(entry, Path) and entry.suffix.lower() == ".zip" and entry.is_file()
+    if not (packed or entry.is_dir()):
+        return []
+    name = _stem(entry) if packed else entry.name
+    try:
+        return list(_scenes(_opened(Path(str(entry))) if packed else entry, name, pictures, depth))
+    except QuerySplatError as error:
+        return [CapturedScene(name, (), {}, (f"left out: {error.message}",), error.message)]
 
 
 def _scene(place: Traversable, name: str, pictures: str) -> CapturedScene | None:
@@ -206,7 +231,8 @@ def _listed(listing: Path) -> tuple[dict[str, PhotoCamera], list[str]]:
 
 def _copied(file: Traversable, folder: Path) -> Path:
     copy = folder / file.name
-    copy.write_bytes(file.read_bytes())
+    with _damage_named(file):
+        copy.write_bytes(file.read_bytes())
     return copy
 
 
