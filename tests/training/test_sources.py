@@ -1,6 +1,8 @@
 """Captures of procedural scenes, photos and videos: reproducible, with separate inputs and targets."""
 
+import shutil
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import av
@@ -21,7 +23,7 @@ from querysplat_cli.training.procedural import varied_scene
 from querysplat_cli.training.raycast import BALL, BOX, CYLINDER
 from querysplat_cli.training.rooms import make_room
 from querysplat_cli.training.solids import Solid, distance_to
-from querysplat_cli.training.sources import open_source
+from querysplat_cli.training.sources import notes_of, open_source
 from querysplat_cli.training.tabletops import TOP, make_tabletop
 
 WHITE = (1.0, 1.0, 1.0)
@@ -153,6 +155,17 @@ def test_photos_of_folders_and_zips(pictures: Path, kind: str) -> None:
     posed = SourceSettings("captured", (str(place),), inputs=(2, 2), targets=2, cameras="posed")
     with pytest.raises(QuerySplatError, match="no cameras"):
         open_source(posed).capture(0, 0)
+
+
+def test_notes_name_what_is_unusual_about_scenes_once(pictures: Path) -> None:
+    """Training left a damaged scene out without a word."""
+    shutil.copytree(pictures, pictures.parent / "all" / "good")
+    (pictures.parent / "all" / "torn.zip").write_bytes(b"PK")
+    settings = SourceSettings("captured", (str(pictures.parent / "all"),))
+    (note,) = notes_of([settings, replace(settings, inputs=(2, 2)), SourceSettings("procedural")])
+    assert "torn: left out" in note
+    with pytest.raises(QuerySplatError, match="no zip"):
+        open_source(settings).capture(1, 0)
 
 
 def test_frames_of_a_film(tmp_path: Path) -> None:

@@ -28,6 +28,7 @@ from querysplat_cli.training.data import (
 from querysplat_cli.training.journal import check_tensorboard
 from querysplat_cli.training.online import OnlineSamples
 from querysplat_cli.training.processes import Processes, joined_processes
+from querysplat_cli.training.sources import notes_of
 from querysplat_cli.training.trainer import MODEL, STATE, Trainer, TrainReport
 
 
@@ -110,6 +111,9 @@ def _samples(
     Raises QuerySplatError when a stage has none.
     """
     config = request.config
+    if processes.first:
+        for note in notes_of(sources_of_stages(config.data, config.stages)):
+            stages.say(note)
     make = partial(training_encoder, config.data, device)
     if config.data.online:
         progress("made in each step", 1.0)

@@ -2,6 +2,7 @@
 
 import hashlib
 import re
+from collections.abc import Iterable
 from functools import lru_cache
 from pathlib import Path
 from typing import Protocol, runtime_checkable
@@ -44,6 +45,12 @@ def open_source(settings: SourceSettings) -> Source:
     return Procedural(settings) if settings.kind == "procedural" else Captured(settings)
 
 
+def notes_of(every: Iterable[SourceSettings]) -> list[str]:
+    """What users should know about the captured scenes of these sources. Raises as `open_source`."""
+    sources = [open_source(settings) for settings in every if settings.kind == "captured"]
+    return list(dict.fromkeys(note for source in sources if isinstance(source, Captured) for note in source.notes))
+
+
 class Captured:
     """DL3DV, nerfstudio and COLMAP scenes, folders of photos, zips of those, and videos."""
 
@@ -59,6 +66,12 @@ class Captured:
             raise QuerySplatError(f"{gone[0]}: no such folder of scenes to train on", hint)
         scenes = find_scenes(folders, settings.pictures) if folders else []
         self._scenes: list[CapturedScene | Path] = [*scenes, *films]
+
+    @property
+    def notes(self) -> list[str]:
+        """What is missing or unusual, scene by scene."""
+        scenes = [scene for scene in self._scenes if isinstance(scene, CapturedScene)]
+        return [f"{scene.name}: {note}" for scene in scenes for note in scene.notes]
 
     def __len__(self) -> int:
         return len(self._scenes)
