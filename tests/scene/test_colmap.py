@@ -59,6 +59,15 @@ def test_cameras_come_back(
     assert read_known_cameras(tmp_path / "sparse" / "0" / f"images.{'txt' if text else 'bin'}").keys() == found.keys()
 
 
+@pytest.mark.parametrize("text", [False, True])
+def test_a_model_without_points_has_its_cameras(tmp_path: Path, text: bool) -> None:
+    """COLMAP reads none without the file, and said that all files were missing."""
+    write_model(tmp_path, "PINHOLE", [500, 510, 320, 240], text=text)
+    for part in ("points3D", "rigs", "frames"):
+        (tmp_path / f"{part}.{'txt' if text else 'bin'}").unlink()
+    assert len(read_known_cameras(tmp_path)) == len(NAMES)
+
+
 def test_other_lenses_are_refused_by_name(tmp_path: Path) -> None:
     write_model(tmp_path, "OPENCV_FISHEYE", [500, 500, 320, 240, 0.1, 0, 0, 0])
     with pytest.raises(QuerySplatError, match="OPENCV_FISHEYE") as caught:

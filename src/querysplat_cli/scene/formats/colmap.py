@@ -1,5 +1,6 @@
 """Cameras of a COLMAP model: cameras, images and points3D as .bin or .txt, read and written."""
 
+import shutil
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -11,6 +12,7 @@ from querysplat_cli.runtime.colmap import load_pycolmap
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.json_files import shown
 from querysplat_cli.scene.cameras import PhotoCamera
+from querysplat_cli.scene.drafts import scratch_folder
 from querysplat_cli.scene.formats.colmap_files import check_binary
 from querysplat_cli.scene.formats.point_cloud import PointCloud
 from querysplat_cli.scene.photo_names import names_a_photo, short_names
@@ -195,11 +197,27 @@ def _check_lines(folder: Path) -> None:
 def _opened(folder: Path) -> Any:
     check_binary(folder)
     _check_lines(folder)
-    try:
-        return load_pycolmap().Reconstruction(folder)
-    except Exception as error:  # damage can raise anything in COLMAP's parser
-        reason = (str(error).strip() or type(error).__name__).splitlines()[-1]
-        raise QuerySplatError(f"{folder}: no COLMAP model that can be read: {reason}", "Export it again.") from error
+    with scratch_folder() as scratch:
+        whole = _with_points(folder, scratch)
+        try:
+            return load_pycolmap().Reconstruction(whole)
+        except Exception as error:  # damage can raise anything in COLMAP's parser
+            reason = (str(error).strip() or type(error).__name__).splitlines()[-1].replace(str(whole), str(folder))
+            raise QuerySplatError(
+                f"{folder}: no COLMAP model that can be read: {reason}", "Export it again."
+            ) from error
+
+
+def _with_points(folder: Path, scratch: Path) -> Path:
+    """`folder`, or `scratch` with a copy of its model and no points: COLMAP reads no model without points3D."""
+    images, kind = next(((file, file.suffix) for file in _model_files(folder) if file.is_file()), (None, ""))
+    if images is None or (folder / f"points3D{kind}").is_file():
+        return folder
+    for part in ("cameras", "images", "rigs", "frames"):
+        if (folder / f"{part}{kind}").is_file():
+            shutil.copyfile(folder / f"{part}{kind}", scratch / f"{part}{kind}")
+    (scratch / f"points3D{kind}").write_bytes(bytes(8) if kind == ".bin" else b"")  # a count of 0
+    return scratch
 
 
 def _model_files(folder: Path) -> list[Path]:
