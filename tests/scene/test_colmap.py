@@ -38,6 +38,7 @@ def write_model(folder: Path, lens: str, parameters: list[float], *, text: bool 
         ("SIMPLE_RADIAL", [500, 320, 240, 0.1], (500, 500), (0.1, 0, 0, 0)),
         ("RADIAL", [500, 320, 240, 0.1, -0.2], (500, 500), (0.1, -0.2, 0, 0)),
         ("OPENCV", [500, 510, 320, 240, 0.1, -0.2, 0.01, 0.02], (500, 510), (0.1, -0.2, 0.01, 0.02)),
+        ("FULL_OPENCV", [500, 510, 320, 240, 0.1, -0.2, 0.01, 0.02, 0, 0, 0, 0], (500, 510), (0.1, -0.2, 0.01, 0.02)),
     ],
 )
 @pytest.mark.parametrize("text", [False, True])
@@ -73,6 +74,9 @@ def test_other_lenses_are_refused_by_name(tmp_path: Path) -> None:
     with pytest.raises(QuerySplatError, match="OPENCV_FISHEYE") as caught:
         read_known_cameras(tmp_path)
     assert "image_undistorter" in caught.value.hint
+    write_model(tmp_path, "FULL_OPENCV", [500, 510, 320, 240, 0.1, -0.2, 0.01, 0.02, 0, 0, 0, 1e-3])
+    with pytest.raises(QuerySplatError, match="FULL_OPENCV"):
+        read_known_cameras(tmp_path)
 
 
 def test_damaged_models_are_refused(tmp_path: Path) -> None:

@@ -78,7 +78,7 @@ def _cameras(folder: Path, lenses: Collection[str]) -> dict[str, PhotoCamera]:
     names = short_names([Path(image.name) for image in images])
     cameras = {}
     for name, image in zip(names, images, strict=True):
-        camera = model.cameras[image.camera_id]
+        camera = _without_idle_terms(model.cameras[image.camera_id])
         if camera.model_name not in lenses:
             raise QuerySplatError(
                 f"{folder}: the lens model of {name} is {camera.model_name}; supported are {', '.join(lenses)}",
@@ -90,6 +90,14 @@ def _cameras(folder: Path, lenses: Collection[str]) -> dict[str, PhotoCamera]:
             raise QuerySplatError(f"{folder}: the camera of {name} makes no sense: {why}", "Export it again.")
         cameras[name] = found
     return cameras
+
+
+def _without_idle_terms(camera: Any) -> Any:
+    """An OPENCV camera in place of a FULL_OPENCV one whose k3 to k6 are 0."""
+    if camera.model_name != "FULL_OPENCV" or any(camera.params[8:]):
+        return camera
+    size = {"width": camera.width, "height": camera.height}
+    return load_pycolmap().Camera(model="OPENCV", **size, params=camera.params[:8], camera_id=camera.camera_id)
 
 
 def photo_camera(image: Any, camera: Any) -> PhotoCamera:
