@@ -110,6 +110,42 @@ def test_strides_are_kept_to(tmp_path: Path) -> None:
     assert found.means.equal(scene.means[::2])
 
 
+def test_integers_stand_for_shares_of_one(tmp_path: Path) -> None:
+    """The specification allows them for rotations, scales and opacities. Such files were called damaged."""
+    scene = cloud(7, 0)
+    scene = replace(scene, scales=scene.scales.clamp(max=1.0))
+    write_glb(tmp_path / "a.glb", scene)
+    content = (tmp_path / "a.glb").read_bytes()
+    (length,) = struct.unpack_from("<I", content, 12)
+    document, binary = json.loads(content[20 : 20 + length]), bytearray(content[28 + length :])
+    attributes = document["meshes"][0]["primitives"][0]["attributes"]
+    quats = torch.nn.functional.normalize(scene.quats, dim=1)[:, [1, 2, 3, 0]]
+    columns = {"ROTATION": ("i1", 5120, 127, quats), "SCALE": ("<u2", 5123, 65535, scene.scales)}
+    columns |= {"OPACITY": ("u1", 5121, 255, scene.opacities)}
+    for name, (kind, number, one, values) in columns.items():
+        accessor = document["accessors"][attributes[f"{EXTENSION}:{name}"]]
+        accessor |= {"componentType": number, "normalized": True}
+        start = document["bufferViews"][accessor["bufferView"]]["byteOffset"]
+        packed = (values.double().numpy() * one).round().astype(kind).tobytes()
+        binary[start : start + len(packed)] = packed
+    (tmp_path / "a.glb").write_bytes(content[: 28 + length] + binary)
+    found = read_glb(rewritten(tmp_path / "a.glb", accessors=document["accessors"]))[0]
+    torch.testing.assert_close(found.quats, quats[:, [3, 0, 1, 2]], atol=0.5 / 127, rtol=0)
+    torch.testing.assert_close(found.scales, scene.scales, atol=0.5 / 65535, rtol=1e-6)
+    torch.testing.assert_close(found.opacities, scene.opacities, atol=0.5 / 255, rtol=1e-6)
+
+
+@pytest.mark.parametrize("place", ["primitive", "bufferView"])
+def test_compression_is_named(tmp_path: Path, place: str) -> None:
+    file = tmp_path / "a.glb"
+    write_glb(file, cloud(7, 0))
+    document = json.loads(file.read_bytes()[20 : 20 + struct.unpack_from("<I", file.read_bytes(), 12)[0]])
+    primitive, view = document["meshes"][0]["primitives"][0], document["bufferViews"][0]
+    (primitive["extensions"][EXTENSION] if place == "primitive" else view)["extensions"] = {"EXT_small": {}}
+    with pytest.raises(QuerySplatError, match="compressed with EXT_small, which is not read"):
+        read_glb(rewritten(file, meshes=document["meshes"], bufferViews=document["bufferViews"]))
+
+
 def test_logarithms_of_scales_are_read_as_such(tmp_path: Path) -> None:
     """Drafts of the specification, and splat-transform until June 2026, have them."""
     scene = cloud(7, 0)

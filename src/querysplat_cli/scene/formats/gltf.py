@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.files import atomic_path
 from querysplat_cli.scene.formats.gltf_nodes import placement
 from querysplat_cli.scene.formats.ply import (
@@ -32,6 +33,8 @@ COLOUR_SPACE = "srgb_rec709_display"
 MAGIC, JSON_CHUNK, BINARY_CHUNK = 0x46546C67, 0x4E4F534A, 0x004E4942
 FLOAT, ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, POINTS, TRIANGLES = 5126, 34962, 34963, 0, 4
 COMPONENTS = {"<f4": FLOAT, "<u2": 5123, "<u4": 5125}
+STORED = {5120: ("i1", 127), 5121: ("u1", 255), 5122: ("<i2", 32767), 5123: ("<u2", 65535), FLOAT: ("<f4", 1)}
+"""How numbers may be stored, and what stands for 1 where integers are normalised."""
 KINDS = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
 HEADER = struct.Struct("<III")
 CHUNK = struct.Struct("<II")
@@ -76,13 +79,13 @@ def write_primitive(
 def read_glb(path: Path) -> tuple[Gaussians, Sim3 | None]:
     """The Gaussians of the first primitive of a .glb that has any, and from their frame to that of the file.
 
-    The latter is None where the two are one. Raises QuerySplatError when the file is damaged, or a node of it
-    stretches, mirrors or flattens the Gaussians.
+    The latter is None where the two are one. Raises QuerySplatError when the file is damaged or compressed, or a node
+    of it stretches, mirrors or flattens the Gaussians.
     """
     with damage_named(path, ".glb of Gaussians"):
         document, binary = _chunks(path.read_bytes())
-        mesh, attributes = _first_primitive(document)
-        gaussians = _gaussians(document, attributes, binary)
+        mesh, attributes = _first_primitive(path, document)
+        gaussians = _gaussians(path, document, attributes, binary)
         place = placement(document, mesh)
     return finite_gaussians(path, gaussians), place
 
@@ -158,7 +161,14 @@ def _chunks(content: bytes) -> tuple[dict[str, Any], bytes]:
     return document, content[begin : begin + size]
 
 
-def _first_primitive(document: dict[str, Any]) -> tuple[int, dict[str, int]]:
+def _refuse_compressed(path: Path, part: Mapping[str, Any], what: str) -> None:
+    if part.get("extensions"):
+        names = ", ".join(part["extensions"])
+        why = f"{path}: {what} compressed with {names}, which is not read"
+        raise QuerySplatError(why, "Export it without compression, or as a .ply.")
+
+
+def _first_primitive(path: Path, document: dict[str, Any]) -> tuple[int, dict[str, int]]:
     """The number of the first mesh with Gaussians, and their attributes."""
     for number, mesh in enumerate(document["meshes"]):
         for primitive in mesh["primitives"]:
@@ -166,20 +176,24 @@ def _first_primitive(document: dict[str, Any]) -> tuple[int, dict[str, int]]:
                 space = primitive["extensions"][EXTENSION].get("colorSpace", COLOUR_SPACE)
                 if space != COLOUR_SPACE:
                     raise ValueError(f"its colours are those of {space}, and only {COLOUR_SPACE} is read")
+                _refuse_compressed(path, primitive["extensions"][EXTENSION], "its Gaussians are")
                 return number, primitive["attributes"]
     raise ValueError(f"nothing in it has {EXTENSION}; a mesh is no scene of Gaussians")
 
 
-def _gaussians(document: dict[str, Any], attributes: dict[str, int], binary: bytes) -> Gaussians:
+def _gaussians(path: Path, document: dict[str, Any], attributes: dict[str, int], binary: bytes) -> Gaussians:
     def column(name: str) -> torch.Tensor:
         accessor = document["accessors"][attributes[name]]
         view = document["bufferViews"][accessor["bufferView"]]
-        if accessor["componentType"] != FLOAT:
-            raise ValueError(f"{name} is not stored as float32")
-        width = next(count for count, kind in KINDS.items() if kind == accessor["type"])
+        _refuse_compressed(path, view, f"its {name} is")
+        kind, one = STORED[accessor["componentType"]]
+        size = np.dtype(kind).itemsize
+        width = next(count for count, shape in KINDS.items() if shape == accessor["type"])
         start = view.get("byteOffset", 0) + accessor.get("byteOffset", 0)
-        row = view.get("byteStride", 4 * width)
-        values = np.ndarray((accessor["count"], width), "<f4", binary, start, (row, 4))
+        row = view.get("byteStride", size * width)
+        values = np.ndarray((accessor["count"], width), kind, binary, start, (row, size)).astype(np.float64)
+        if accessor.get("normalized"):
+            values = np.maximum(values / one, -1)
         return torch.from_numpy(values.astype(np.float32))
 
     degree = 0
