@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from querysplat_cli.cli import run
 from querysplat_cli.scene.cameras import PhotoCamera, rescaled
 from querysplat_cli.scene.formats.colmap import read_colmap, write_colmap
-from querysplat_cli.scene.formats.transforms import write_transforms
+from querysplat_cli.scene.formats.transforms import read_transforms, write_transforms
 from querysplat_cli.scene.match_cameras import cameras_of_photos, match_cameras
 from querysplat_cli.scene.orientation import upright_camera
 from querysplat_cli.scene.photo_files import PhotoFile, write_photo_files
@@ -27,6 +27,7 @@ HEIGHT, WIDTH = 120, 160
 POSE = np.eye(4)
 POSE[:3, :3], POSE[:3, 3] = Rotation.from_euler("xyz", [0.1, -0.2, 0.3]).as_matrix(), (0.1, 0.2, 0.3)
 STORED = PhotoCamera(POSE, (150.0, 140.0), (75.0, 64.0), (0.1, -0.02, 0.01, -0.02), HEIGHT, WIDTH, as_stored=True)
+READ = (read_colmap, "model"), (read_transforms, "t.json")
 
 
 def photo(folder: Path, orientation: int) -> Photo:
@@ -72,6 +73,17 @@ def test_cameras_of_colmap_are_turned_with_their_photos(tmp_path: Path, orientat
     (camera,) = cameras_of_photos([seen], read_colmap(tmp_path / "model")).values()
     assert camera.w2c[:3, :3] != pytest.approx(POSE[:3, :3])
     assert match_cameras([seen], {"a.png": camera})[1] == []
+
+
+@pytest.mark.parametrize("orientation", [3, 6])
+def test_a_json_of_a_model_is_for_stored_pixels_too(tmp_path: Path, orientation: int) -> None:
+    """Its cameras of photos that were taken upside down were upside down."""
+    seen = photo(tmp_path, orientation)
+    (tmp_path / "model").mkdir()
+    write_colmap(tmp_path / "model", {"a.png": STORED})
+    assert run(["convert", str(tmp_path / "model"), str(tmp_path / "t.json"), "-q"]) == 0
+    wanted, found = (cameras_of_photos([seen], read(tmp_path / place))["a.png"] for read, place in READ)
+    assert found.w2c == pytest.approx(wanted.w2c)
 
 
 def test_cameras_that_fit_the_upright_picture_stay(tmp_path: Path) -> None:

@@ -48,7 +48,11 @@ def read_transforms(path: Path, *, fisheye: bool = False) -> dict[str, PhotoCame
     """
     content = _load(path)
     return {
-        name: replace(frame_camera(path, name, {**content, **frame}, fisheye=fisheye), file=_photo(path, frame))
+        name: replace(
+            frame_camera(path, name, {**content, **frame}, fisheye=fisheye),
+            file=_photo(path, frame),
+            as_stored=frame.get("as_stored") is True,
+        )
         for name, frame in _named_frames(path, content).items()
     }
 
@@ -101,7 +105,8 @@ def write_transforms(
 ) -> None:
     """Write cameras with their distortion; `read_transforms` gives the same back within rounding.
 
-    The pictures are in `images/`. `file_of` turns a photo's name into its picture's file name.
+    The pictures are in `images/`. `file_of` turns a photo's name into its picture's file name. `as_stored` marks
+    cameras of pixels that EXIF's orientation has not turned.
     """
     frames = []
     for name, camera in cameras.items():
@@ -109,7 +114,8 @@ def write_transforms(
         intrinsics = {"w": camera.width, "h": camera.height, "fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy}
         intrinsics |= {"k1": k1, "k2": k2, "p1": p1, "p2": p2}
         matrix = opengl_from_opencv(camera.w2c).tolist()
-        frames.append({**_picture(name, file_of(name)), **intrinsics, "transform_matrix": matrix})
+        stored = {"as_stored": True} if camera.as_stored else {}
+        frames.append({**_picture(name, file_of(name)), **intrinsics, **stored, "transform_matrix": matrix})
     with atomic_path(path) as draft:
         draft.write_text(json.dumps({"camera_model": "OPENCV", "frames": frames}, indent=1) + "\n")
 
