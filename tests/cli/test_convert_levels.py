@@ -63,6 +63,8 @@ def test_lines_and_refusals(scene: Path, tmp_path: Path, capsys: pytest.CaptureF
     ):
         assert run(["convert", *map(str, arguments)]) == ExitCode.BAD_INPUT
         assert message in " ".join(capsys.readouterr().err.split())
+    assert run(["info", str(tmp_path / "out")]) == ExitCode.BAD_INPUT
+    assert f"Give {target}" in " ".join(capsys.readouterr().err.split())
     (target / "lod-meta.json").write_text("{}")
     assert run(["convert", str(target / "lod-meta.json"), str(tmp_path / "b.ply")]) == ExitCode.BAD_INPUT
     assert "damaged" in capsys.readouterr().err

@@ -93,6 +93,9 @@ def _no_file(path: Path) -> QuerySplatError:
     given = path.with_suffix("")
     if given.is_file():
         return _no_gaussians(given)
+    levels = path.with_suffix(STREAMED)
+    if levels.is_dir():
+        return QuerySplatError(f"{path}: no such file", f"Give {levels}, which has levels of detail of that name.")
     of_photos = f" If {given} has photos, `querysplat reconstruct {given}` makes a scene of them."
     return QuerySplatError(f"{path}: no such file", f"{GIVE}{of_photos if given.is_dir() else ''}")
 
