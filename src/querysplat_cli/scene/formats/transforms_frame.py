@@ -24,9 +24,10 @@ def frame_camera(path: Path, name: str, frame: Mapping[str, Any], *, fisheye: bo
     """
     lens = frame.get("camera_model", "OPENCV")
     bent = fisheye and (lens == FISHEYE or bool(frame.get("is_fisheye")))
-    if not bent and (lens not in LENS_MODELS or any(frame.get(key) for key in ("k3", "k4", "is_fisheye"))):
+    further = [f"{key} {shown(frame[key])}" for key in ("k3", "k4", "is_fisheye") if frame.get(key)]
+    if not bent and (lens not in LENS_MODELS or further):
         raise QuerySplatError(
-            f"{path}: the lens of {name} is not one of OpenCV's with k1, k2, p1, p2 ({lens})",
+            f"{path}: the lens of {name} is not one of OpenCV's with k1, k2, p1, p2 ({', '.join([lens, *further])})",
             "Undistort the photos first, for instance with `colmap image_undistorter`.",
         )
     try:
