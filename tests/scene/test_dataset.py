@@ -140,6 +140,18 @@ def test_one_scene_that_cannot_be_read_leaves_the_others(tmp_path: Path) -> None
         assert scene.notes == (f"left out: {scene.fault}",)
 
 
+def test_a_zip_made_on_a_mac(tmp_path: Path) -> None:
+    """Its second folder of the same name, with notes of macOS, counted as a second scene."""
+    write_scene(tmp_path / "abc" / "scene1")
+    with zipfile.ZipFile(tmp_path / "archive.zip", "w") as archive:
+        for file in (tmp_path / "abc").rglob("*.*"):
+            place = file.relative_to(tmp_path / "abc")
+            archive.write(file, place)
+            archive.writestr(f"__MACOSX/{place.parent.as_posix()}/._{place.name}", b"notes")
+    (scene,) = find_scenes([tmp_path / "archive.zip"])
+    assert len(scene.frames) == FRAMES
+
+
 def test_a_damaged_member_of_a_zip_is_named(tmp_path: Path) -> None:
     """It ended in a traceback, or was listed as a bug."""
     write_scene(tmp_path / "abc" / "scene1")

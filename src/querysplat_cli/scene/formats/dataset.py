@@ -23,6 +23,8 @@ HOMES = ("", "nerfstudio", "colmap", "gaussian_splat")
 """Where in a scene's folder DL3DV's releases (10K, Benchmark and sample) keep pictures and cameras."""
 SCENE_DEPTH = 2
 """Scenes are at most this many folders below the one that the user gives: subset / hash."""
+MAC_NOTES = "__MACOSX"
+"""A folder that macOS adds to zips, with a file of its own notes for each file."""
 MODEL_FILES = tuple(f"{part}{suffix}" for part in ("cameras", "images", "points3D") for suffix in (".bin", ".txt"))
 
 
@@ -133,7 +135,7 @@ def _scenes(place: Traversable, name: str, pictures: str, depth: int) -> Iterato
         yield scene
     elif depth:
         for entry in sorted(place.iterdir(), key=lambda entry: entry.name):
-            if entry.name.startswith("."):
+            if entry.name.startswith(".") or entry.name == MAC_NOTES:
                 continue
             yield from _inner_scenes(entry, pictures, depth - 1)
 
