@@ -152,6 +152,15 @@ def test_a_last_photo_without_its_second_line_is_not_lost_silently(tmp_path: Pat
     assert len(read_known_cameras(tmp_path)) == 3
 
 
+def test_photos_without_second_lines_are_refused_with_what_to_do(tmp_path: Path) -> None:
+    """Programs and editors drop empty lines. COLMAP failed at a number, or left every other photo out."""
+    write_model(tmp_path, "PINHOLE", [500, 510, 320, 240], text=True)
+    images = tmp_path / "images.txt"
+    images.write_text("".join(line for line in images.read_text().splitlines(True) if line.strip()) + "\n")
+    with pytest.raises(QuerySplatError, match=r"the line after that of 'left/1\.jpg' in images\.txt has no points"):
+        read_known_cameras(tmp_path)
+
+
 @pytest.mark.parametrize("name", ["cameras.xml", "scene.splat"])
 def test_a_file_of_another_program_does_not_stand_for_its_folder(tmp_path: Path, name: str) -> None:
     write_model(tmp_path, "PINHOLE", [500, 510, 320, 240])

@@ -181,7 +181,7 @@ def _check_text(folder: Path, names: Iterable[str]) -> None:
 
 
 def _check_lines(folder: Path) -> None:
-    """Raise QuerySplatError where COLMAP would cut a name in images.txt at a space, or miss the last photo."""
+    """Raise QuerySplatError where COLMAP would cut a name in images.txt at a space, or miss a photo."""
     if (folder / "images.bin").is_file() or not (folder / "images.txt").is_file():
         return
     with (folder / "images.txt").open(errors="replace") as lines:
@@ -195,10 +195,16 @@ def _check_lines(folder: Path) -> None:
                     f"{folder}: COLMAP cuts the name {shown(name)} in images.txt at its space",
                     "Export the model as binary files.",
                 )
-            if next(lines, None) is None:  # the points that the photo shows
+            points = next(lines, None)  # those that the photo shows, three numbers each
+            if points is None:
                 raise QuerySplatError(
                     f"{folder}: images.txt ends at {shown(fields[-1])}, and COLMAP leaves that photo out",
                     "Add an empty line at its end: each photo has two lines.",
+                )
+            if len(points.split()) % 3:
+                raise QuerySplatError(
+                    f"{folder}: the line after that of {shown(fields[-1])} in images.txt has no points, and is skipped",
+                    "Add an empty line behind each photo's: each photo has two lines.",
                 )
 
 
