@@ -1,5 +1,6 @@
 """Worker processes: all jobs are done, and a crash ends one job only."""
 
+import atexit
 import os
 import signal
 import time
@@ -20,6 +21,9 @@ def handler(folder: Path) -> Callable[[str], None]:
             os._exit(3)
         if job == "kill":
             os.kill(os.getpid(), signal.SIGKILL)
+        if job == "terminate":
+            atexit.register(os.kill, os.getpid(), signal.SIGTERM)
+            os.kill(os.getpid(), signal.SIGTERM)
         if job == "sleep":
             (folder / "started").write_text(str(os.getpid()))
             time.sleep(60)
@@ -43,6 +47,14 @@ def test_crashes_are_reported_and_the_rest_is_done(tmp_path: Path, monkeypatch: 
     cores = len(os.sched_getaffinity(0))
     assert {share for _, share in written} == {str(max(1, cores // 2))}
     assert THREAD_LIMITS[0] not in os.environ
+
+
+def test_a_second_signal_to_end_is_no_error(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """Schedulers signal every process, and the main one ends its workers: their clean-up printed a traceback."""
+    ends: list[str | None] = []
+    Workers(1).run(handler, tmp_path, ["terminate"], lambda job, why: ends.append(why))
+    assert ends == ["its process ended with code 143"]
+    assert "Traceback" not in capfd.readouterr().err
 
 
 def test_an_interruption_stops_every_worker(tmp_path: Path) -> None:

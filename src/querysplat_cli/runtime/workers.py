@@ -152,7 +152,7 @@ class _Pool(Generic[Job]):
 def _serve(pipe: Connection, handler: Callable[[Any], Callable[[Any], None]], setup: Any) -> None:
     # Ctrl-C reaches every process of a terminal. The main process stops the workers, so they ignore it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    signal.signal(signal.SIGTERM, _leave)
     threading.Thread(target=_end_with_parent, daemon=True).start()
     handle = None
     while True:
@@ -168,6 +168,12 @@ def _serve(pipe: Connection, handler: Callable[[Any], Callable[[Any], None]], se
         except QuerySplatError as error:
             wrong = error
         pipe.send(wrong)
+
+
+def _leave(*_: object) -> None:
+    """End this process. A scheduler signals every process, and the main one passes it on: the second is no news."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    sys.exit(128 + signal.SIGTERM)
 
 
 def _end_with_parent() -> None:
