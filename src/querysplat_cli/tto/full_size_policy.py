@@ -92,10 +92,10 @@ class FullSizePolicy:
     )
     """50 passes with dropout, instead of 14 without, take three times the seconds. Held out on grey at 448 pixels they
     bring fortress from 30.35 to 30.70 dB, dtu106 from 28.53 to 28.63, fox from 23.59 to 23.67; SSIM gains 0.004 to
-    0.008. 20 instead of 14 bring 0.09 dB (docs/quality.md).
+    0.008. 20 instead of 14 bring 0.09 dB (docs/tried.md).
 
     What `standard` spends on each photo of many was chosen on fox, and the pixels for each Gaussian on fox and kermit
-    (docs/quality.md).
+    (docs/tried.md).
 
     The seconds of `high` are 444 for 20 photos of 1,600 × 1,200, so that the whole command takes about ten
     minutes on two quiet cores."""

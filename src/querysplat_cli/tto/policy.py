@@ -27,7 +27,7 @@ class TtoPolicy:
     lpips: float = 0.05
     """Weight of LPIPS in the loss, where it takes part (the paper and the release)."""
     half: float = 0.5
-    """Weight in the loss of views at half of their size, where they take part (docs/quality.md)."""
+    """Weight in the loss of views at half of their size, where they take part (docs/tried.md)."""
     smoothness: float = 2 / 448
     """In Gaussian space, weight in the loss of how rough the depth is that no other view confirms
     (`tto/smooth_depth.py`). Chosen on fortress, dtu106, kermit and fox (docs/tried.md)."""
