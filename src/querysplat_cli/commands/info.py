@@ -64,9 +64,7 @@ def scene_info(request: InfoRequest) -> dict[str, Any]:
     return found
 
 
-def describe(
-    gaussians: Gaussians, inputs: NamedCameras | None, backdrop: int = 0, policy: OddPolicy = ODD_POLICY
-) -> dict[str, Any]:
+def describe(gaussians: Gaussians, inputs: NamedCameras | None, backdrop: int = 0) -> dict[str, Any]:
     """Everything about the Gaussians that needs no file. Lengths are in scene units, angles in degrees.
 
     The last `backdrop` Gaussians stand behind everything (`queries/backdrop.py`). They count as Gaussians only.
@@ -75,7 +73,7 @@ def describe(
     low, high = _box(opaque_centres(gaussians), 0.05)
     extent = float((high - low).norm())
     longest = gaussians.scales.amax(1)
-    odd = _odd(gaussians, extent, policy)
+    odd = _odd(gaussians, extent)
     return {
         "gaussians": count,
         "backdrop": backdrop,
@@ -103,25 +101,25 @@ def _box(points: Tensor, left_out: float) -> tuple[Tensor, Tensor]:
     return low, high
 
 
-def _odd(gaussians: Gaussians, extent: float, policy: OddPolicy) -> dict[str, Tensor]:
+def _odd(gaussians: Gaussians, extent: float) -> dict[str, Tensor]:
     ordered = gaussians.scales.sort(1, descending=True).values
-    faint = gaussians.opacities < policy.see_through
+    faint = gaussians.opacities < ODD_POLICY.see_through
     return {
-        "needles": ordered[:, 0] > policy.needle * ordered[:, 1],
-        "giants": ordered[:, 0] > policy.giant * extent,
+        "needles": ordered[:, 0] > ODD_POLICY.needle * ordered[:, 1],
+        "giants": ordered[:, 0] > ODD_POLICY.giant * extent,
         "see_through": faint,
-        "floaters": ~faint & _alone(gaussians.means, policy),
+        "floaters": ~faint & _alone(gaussians.means),
     }
 
 
-def _alone(means: Tensor, policy: OddPolicy) -> Tensor:
+def _alone(means: Tensor) -> Tensor:
     """Which centres are far from their neighbours."""
     places = means.double().numpy()
-    nearest = min(policy.neighbour, len(places) - 1)
+    nearest = min(ODD_POLICY.neighbour, len(places) - 1)
     if nearest < 1:
         return torch.zeros(len(places), dtype=torch.bool)
     distance = cKDTree(places).query(places, [nearest + 1])[0][:, 0]  # the first is the point itself
-    return torch.from_numpy(distance > policy.alone * np.median(distance))
+    return torch.from_numpy(distance > ODD_POLICY.alone * np.median(distance))
 
 
 def _orientation(inputs: NamedCameras | None) -> dict[str, Any]:
