@@ -14,17 +14,16 @@ class MatchEffort:
 
     `feature_size` is the longer side, in pixels, at which features are searched. `affine` fits an affine shape to
     each feature and pools over domain sizes. `peak_threshold` is SIFT's contrast threshold. `match_ratio` is the
-    largest ratio of the distances to the nearest and the second nearest feature. `guided` matches once more along
-    the epipolar lines. A pair of photos needs `fewest_inliers` matches. Octave -1, the default, doubles
-    the picture, and octave 0 takes it as it is. SIFT keeps the largest `most_found` features (None: COLMAP's
-    number), and of these `most_features`, spread over the photo, are matched (None: all).
+    largest ratio of the distances to the nearest and the second nearest feature. A pair of photos needs
+    `fewest_inliers` matches. Octave -1, the default, doubles the picture, and octave 0 takes it as it is. SIFT keeps
+    the largest `most_found` features (None: COLMAP's number), and of these `most_features`, spread over the photo, are
+    matched (None: all).
     """
 
     feature_size: int
     affine: bool
     peak_threshold: float | None
     match_ratio: float
-    guided: bool
     fewest_inliers: int
     first_octave: int = -1
     most_found: int | None = None
@@ -54,21 +53,21 @@ class CameraPolicy:
     """Structure from motion: which matches count, when a model is accepted, and what raises a warning."""
 
     # Matches.
-    ordinary: MatchEffort = MatchEffort(1600, False, None, 0.8, False, 15, most_features=4000)
+    ordinary: MatchEffort = MatchEffort(1600, False, None, 0.8, 15, most_features=4000)
     """The usual search; ratio and inliers are COLMAP's. More than 1,600 pixels cost time and find no better matches."""
     little_contrast: tuple[float, float] = (25.0, 80.0)
     """Grey levels between the darkest and the brightest hundredth of a photo, from and up to which it is stretched.
     SIFT's contrast threshold is meant for photos that use all levels. Below, only noise would become larger."""
     usual_contrast: float = 200.0
     """Grey levels between them then."""
-    thorough: MatchEffort = MatchEffort(800, True, 0.003, 0.9, False, 25)
+    thorough: MatchEffort = MatchEffort(800, True, 0.003, 0.9, 25)
     """A second, slow search, for photos that the first one did not place. It finds many features in few pixels; among
     many more candidates more agree by chance, so it needs more inliers."""
     large_photo: int = 1200
     """Photos with a longer side of at least so many pixels, in the median, are large: they have features in plenty."""
-    ordinary_large: MatchEffort = MatchEffort(1600, False, None, 0.8, False, 15, 0, None, 3000)
+    ordinary_large: MatchEffort = MatchEffort(1600, False, None, 0.8, 15, first_octave=0, most_features=3000)
     """The usual search in large photos. The features that it skips, in the doubled picture, would not be kept."""
-    tilted: MatchEffort = MatchEffort(1000, False, None, 0.9, False, 20, 0, 2000)
+    tilted: MatchEffort = MatchEffort(1000, False, None, 0.9, 20, first_octave=0, most_found=2000)
     """The second search in large photos, in tilted views of those photos alone that were not placed."""
     tilts: tuple[tuple[float, float], ...] = ((2.0, 0.0), (2.0, 36.0), (2.0, 72.0), (2.0, 108.0), (2.0, 144.0))
     """Tilt and direction in degrees of these views. Morel & Yu take steps of 72° / tilt."""

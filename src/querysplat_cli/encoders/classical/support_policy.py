@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from querysplat_cli.encoders.classical.policy import MatchEffort
 
-SEARCH = MatchEffort(800, True, None, 1.0, False, 15, -2)
+SEARCH = MatchEffort(800, True, None, 1.0, 15, first_octave=-2)
 """Features of photos that are enlarged four times, to 3,200 pixels at most. In fox's squares of 270 pixels that finds
 twice as many right matches as twice the size."""
 

@@ -108,7 +108,6 @@ def matching_options(effort: MatchEffort) -> pycolmap.FeatureMatchingOptions:
     options = pycolmap.FeatureMatchingOptions()
     options.use_gpu = False
     options.num_threads = 1
-    options.guided_matching = effort.guided
     options.sift.max_ratio = effort.match_ratio
     return options
 
