@@ -1,7 +1,7 @@
 """`querysplat export`: a scene as one file for browsers."""
 
 from querysplat_cli.cli.verb import Printing
-from querysplat_cli.commands.view_requests import ExportRequest
+from querysplat_cli.commands.requests import ExportRequest
 
 
 def export(request: ExportRequest, printing: Printing) -> None:

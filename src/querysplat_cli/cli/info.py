@@ -3,7 +3,7 @@
 from typing import Any
 
 from querysplat_cli.cli.verb import Printing
-from querysplat_cli.commands.view_requests import InfoRequest
+from querysplat_cli.commands.requests import InfoRequest
 
 BARS = " ▁▂▃▄▅▆▇█"
 

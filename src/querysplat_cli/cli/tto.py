@@ -3,7 +3,7 @@
 from time import perf_counter
 
 from querysplat_cli.cli.verb import Printing
-from querysplat_cli.commands.view_requests import Watching
+from querysplat_cli.commands.requests import Watching
 from querysplat_cli.pipeline.resume_settings import ResumeSettings
 from querysplat_cli.scene.files import with_name
 

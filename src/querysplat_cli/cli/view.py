@@ -1,7 +1,7 @@
 """`querysplat view`: a scene in the browser."""
 
 from querysplat_cli.cli.verb import Printing
-from querysplat_cli.commands.view_requests import ViewRequest
+from querysplat_cli.commands.requests import ViewRequest
 
 
 def view(request: ViewRequest, printing: Printing) -> None:

@@ -5,7 +5,7 @@ from contextlib import contextmanager
 
 from querysplat_cli.cli.terminal import say, showing_stages
 from querysplat_cli.cli.verb import Printing
-from querysplat_cli.commands.view_requests import Watching
+from querysplat_cli.commands.requests import Watching
 from querysplat_cli.runtime.progress import Stages
 
 

@@ -5,7 +5,7 @@ import gzip
 from dataclasses import dataclass
 from html import escape
 
-from querysplat_cli.commands.view_requests import ExportRequest
+from querysplat_cli.commands.requests import ExportRequest
 from querysplat_cli.commands.viewed_scene import ViewedScene, viewed_scene
 from querysplat_cli.commands.viewer_files import LICENCES, MODULES, PAGE, START, STYLE, viewer_file
 from querysplat_cli.pipeline.gaussian_files import folder_of_scene

@@ -9,8 +9,8 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 from querysplat_cli.commands.info_plot import draw_info
+from querysplat_cli.commands.requests import InfoRequest
 from querysplat_cli.commands.samples import quantiles
-from querysplat_cli.commands.view_requests import InfoRequest
 from querysplat_cli.pipeline.gaussian_files import bytes_of, file_of_scene, folder_of_scene, read_gaussians
 from querysplat_cli.reporting.stored_report import backdrop_of
 from querysplat_cli.runtime.figures import check_drawing

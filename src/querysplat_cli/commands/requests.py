@@ -11,6 +11,10 @@ from querysplat_cli.runtime.json_files import shown
 from querysplat_cli.runtime.options import Force, MovedWeights, Option, Seed, StoredScenePath
 from querysplat_cli.scene.files import with_name
 
+ScenePath = Annotated[
+    Path, Option("A scene folder, or a .ply, .spz, .sog or .glb of SH degree 0 to 3.", metavar="SCENE", argument=True)
+]
+
 LARGEST_SIZE = 65535
 """Pixels of the longest side of a picture that common formats can hold."""
 
@@ -50,10 +54,7 @@ def beside(scene: Path, what: str) -> Path:
 class RenderRequest:
     """Pictures or a film of a .ply."""
 
-    scene: Annotated[
-        Path,
-        Option("A scene folder, or a .ply, .spz, .sog or .glb of SH degree 0 to 3.", metavar="SCENE", argument=True),
-    ]
+    scene: ScenePath
     output: Annotated[
         Path | None,
         Option(
@@ -108,6 +109,49 @@ class RenderRequest:
     @property
     def is_film(self) -> bool:
         return self.target.suffix.lower() == ".mp4"
+
+
+@dataclass(frozen=True)
+class ViewRequest:
+    """A scene in the browser."""
+
+    scene: ScenePath
+    browser: Annotated[bool, Option("Open the browser.", ("--browser/--no-browser",))] = True
+    port: Annotated[
+        int, Ge(0), Le(65535), Option("The port on 127.0.0.1.", metavar="N", default="0: any free port")
+    ] = 0
+
+
+@dataclass(frozen=True)
+class ExportRequest:
+    """A scene in one file for browsers."""
+
+    scene: ScenePath
+    output: Annotated[
+        Path | None, Option("The file to write.", ("--output", "-o"), metavar="FILE.html", default="SCENE.html")
+    ] = None
+    with_photos: Annotated[
+        bool, Option("Put small copies of the photos into the file, beside their cameras.", ("--photos/--no-photos",))
+    ] = True
+    force: Force = False
+
+
+@dataclass(frozen=True)
+class InfoRequest:
+    """What a scene consists of, in numbers."""
+
+    scene: ScenePath
+    plot: Annotated[
+        Path | None, Option("Draw the histograms to a .png, .svg or .pdf.", metavar="FILE", default="no drawing")
+    ] = None
+    force: Force = False
+
+
+@dataclass(frozen=True)
+class Watching:
+    """Whether a run is watched."""
+
+    view: Annotated[bool, Option("Show the scene in the browser while it is made.")] = False
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ import signal
 import threading
 from collections.abc import Callable
 
-from querysplat_cli.commands.view_requests import ViewRequest
+from querysplat_cli.commands.requests import ViewRequest
 from querysplat_cli.commands.view_server import serving
 from querysplat_cli.commands.viewed_scene import viewed_scene
 from querysplat_cli.runtime import signals
