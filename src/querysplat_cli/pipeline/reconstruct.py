@@ -12,6 +12,7 @@ from querysplat_cli.encoders.registry import ENCODERS
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.pipeline.budget import Budget, working_size
 from querysplat_cli.pipeline.build import Allowance, BuiltScene, encode_and_build
+from querysplat_cli.pipeline.distinct import duplicates
 from querysplat_cli.pipeline.first_sight import first_sight
 from querysplat_cli.pipeline.full_size import LargePhotos, full_size_quality
 from querysplat_cli.pipeline.gaussian_files import check_target, folder_of_scene
@@ -28,7 +29,6 @@ from querysplat_cli.pipeline.scene_points import scene_points
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.pipeline.unfinished import Unfinished, is_long, unfinished
 from querysplat_cli.prune.resolution import Blurred, blurred
-from querysplat_cli.prune.views import near_duplicates
 from querysplat_cli.reporting.report import (
     Report,
     exposure_entry,
@@ -138,8 +138,8 @@ def _made(inputs: _Inputs, settings: ReconstructSettings, stages: Stages, work: 
     metres = metres_of(settings.metres_by, passes.split.inputs, inputs.photos)
     forget_pixels(inputs.photos)
     posed = passes.split.inputs
-    alike = {} if settings.keep_everything else near_duplicates(posed.cameras, posed.points, posed.visibility)
-    count = region_count(settings, len(posed.views) - len(alike), inputs.encoder)
+    distinct = len(posed.views) - len(duplicates(posed, keep_all=settings.keep_everything))
+    count = region_count(settings, distinct, inputs.encoder)
     if settings.cluster and count == 1:
         stages.say("--cluster is not used: there is one region")
     built = None
@@ -150,7 +150,7 @@ def _made(inputs: _Inputs, settings: ReconstructSettings, stages: Stages, work: 
         scene = built.scene
     else:
         allowance = Allowance(inputs.budget, inputs.sources)
-        scene = encode_and_build(passes.split.inputs, inputs.encoder, inputs.model, settings, stages, allowance)
+        scene = encode_and_build(posed, inputs.encoder, inputs.model, settings, stages, allowance)
     scores = _score(inputs, passes.split, scene, stages)
     with stages("write"):
         report = _report(inputs, passes, scene, scores, settings, stages)

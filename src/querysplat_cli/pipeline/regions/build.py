@@ -4,7 +4,6 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from querysplat_cli.encoders.base import Encoder, PosedViews
 from querysplat_cli.pipeline.distinct import distinct_views
@@ -109,7 +108,7 @@ def _carry_out(folders: Sequence[Path], engine: Engine, stages: Stages) -> None:
         engine.run(region_maker, None, folders, done, heard)
 
 
-def _read(path: Any) -> RegionScene:
+def _read(path: Path) -> RegionScene:
     scene: RegionScene | None = read_part(path)
     if scene is None:
         raise QuerySplatError(f"{path} is missing or damaged", "The same command makes it again.")
