@@ -143,11 +143,11 @@ def _geometry_rows(
     normal = torch.einsum("qri,qij->qrj", _normals(places, around), places.axes)
     rendered = signed_log((_nearest(comparison.depth, places.views, places.pixels) - here) / places.spacing)
     size = (places.footprint / places.spacing).log().clamp(-5, 5)
-    alone = torch.stack([size, rendered, _nearest(comparison.alpha, places.views, places.pixels)], -1)
+    numbers = torch.stack([size, rendered, _nearest(comparison.alpha, places.views, places.pixels)], -1)
     photo = _nearest(around.images.movedim(1, 3), places.views, places.pixels)
     residual = _nearest(comparison.residual.movedim(1, 3), places.views, places.pixels)
-    seen = 4 * residual, photo - colour[:, None]
-    return torch.cat([gaps, sure, signed_log(offset), normal, places.ray, alone, *seen], -1)
+    colours = 4 * residual, photo - colour[:, None]
+    return torch.cat([gaps, sure, signed_log(offset), normal, places.ray, numbers, *colours], -1)
 
 
 def _appearance_rows(
@@ -159,8 +159,8 @@ def _appearance_rows(
     photo, residual = found[..., :3] - colours[:, None], 4 * found[..., 3:]
     gap = signed_log((_nearest(around.depth, places.views, places.pixels) - places.z) / places.spacing)
     size = (places.footprint / places.spacing).log().clamp(-5, 5)
-    alone = torch.stack([gap, _nearest(around.confidence, places.views, places.pixels), size], -1)
-    return torch.cat([photo.flatten(2), residual.flatten(2), places.ray, alone], -1)
+    numbers = torch.stack([gap, _nearest(around.confidence, places.views, places.pixels), size], -1)
+    return torch.cat([photo.flatten(2), residual.flatten(2), places.ray, numbers], -1)
 
 
 def _nearest(maps: Tensor, views: Int[Tensor, "..."], pixels: Float[Tensor, "*n 2"]) -> Tensor:

@@ -119,14 +119,11 @@ def optimise_full_size(
 
 def _carried_out(plan: FullSizePlan, run: Callable[[FullSizeStage], TtoResult[Changes]]) -> str:
     """All stages, and rounds until the loss on the input photos stops falling; returns why they ended."""
-    short = [
-        stage
-        for stage, result in [(stage, run(stage)) for stage in plan.stages]
-        if len(result.history) + result.undone < stage.settings.steps
-    ]
-    if short:
-        timed = short[0].settings.seconds is not None
-        return "the time was over" if timed else "steps were undone again and again"
+    results = [run(stage) for stage in plan.stages]
+    for stage, result in zip(plan.stages, results, strict=True):
+        if len(result.history) + result.undone < stage.settings.steps:
+            timed = stage.settings.seconds is not None
+            return "the time was over" if timed else "steps were undone again and again"
     if not plan.round:
         return "every planned step was taken"
     for _ in range(plan.most_rounds):
