@@ -23,6 +23,7 @@ from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 from statistics import mean, median
+from typing import get_args
 
 import numpy as np
 
@@ -35,7 +36,7 @@ from querysplat_cli.encoders.base import CameraRequest, Encoder, EncoderOptions
 from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.evaluation.cameras import cameras_by_name
 from querysplat_cli.evaluation.poses import area_under_recall
-from querysplat_cli.runtime.choices import MATCHERS
+from querysplat_cli.runtime.choices import Matcher
 from querysplat_cli.runtime.errors import ImpossibleScene
 from querysplat_cli.runtime.progress import silent
 from querysplat_cli.scene.cameras import PhotoCamera
@@ -149,7 +150,7 @@ def summarise(table: Table, label: str, rows: Sequence[Row]) -> None:
 
 def main() -> None:
     parser = PhotoParser(__doc__, passes=False)
-    parser.add_argument("--matchers", nargs="+", choices=MATCHERS, default=["sift", "auto"])
+    parser.add_argument("--matchers", nargs="+", choices=get_args(Matcher), default=["sift", "auto"])
     parser.add_argument("--weights", type=Path, help="folder with the weights of learned matchers")
     parser.add_argument("--whole", action="store_true", help="also register each set as a whole")
     options = parser.parse()

@@ -1,6 +1,6 @@
 """Words that a setting can be. They stand apart from the code that obeys them, so that `--help` imports no torch."""
 
-from typing import Literal, get_args
+from typing import Literal
 
 HoldoutProtocol = Literal["isolated", "joint"]
 """Which photos the cameras of a scene with held-out photos are estimated from: the inputs alone (the paper's protocol),
@@ -47,7 +47,6 @@ equirectangular: every photo is a panorama of 360°."""
 Matcher = Literal["auto", "sift", "sift-affine", "disk-lightglue", "xfeat"]
 """How the classical encoder matches photos. auto: SIFT, and for photos that it matches badly affine SIFT, and a network
 where one is installed. The others are used for all photos."""
-MATCHERS: tuple[Matcher, ...] = get_args(Matcher)
 
 LearnedMatcherName = Literal["disk-lightglue", "xfeat"]
 """The matchers that are networks, with weights of their own; SIFT's matches are kept beside theirs."""
