@@ -197,7 +197,7 @@ def row_of(
     if setting == opensplat.ROW:
         found = peer(photo_set, data, folder)
     else:
-        same = same_scene(setting, longer_side(photo_set.files(data)[0], default=0))
+        same = same_scene(setting, longer_side(photo_set.files(data)[0]))
         if same and (photo_set.name, same) in done:
             return done[photo_set.name, same] | {"quality": setting}
         found = fullscreen.measure(photo_set, setting, data, folder, None, SETTINGS[setting])

@@ -15,7 +15,7 @@ def print_training_plan(plan: TrainPlan, printing: Printing) -> None:
     rows = [
         ("parameters", f"{plan.parameters:,}, of which {plan.trained:,} are trained"),
         ("steps", f"{plan.steps:,}"),
-        ("batch", f"{plan.batch} samples: {_counted(plan.processes, 'process', 'es')} × {plan.in_turn} in turn"),
+        ("batch", f"{plan.batch} samples: {_counted(plan.processes)} × {plan.in_turn} in turn"),
         ("scenes", f"{plan.scenes:,}" + (f" (assumed: {plan.assumed})" if plan.assumed else "")),
     ]
     for number, stage in enumerate(plan.stages, 1):
@@ -32,7 +32,7 @@ def print_training_plan(plan: TrainPlan, printing: Printing) -> None:
         ("peak memory", plan.peak_memory_gib, "GiB"),
         ("a sample", plan.seconds_per_sample, "s"),
         ("a step", plan.seconds_per_step, "s"),
-        (f"all of it, in {_counted(plan.processes, 'process', 'es')}", plan.hours, "h"),
+        (f"all of it, in {_counted(plan.processes)}", plan.hours, "h"),
     )
     rows += [(name, f"{value:.2f} {unit}") for name, value, unit in measured if value is not None]
     if plan.unmeasured:
@@ -40,8 +40,8 @@ def print_training_plan(plan: TrainPlan, printing: Printing) -> None:
     say(rows_table("dry run", rows), printing)
 
 
-def _counted(number: int, name: str, plural: str) -> str:
-    return f"{number} {name}{plural if number > 1 else ''}"
+def _counted(processes: int) -> str:
+    return f"{processes} process{'es' if processes > 1 else ''}"
 
 
 def _size(gib: float) -> str:
@@ -64,7 +64,7 @@ def print_training(report: TrainReport, printing: Printing) -> None:
     if report.loss is not None and report.psnr is not None:
         figures = f"loss {report.loss:.4f}, {report.psnr:.2f} dB on targets; "
     say(
-        f"{report.steps:,} steps of {report.batch} samples ({_counted(report.processes, 'process', 'es')} × {each} in "
+        f"{report.steps:,} steps of {report.batch} samples ({_counted(report.processes)} × {each} in "
         f"turn), {figures}{report.steps_per_second:.2f} steps a second, "
         f"{100 * report.waiting:.0f} % of the time waiting for data, "
         f"{report.peak_memory_gib:.2f} GiB",

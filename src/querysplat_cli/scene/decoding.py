@@ -117,13 +117,13 @@ def why_not_a_picture(path: Path) -> str:
     return "an archive; unpack it" if is_zipfile(path) else "not a picture that can be read"
 
 
-def longer_side(path: Path, default: int) -> int:
-    """The longer side of the picture in a file, in pixels; `default` where only its pixels show that."""
+def longer_side(path: Path) -> int:
+    """The longer side of the picture in a file, in pixels; 0 where only its pixels show that."""
     try:
         with _opened(path) as image:
             return max(image.size)
     except UnidentifiedImageError:
-        return default
+        return 0
 
 
 def orientation_of(path: Path) -> int:

@@ -70,7 +70,7 @@ class PhotoFile:
         if self.pts is not None:
             whole = film_size(self.path)
         else:
-            scale = longer_side(self.path, default=0) / max(self.height, self.width) or 1.0
+            scale = longer_side(self.path) / max(self.height, self.width) or 1.0
             whole = round(self.height * scale), round(self.width * scale)
         return self.view.shape(self.view.photo_width(max(whole))) if self.view else whole
 

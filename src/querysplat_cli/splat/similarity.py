@@ -34,12 +34,10 @@ def psnr(
     return float(-10 * torch.log10(mean))
 
 
-def ssim_map(
-    image: Float[Tensor, "n c h w"], target: Float[Tensor, "n c h w"], *, correction: float = 1.0
-) -> Float[Tensor, "n c h w"]:
+def ssim_map(image: Float[Tensor, "n c h w"], target: Float[Tensor, "n c h w"]) -> Float[Tensor, "n c h w"]:
     """SSIM of every pixel (Wang 2004): 11-tap Gaussian window, each channel alone, zeros beyond the border.
 
-    Plain torch, in any precision. `correction` multiplies variances and covariance.
+    Plain torch, in any precision.
     """
     channels = image.shape[1]
     weights = torch.from_numpy(taps()).to(image)
@@ -50,7 +48,7 @@ def ssim_map(
         across = F.conv2d(part, row, padding=(0, RADIUS), groups=channels)
         return F.conv2d(across, column, padding=(RADIUS, 0), groups=channels)
 
-    return _similarity(image, target, blur, correction)
+    return _similarity(image, target, blur, 1.0)
 
 
 def ssim_metric(
@@ -71,6 +69,7 @@ def ssim_metric(
 
 
 def _similarity(image: Tensor, target: Tensor, blur: Callable[[Tensor], Tensor], correction: float) -> Tensor:
+    """`correction` multiplies variances and covariance."""
     mean_a, mean_b = blur(image), blur(target)
     variance_a = (blur(image * image) - mean_a * mean_a).clamp_min(0) * correction
     variance_b = (blur(target * target) - mean_b * mean_b).clamp_min(0) * correction
