@@ -13,7 +13,7 @@ class PrunePolicy:
 
     share_kept: float = 0.5
     """Share of the Gaussians that an automatic choice keeps. Optimisation makes up for most of the rest; what held-out
-    views lose is in docs/benchmarks.md."""
+    views lose is in docs/parts.md."""
     psnr_per_step: float = 0.1
     """dB on the input views that one step of optimisation makes up for."""
     pixels_per_gaussian: int = 100

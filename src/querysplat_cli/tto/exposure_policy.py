@@ -39,7 +39,7 @@ class ExposurePolicy:
     memory: float = 0.5
     """During optimisation, the share of earlier renders in the fit of a photo's transform."""
     pace: float = 0.5
-    """And the share of the way from the transform of a photo to its fit that each render of it goes."""
+    """During optimisation, the share of the way from a photo's transform to its fit that each render of it goes."""
     every_pixel: int = 3
     """Fits during optimisation use one pixel of so many in each direction."""
 

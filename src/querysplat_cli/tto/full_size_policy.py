@@ -22,12 +22,12 @@ class LevelPolicy:
     """How often each photo is shown at most that is no larger than the working pictures; larger ones more often, as
     their pixels are more."""
     shared_gaussians: int
-    """Splitting may reach so many whatever the photos,"""
+    """Splitting may reach so many whatever the photos."""
     pixels_each: float
-    """or one for so many pixels of all photos, as far as the time then shows each photo
-    `FullSizePolicy.fewest_passes` times,"""
+    """It may reach one for so many pixels of all photos, as far as the time then shows each photo
+    `FullSizePolicy.fewest_passes` times."""
     gaussians_per_photo: float = 0.0
-    """or so many for each photo, up to `gaussians` in any case."""
+    """And it may reach so many for each photo. None of the three goes beyond `gaussians`."""
     most_seconds: float = math.inf
     """However many pixels there are."""
     seconds_per_photo: float = 0.0

@@ -57,17 +57,18 @@ class TtoPolicy:
     """Of an automatic plan. More steps improve held-out photos little."""
     queries: int = 10_000
     """Queries inside the photos that an automatic plan has time for: with those beyond the borders, they leave about 45
-    steps. Photos that would carry more are divided into larger blocks. Finer queries improve a scene only after more
-    steps than that."""
+    steps in 14 seconds, and 30 in 10. Photos that would carry more are divided into larger blocks. Finer queries
+    improve a scene only after more steps than that."""
     work_seconds: float = 14.0
-    """What an automatic plan may take, by the two estimates below,"""
+    """What an automatic plan may take, by `decoding_seconds` and `splatting_seconds`, where no steps in Gaussian space
+    follow."""
     work_seconds_before: float = 10.0
-    """and where steps in Gaussian space follow. The model's own rounds of feedback (`queries/refine.py`) do what the
+    """What it may take where they follow. The model's own rounds of feedback (`queries/refine.py`) do what the
     other steps did: the mean of the sets that are tuned on has 26.81 dB and SSIM 0.832 then, 26.79 and 0.833 with
     14 seconds, and had 26.73 and 0.830 with 14 seconds and without the rounds (docs/tried.md)."""
     many_views: int = 24
-    """A draft of more photos has proportionally more of both, so that each is seen as often. 44 photos of fox have
-    27.2 dB held out after 51 steps, 28.9 after 102, and 30.1 after 205. Where steps in Gaussian space follow, more
+    """A draft of more photos has proportionally more seconds and steps, so that each is seen as often. 44 photos of fox
+    have 27.2 dB held out after 51 steps, 28.9 after 102, and 30.1 after 205. Where steps in Gaussian space follow, more
     before them help nothing: 32.5 dB with 51 and 32.3 with 184."""
     decoding_seconds: tuple[float, float] = (0.045, 1.2e-6)
     """What decoding the memories takes in a step, and for each Gaussian, measured on two cores. The plan counts on

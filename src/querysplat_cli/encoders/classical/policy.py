@@ -87,17 +87,17 @@ class CameraPolicy:
     many_features: int = 2000
     """So many features of a photo are matched at most."""
     many_growth: float = 1.3
-    """The mapper adjusts all cameras when the model has grown by this factor (COLMAP: 1.1),"""
+    """The mapper adjusts all cameras when the model has grown by this factor (COLMAP: 1.1)."""
     many_tolerance: float = 1e-5
-    """until the error falls by less than this share of itself (COLMAP: 0)."""
+    """Such an adjustment ends when the error falls by less than this share of itself (COLMAP: 0)."""
     exhaustive_photos: int = 40
     """Up to this many photos, every pair is matched."""
     most_partners: int = 20
     """With more photos, each is matched with this many of the most similar ones."""
     neighbour_steps: tuple[int, ...] = (1, 2)
-    """Photos are also matched when they are so many photos apart in their order,"""
+    """Photos are also matched when they are so many photos apart in their order."""
     film_steps: tuple[int, ...] = (3, 4, 8, 16)
-    """and frames of one film when they are so many chosen frames apart."""
+    """So are frames of one film when they are so many chosen frames apart."""
     looked_up: int = 100
     """The most similar ones are sought among this many photos that look most alike as a whole."""
     words: int = 64
@@ -109,10 +109,11 @@ class CameraPolicy:
     compared_ratio: float = 0.8
     """Two of these features correspond below this ratio of the distances to the nearest and the second nearest."""
     chance_inliers: float = 2.0
-    """Of more than `exhaustive_photos`, a pair with less than so many times the fewest inliers may agree by chance,"""
+    """Of more than `exhaustive_photos`, a pair with less than so many times the fewest inliers may agree by chance. It
+    is left out where no third photo supports it, unless it alone connects two groups of photos."""
     chance_support: float = 1.5
-    """where no third photo has so many times as many matches with both. Of 1,000 photos of a procedural street, 72 of
-    73 pairs of different places are such, and 13 of 8,330 others."""
+    """A third photo supports a pair with so many times as many matches with both. Of 1,000 photos of a procedural
+    street, 72 of 73 pairs of different places have no such photo, and 13 of 8,330 others."""
 
     # Mapping.
     attempts: tuple[Attempt, ...] = (
@@ -186,15 +187,17 @@ class CameraPolicy:
     lens_apart_photos: int = 100
     """Up to so many photos, it is tested whether they share a lens. The test takes as long as the final adjustment."""
     lens_difference: float = 0.05
-    """Photos share no lens where one of them has a focal length that differs by more, given a lens of its own,"""
+    """Photos share no lens where one of them, given a lens of its own, has a focal length that differs by more, and
+    `lens_apart_error` holds."""
     lens_apart_error: float = 0.85
-    """and the mean error of its observations falls below this share then (docs/tried.md)."""
+    """With a lens of its own, the mean error of its observations falls below this share (docs/tried.md)."""
     wrong_error: float = 4.0
     """In pixels; larger errors of observations count as this."""
     lens_gaps: tuple[float, ...] = (0.12, 0.06, 0.03)
-    """Focal lengths of one lens differ by less from the next one. The first gap is taken for which"""
+    """Focal lengths of one lens differ by less from the next one. The first gap is taken that meets
+    `lens_tolerance`."""
     lens_tolerance: float = 1.05
-    """the mean error with these lenses is at most so many times that with a lens for each photo."""
+    """With the lenses of a gap, the mean error is at most so many times that with a lens for each photo."""
     few_photos: int = 4
     """With so few photos or fewer the mapper keeps the lens of the prior, and only the adjustment fits it."""
     tried_focals: tuple[float, ...] = (-1.0, 0.0, 1.0)
