@@ -135,6 +135,18 @@ def test_integers_stand_for_shares_of_one(tmp_path: Path) -> None:
     torch.testing.assert_close(found.opacities, scene.opacities, atol=0.5 / 255, rtol=1e-6)
 
 
+def test_all_primitives_of_a_mesh_are_read_and_several_meshes_refused(tmp_path: Path) -> None:
+    """Only the first primitive was read, without a word."""
+    scene, file = cloud(7, 0), tmp_path / "a.glb"
+    write_glb(file, scene)
+    document = json.loads(file.read_bytes()[20 : 20 + struct.unpack_from("<I", file.read_bytes(), 12)[0]])
+    [mesh] = document["meshes"]
+    found, _ = read_glb(rewritten(file, meshes=[{"primitives": 2 * mesh["primitives"]}]))
+    assert found.means.equal(torch.cat([scene.means, scene.means]))
+    with pytest.raises(QuerySplatError, match="2 of its meshes are Gaussians"):
+        read_glb(rewritten(file, meshes=[mesh, mesh]))
+
+
 @pytest.mark.parametrize("place", ["primitive", "bufferView"])
 def test_compression_is_named(tmp_path: Path, place: str) -> None:
     file = tmp_path / "a.glb"

@@ -24,7 +24,7 @@ from querysplat_cli.scene.formats.ply import (
     damage_named,
     finite_gaussians,
 )
-from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.gaussians import Gaussians, joined
 from querysplat_cli.scene.sim3 import Sim3
 
 EXTENSION = "KHR_gaussian_splatting"
@@ -77,15 +77,15 @@ def write_primitive(
 
 
 def read_glb(path: Path) -> tuple[Gaussians, Sim3 | None]:
-    """The Gaussians of the first primitive of a .glb that has any, and from their frame to that of the file.
+    """The Gaussians of the mesh of a .glb that has some, and from their frame to that of the file.
 
-    The latter is None where the two are one. Raises QuerySplatError when the file is damaged or compressed, or a node
-    of it stretches, mirrors or flattens the Gaussians.
+    The latter is None where the two are one. Raises QuerySplatError when the file is damaged or compressed, when
+    several meshes have Gaussians, or a node of it stretches, mirrors or flattens them.
     """
     with damage_named(path, ".glb of Gaussians"):
         document, binary = _chunks(path.read_bytes())
-        mesh, attributes = _first_primitive(path, document)
-        gaussians = _gaussians(path, document, attributes, binary)
+        mesh, primitives = _mesh_of_gaussians(path, document)
+        gaussians = joined(*(_gaussians(path, document, each["attributes"], binary) for each in primitives))
         place = placement(document, mesh)
     return finite_gaussians(path, gaussians), place
 
@@ -168,17 +168,27 @@ def _refuse_compressed(path: Path, part: Mapping[str, Any], what: str) -> None:
         raise QuerySplatError(why, "Export it without compression, or as a .ply.")
 
 
-def _first_primitive(path: Path, document: dict[str, Any]) -> tuple[int, dict[str, int]]:
-    """The number of the first mesh with Gaussians, and their attributes."""
+def _mesh_of_gaussians(path: Path, document: dict[str, Any]) -> tuple[int, list[dict[str, Any]]]:
+    """The number of the only mesh with Gaussians, and its primitives that are Gaussians."""
+    found = {}
     for number, mesh in enumerate(document["meshes"]):
-        for primitive in mesh["primitives"]:
-            if EXTENSION in primitive.get("extensions", {}):
-                space = primitive["extensions"][EXTENSION].get("colorSpace", COLOUR_SPACE)
-                if space != COLOUR_SPACE:
-                    raise ValueError(f"its colours are those of {space}, and only {COLOUR_SPACE} is read")
-                _refuse_compressed(path, primitive["extensions"][EXTENSION], "its Gaussians are")
-                return number, primitive["attributes"]
-    raise ValueError(f"nothing in it has {EXTENSION}; a mesh is no scene of Gaussians")
+        primitives = [each for each in mesh["primitives"] if EXTENSION in each.get("extensions", {})]
+        if primitives:
+            found[number] = primitives
+    if not found:
+        raise ValueError(f"nothing in it has {EXTENSION}; a mesh is no scene of Gaussians")
+    if len(found) > 1:
+        raise QuerySplatError(
+            f"{path}: {len(found)} of its meshes are Gaussians, and one can be read",
+            "Export each of them, or all as one .ply.",
+        )
+    [(number, primitives)] = found.items()
+    for extension in (each["extensions"][EXTENSION] for each in primitives):
+        space = extension.get("colorSpace", COLOUR_SPACE)
+        if space != COLOUR_SPACE:
+            raise ValueError(f"its colours are those of {space}, and only {COLOUR_SPACE} is read")
+        _refuse_compressed(path, extension, "its Gaussians are")
+    return number, primitives
 
 
 def _gaussians(path: Path, document: dict[str, Any], attributes: dict[str, int], binary: bytes) -> Gaussians:
