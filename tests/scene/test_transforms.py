@@ -106,6 +106,20 @@ def test_missing_centre_and_second_focal_length(tmp_path: Path) -> None:
     assert (found.focal, found.principal) == ((500.0, 500.0), (320.0, 240.0))
 
 
+def test_angles_in_place_of_focal_lengths(tmp_path: Path) -> None:
+    """Blender's exports state no fl_x, and were refused."""
+    path = tmp_path / "transforms.json"
+    angles = {"camera_angle_x": 2 * math.atan(640 / 2 / 500), "camera_angle_y": 2 * math.atan(480 / 2 / 510)}
+    path.write_text(json.dumps({"w": 640, "h": 480, **angles, "frames": [frame()]}))
+    assert read_transforms(path)["1.png"].focal == pytest.approx((500, 510))
+    del angles["camera_angle_y"]
+    path.write_text(json.dumps({"w": 640, "h": 480, **angles, "frames": [frame()]}))
+    assert read_transforms(path)["1.png"].focal == pytest.approx((500, 500))
+    path.write_text(json.dumps({"w": 640, "h": 480, "camera_angle_x": 0, "frames": [frame()]}))
+    with pytest.raises(QuerySplatError, match=r"the camera of 1.png makes no sense"):
+        read_transforms(path)
+
+
 def test_frames_of_one_name_get_their_folder_in_the_name(tmp_path: Path) -> None:
     path = write(tmp_path / "transforms.json", frame("./left/1.png"), frame("./right/1.png"), frame("right/2.png"))
     assert list(read_transforms(path)) == ["left/1.png", "right/1.png", "2.png"]

@@ -1,5 +1,6 @@
 """One frame of a transforms.json: its camera, in OpenCV's axes."""
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -31,7 +32,8 @@ def frame_camera(path: Path, name: str, frame: Mapping[str, Any], *, fisheye: bo
             "Undistort the photos first, for instance with `colmap image_undistorter`.",
         )
     try:
-        width, height, focal = _whole(frame, "w"), _whole(frame, "h"), _number(frame, "fl_x")
+        width, height = _whole(frame, "w"), _whole(frame, "h")
+        focal = _focal(frame, "x", width)
         rows = frame["transform_matrix"]
         if not all(type(number) in (int, float) for row in rows for number in row):
             raise ValueError("transform_matrix has other things than numbers")
@@ -44,7 +46,7 @@ def frame_camera(path: Path, name: str, frame: Mapping[str, Any], *, fisheye: bo
             w2c = opencv_from_opengl(np.vstack([c2w[:3], [0, 0, 0, 1]]))
         camera = PhotoCamera(
             w2c=w2c,
-            focal=(focal, _number(frame, "fl_y", focal)),
+            focal=(focal, _focal(frame, "y", height, focal)),
             principal=(_number(frame, "cx", width / 2), _number(frame, "cy", height / 2)),
             distortion=(k1, k2, k3, k4),
             height=height,
@@ -56,8 +58,16 @@ def frame_camera(path: Path, name: str, frame: Mapping[str, Any], *, fisheye: bo
         return camera
     except KeyError as error:
         raise QuerySplatError(f"{path}: {name} has no {error}", "Every frame needs w, h, fl_x and a matrix.") from None
-    except (TypeError, ValueError, OverflowError) as error:
+    except (TypeError, ValueError, ArithmeticError) as error:
         raise QuerySplatError(f"{path}: the camera of {name} makes no sense: {error}", "Export it again.") from None
+
+
+def _focal(frame: Mapping[str, Any], axis: str, size: int, default: float | None = None) -> float:
+    """The focal length in pixels: as it is stated, or that of the stated angle in radians that the picture spans."""
+    angle = f"camera_angle_{axis}"
+    if f"fl_{axis}" not in frame and angle in frame:
+        return 0.5 * size / math.tan(0.5 * _number(frame, angle))
+    return _number(frame, f"fl_{axis}", default)
 
 
 def _number(frame: Mapping[str, Any], key: str, default: float | None = None) -> float:
