@@ -95,3 +95,14 @@ def test_a_photo_of_another_shape_is_refused(files: tuple[PhotoFile, ...]) -> No
     cv2.imwrite(str(files[0].path), np.zeros((200, 200, 3), np.uint8))
     with pytest.raises(QuerySplatError, match="another shape"):
         files[0].load(100)
+
+
+def test_another_photo_of_the_same_shape_is_refused_and_a_brighter_one_is_not(files: tuple[PhotoFile, ...]) -> None:
+    photos, _ = load_photos([file.path for file in files])
+    small, cameras = undistorted(photos, [camera(shape) for shape in SHAPES], max_size=96)
+    picture = cv2.imread(str(files[0].path))
+    cv2.imwrite(str(files[0].path), (picture * 0.6 + 80).astype(np.uint8))
+    large_views(files, small, cameras, 240)
+    cv2.imwrite(str(files[0].path), np.ascontiguousarray(picture[:, ::-1]))
+    with pytest.raises(QuerySplatError, match=r"a\.png shows something else than when the scene was made"):
+        large_views(files, small, cameras, 240)
