@@ -51,9 +51,10 @@ def test_a_panorama_strip_is_left_out_with_its_own_size(tmp_path: Path) -> None:
     assert left_out == LeftOut("strip.png", "12000 × 400 pixels are too long and narrow")
 
 
-def test_the_thumbnail_of_a_raw_photo_is_no_photo(tmp_path: Path) -> None:
-    raw = tmp_path / "DSC_1.NEF"
-    Image.fromarray(SMOOTH).save(raw, "TIFF", tiffinfo={decoding.SUBFILE_TYPE: 1})
+@pytest.mark.parametrize(("name", "subfile"), [("DSC_1.tif", 1), ("IMG_1.CR2", 0)])
+def test_the_preview_of_a_raw_photo_is_no_photo(tmp_path: Path, name: str, subfile: int) -> None:
+    raw = tmp_path / name
+    Image.fromarray(SMOOTH).save(raw, "TIFF", tiffinfo={decoding.SUBFILE_TYPE: subfile})
     photos, left_out = load_photos([save(tmp_path / "DSC_1.jpg"), raw])
     assert [photo.name for photo in photos] == ["DSC_1.jpg"]
     assert "raw photos" in left_out[0].why
@@ -72,7 +73,7 @@ def test_the_package_for_heic_is_named_only_where_it_is_missing(
     whys = [load_photo(tmp_path / name, name, 1600).why for name in ("a.jpg", "b.heic")]
     decoding._reads_heif.cache_clear()
     assert registered == ([True] if reads else [])
-    assert ["querysplat[heic]" in why for why in whys] == [False, not reads]
+    assert ["querysplat[heic]" in why for why in whys] == [not reads, not reads]
 
 
 def test_few_photos_are_decoded_ahead_and_none_after_an_error(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -43,6 +43,11 @@ def test_a_folder_is_read_in_natural_order(tmp_path: Path) -> None:
     assert [path.name for path in find_photos([tmp_path])] == ["IMG_1.PNG", "img_9.png", "IMG_10.png"]
 
 
+def test_a_folder_of_jpegs_that_a_browser_named(tmp_path: Path) -> None:
+    (save(tmp_path / "a.jpg")).rename(tmp_path / "a.jfif")
+    assert find_photos([tmp_path]) == [tmp_path / "a.jfif"]
+
+
 def test_files_keep_the_order_given_and_come_once(tmp_path: Path) -> None:
     a, b = save(tmp_path / "a.png"), save(tmp_path / "b.png")
     assert find_photos([b, tmp_path, a]) == [b, a]
@@ -61,11 +66,13 @@ def test_the_largest_pictures_of_a_scene_folder_are_taken(tmp_path: Path, scene:
     [
         (lambda folder: folder / "missing", "no such file or folder", "folder of photos"),
         (lambda folder: folder, "empty folder", "Put the photos there"),
-        (lambda folder: (folder / "notes.txt").write_text("x") and folder, "no pictures", "JPEG"),
+        (lambda folder: (folder / "notes.txt").write_text("x") and folder, "no pictures", "JPEG or PNG"),
+        (lambda folder: (folder / "DSC_1.NEF").write_text("x") and folder, "no pictures", "DSC_1.NEF: raw photos"),
+        (lambda folder: (folder / "album.zip").write_text("x") and folder, "no pictures", "album.zip: an archive"),
         (lambda folder: save(folder / "holiday" / "a.png") and folder, "no pictures", "holiday"),
         (lambda folder: all(save(folder / day / "a.png") for day in "12") and folder, "no pictures", "folders 1, 2"),
     ],
-    ids=["missing", "empty", "no pictures", "pictures further down", "in several folders"],
+    ids=["missing", "empty", "no pictures", "raw photos", "an archive", "pictures further down", "in several folders"],
 )
 def test_inputs_without_pictures_are_refused(
     tmp_path: Path, make: Callable[[Path], Path], message: str, hint: str

@@ -4,7 +4,6 @@ import warnings
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from zipfile import is_zipfile
 
 import cv2
 import numpy as np
@@ -14,6 +13,13 @@ from querysplat_cli.runtime.optional_parts import install_command
 from querysplat_cli.scene.exif import Gps, focal_length, gps_place, says_panorama
 
 HEIF_SUFFIXES = {".heic", ".heif"}
+HEIF_MARKS = {b"ftypheic", b"ftypheix", b"ftyphevc", b"ftypmif1"}
+"""What follows the first four bytes of a HEIC photo, which may have any suffix: phones and messengers write `.jpg`."""
+RAW_SUFFIXES = {
+    ".3fr", ".arw", ".cr2", ".cr3", ".crw", ".dng", ".erf", ".iiq", ".kdc", ".mrw", ".nef", ".nrw", ".orf", ".pef",
+    ".raf", ".raw", ".rw2", ".rwl", ".srw", ".x3f",
+}  # fmt: skip
+ARCHIVE_SUFFIXES = {".zip", ".7z", ".rar", ".tar", ".tgz", ".gz", ".livp"}
 HALF_OPAQUE = 128
 """Pixels of a smaller alpha, of 255, take no part."""
 ON_THEIR_SIDE = {5, 6, 7, 8}
@@ -110,11 +116,24 @@ def reduced(pixels: np.ndarray, max_side: int) -> np.ndarray:
     return cv2.resize(pixels, (round(width * scale), round(height * scale)), interpolation=cv2.INTER_AREA)
 
 
+def no_photo(path: Path) -> str:
+    """Why a file is no photo by its suffix, as a phrase for the user; "" where it may be one.
+
+    Raw photos begin with a preview, which is smaller than the photo and would stand beside its JPEG as another one.
+    """
+    suffix = path.suffix.lower()
+    if suffix in RAW_SUFFIXES:
+        return "raw photos are not read; export it as JPEG"
+    return "an archive; unpack it" if suffix in ARCHIVE_SUFFIXES else ""
+
+
 def why_not_a_picture(path: Path) -> str:
     """Why a file is no picture that can be read, as a phrase for the user."""
-    if path.suffix.lower() in HEIF_SUFFIXES and not _reads_heif():
+    with path.open("rb") as file:
+        is_heif = file.read(12)[4:] in HEIF_MARKS or path.suffix.lower() in HEIF_SUFFIXES
+    if is_heif and not _reads_heif():
         return f"HEIC needs one more package: {install_command('heic')}"
-    return "an archive; unpack it" if is_zipfile(path) else "not a picture that can be read"
+    return "not a picture that can be read"
 
 
 def longer_side(path: Path) -> int:

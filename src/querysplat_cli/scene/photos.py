@@ -14,12 +14,26 @@ from PIL import Image, UnidentifiedImageError
 
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Progress
-from querysplat_cli.scene.decoding import Decoded, decode, why_not_a_picture
+from querysplat_cli.scene.decoding import Decoded, decode, no_photo, why_not_a_picture
 from querysplat_cli.scene.masks import BadMask, mask_file, read_mask, resized_mask
 from querysplat_cli.scene.photo_names import names_a_photo, short_names
 from querysplat_cli.scene.views import LeftOut, Photo
 
-SUFFIXES = {".jpg", ".jpeg", ".png", ".tif", ".tiff", ".bmp", ".webp", ".ppm", ".pgm", ".heic", ".heif", ".avif"}
+SUFFIXES = {
+    ".jpg",
+    ".jpeg",
+    ".jfif",
+    ".png",
+    ".tif",
+    ".tiff",
+    ".bmp",
+    ".webp",
+    ".ppm",
+    ".pgm",
+    ".heic",
+    ".heif",
+    ".avif",
+}
 FILM_SUFFIXES = {".mp4", ".mov", ".m4v", ".webm", ".mkv", ".avi"}
 PICTURE_FOLDERS = ("images", "images_2", "images_4", "images_8")
 """Where DL3DV and nerfstudio keep the pictures of a scene, largest first."""
@@ -119,6 +133,8 @@ def load_photo(path: Path, name: str, max_side: int) -> Photo | LeftOut:
     if not names_a_photo(str(path)):
         # Native libraries crash on such names.
         return LeftOut(os.fsencode(name).decode(errors="replace"), "its file name is not valid UTF-8; rename it")
+    if why := no_photo(path):
+        return LeftOut(name, why)
     try:
         if not path.stat().st_size:
             return LeftOut(name, "the file is empty")
@@ -159,12 +175,13 @@ def _folder_photos(folder: Path) -> list[Path]:
     if not any(folder.iterdir()):
         raise QuerySplatError(f"{folder}: an empty folder", "Put the photos there, or give another folder.")
     inside = [each.name for each in sorted(folder.iterdir()) if each.is_dir() and _holds_pictures(each)]
-    raise QuerySplatError(f"{folder}: no pictures in this folder", _where_pictures_are(inside))
+    others = [f"{file.name}: {why}." for file in _visible_files(folder) if (why := no_photo(file))]
+    raise QuerySplatError(f"{folder}: no pictures in this folder", _where_pictures_are(inside, others))
 
 
-def _where_pictures_are(folders: list[str]) -> str:
+def _where_pictures_are(folders: list[str], others: list[str]) -> str:
     if not folders:
-        return "Give a folder of JPEG or PNG photos."
+        return next(iter(others), "Give a folder of JPEG or PNG photos.")
     if len(folders) == 1:
         return f"There are pictures in its folder {folders[0]}."
     some = ", ".join(folders[:3]) + (", …" if folders[3:] else "")
