@@ -11,7 +11,7 @@ from PIL import ExifTags, Image
 
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.photo_names import short_names
-from querysplat_cli.scene.photos import find_photos, load_photos
+from querysplat_cli.scene.photos import find_photos, load_photos, unread_folders
 from querysplat_cli.scene.views import Photo
 
 GENERATOR = np.random.default_rng(0)
@@ -46,6 +46,16 @@ def test_a_folder_is_read_in_natural_order(tmp_path: Path) -> None:
 def test_a_folder_of_jpegs_that_a_browser_named(tmp_path: Path) -> None:
     (save(tmp_path / "a.jpg")).rename(tmp_path / "a.jfif")
     assert find_photos([tmp_path]) == [tmp_path / "a.jfif"]
+
+
+def test_folders_of_pictures_beside_the_photos_are_named(tmp_path: Path) -> None:
+    for name in ("a.png", "day 2/b.png", "masks/a.png", "images_2/a.png", "scene/preview.png", ".thumbs/a.png"):
+        save(tmp_path / name)
+    (tmp_path / "scene" / "cameras.json").touch()
+    (tmp_path / "notes").mkdir()
+    assert [each.name for each in unread_folders([tmp_path])] == ["day 2"]
+    assert not unread_folders([tmp_path, tmp_path / "day 2"])
+    assert not unread_folders([tmp_path / "a.png"])
 
 
 def test_files_keep_the_order_given_and_come_once(tmp_path: Path) -> None:

@@ -59,7 +59,7 @@ from querysplat_cli.scene.lenses import pinhole_photos
 from querysplat_cli.scene.match_cameras import cameras_of_photos
 from querysplat_cli.scene.overlays import Overlaid, without_overlays
 from querysplat_cli.scene.photo_files import photo_files
-from querysplat_cli.scene.photos import find_photos
+from querysplat_cli.scene.photos import find_photos, unread_folders
 from querysplat_cli.scene.views import LeftOut, Photo, PhotoSource, forget_pixels
 
 
@@ -170,6 +170,7 @@ def _read_inputs(settings: ReconstructSettings, device: torch.device, stages: St
         keep = FiledPixels(without_steps(settings.ply).parent, PIPELINE_POLICY.pixel_bytes)
         paths = find_photos(settings.inputs)
         photos, unread = load_inputs(paths, settings.film_frames, progress=progress, keep=keep)
+        unread = [*unread_folders(settings.inputs), *unread]
         keeps = settings.overlays == "off" or settings.keep_everything
         photos, overlaid = (photos, None) if keeps else without_overlays(photos)
     if device.type == "cpu":

@@ -15,7 +15,7 @@ from PIL import Image, UnidentifiedImageError
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.decoding import Decoded, decode, no_photo, why_not_a_picture
-from querysplat_cli.scene.masks import BadMask, mask_file, read_mask, resized_mask
+from querysplat_cli.scene.masks import IMAGES, MASKS, BadMask, mask_file, read_mask, resized_mask
 from querysplat_cli.scene.photo_names import names_a_photo, short_names
 from querysplat_cli.scene.views import LeftOut, Photo
 
@@ -44,6 +44,8 @@ LONGEST_NUMBER = 100
 SMALLEST_SIDE = 64
 LONGEST_SIDE = 1600
 """Pixels to which photos and frames of films are reduced when they are read, unless something else is asked for."""
+CAMERAS = "cameras.json"
+"""In the folder of a scene that was made."""
 WHOLE = 1 << 16
 """As `max_side`, this reduces no photo."""
 Keep = Callable[[Photo], Photo]
@@ -65,6 +67,21 @@ def find_photos(inputs: Sequence[Path]) -> list[Path]:
         for file in _folder_photos(path) if path.is_dir() else [path]:
             found.setdefault(file.resolve(), file)
     return list(found.values())
+
+
+def unread_folders(inputs: Sequence[Path]) -> list[LeftOut]:
+    """Folders with pictures beside the photos of a given folder, which `find_photos` does not look into.
+
+    Masks, the smaller copies of a dataset, and scenes that were made there are no such folders.
+    """
+    given, found = {path.resolve() for path in inputs}, []
+    for folder in (path for path in inputs if path.is_dir() and any(map(_is_picture, _visible_files(path)))):
+        for each in sorted(folder.iterdir()):
+            own = each.name.startswith((".", MASKS, IMAGES)) or (each / CAMERAS).is_file()
+            if each.is_dir() and not own and each.resolve() not in given and _holds_pictures(each):
+                why = "a folder of pictures beside the photos; give it as well if they belong to the scene"
+                found.append(LeftOut(each.name, why))
+    return found
 
 
 def load_photos(
