@@ -60,6 +60,23 @@ def test_the_preview_of_a_raw_photo_is_no_photo(tmp_path: Path, name: str, subfi
     assert "raw photos" in left_out[0].why
 
 
+@pytest.mark.parametrize("suffix", [".gif", ".webp", ".png"])
+def test_an_animation_is_no_photo_and_a_picture_of_the_same_format_is_one(tmp_path: Path, suffix: str) -> None:
+    more = [Image.fromarray(np.roll(SMOOTH, 16 * shift, 1)) for shift in (1, 2)]
+    moving = save(tmp_path / f"moving{suffix}", save_all=True, append_images=more)
+    photos, left_out = load_photos([moving, save(tmp_path / f"still{suffix}")])
+    assert [photo.name for photo in photos] == [f"still{suffix}"]
+    assert "an animation; save it as an MP4 film" in left_out[0].why
+
+
+def test_what_cameras_keep_beside_a_film_is_no_photo(tmp_path: Path) -> None:
+    save(tmp_path / "GX010001.jpg").rename(tmp_path / "GX010001.THM")
+    photos, left_out = load_photos([save(tmp_path / "a.jpg"), tmp_path / "GX010001.THM", tmp_path / "00001.MTS"])
+    assert [photo.name for photo in photos] == ["a.jpg"]
+    assert "thumbnail" in left_out[0].why
+    assert "save it as MP4" in left_out[1].why
+
+
 @pytest.mark.parametrize("reads", [True, False])
 def test_the_package_for_heic_is_named_only_where_it_is_missing(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, reads: bool

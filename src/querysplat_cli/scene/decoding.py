@@ -20,6 +20,17 @@ RAW_SUFFIXES = {
     ".raf", ".raw", ".rw2", ".rwl", ".srw", ".x3f",
 }  # fmt: skip
 ARCHIVE_SUFFIXES = {".zip", ".7z", ".rar", ".tar", ".tgz", ".gz", ".livp"}
+OTHER_FILM_SUFFIXES = {".mts", ".m2ts", ".mpg", ".mpeg", ".wmv", ".flv"}
+"""Mostly of camcorders, whose frames are two half pictures of different instants."""
+WHY_NO_PHOTO = {
+    **dict.fromkeys(RAW_SUFFIXES, "raw photos are not read; export it as JPEG"),
+    **dict.fromkeys(ARCHIVE_SUFFIXES, "an archive; unpack it"),
+    **dict.fromkeys(OTHER_FILM_SUFFIXES, "films of this kind are not read; save it as MP4"),
+    ".thm": "the thumbnail that a camera keeps beside a film",
+    ".lrv": "the small copy that a camera keeps beside a film",
+}
+ANIMATED = {"GIF", "WEBP", "PNG"}
+"""Formats of which several pictures are an animation. JPEGs of phones hold previews and depth besides."""
 HALF_OPAQUE = 128
 """Pixels of a smaller alpha, of 255, take no part."""
 ON_THEIR_SIDE = {5, 6, 7, 8}
@@ -69,6 +80,8 @@ def decode(path: Path, max_side: int) -> Decoded:
             raise Image.DecompressionBombError
         if isinstance(image, TiffImagePlugin.TiffImageFile) and image.tag_v2.get(SUBFILE_TYPE, 0) & 1:
             raise ValueError("its first picture is a thumbnail, as in raw photos; export it as JPEG")
+        if image.format in ANIMATED and getattr(image, "is_animated", False):
+            raise ValueError("an animation; save it as an MP4 film")
         focal, panorama, gps = focal_length(image), says_panorama(image), gps_place(image)
         orientation = image.getexif().get(ExifTags.Base.Orientation, 1)
         # JPEG is read faster at a fraction of its size, but what is no whole multiple would be stretched by a pixel.
@@ -119,12 +132,9 @@ def reduced(pixels: np.ndarray, max_side: int) -> np.ndarray:
 def no_photo(path: Path) -> str:
     """Why a file is no photo by its suffix, as a phrase for the user; "" where it may be one.
 
-    Raw photos begin with a preview, which is smaller than the photo and would stand beside its JPEG as another one.
+    Raw photos begin with a preview, which may be smaller than the photo, and would be another photo beside its JPEG.
     """
-    suffix = path.suffix.lower()
-    if suffix in RAW_SUFFIXES:
-        return "raw photos are not read; export it as JPEG"
-    return "an archive; unpack it" if suffix in ARCHIVE_SUFFIXES else ""
+    return WHY_NO_PHOTO.get(path.suffix.lower(), "")
 
 
 def why_not_a_picture(path: Path) -> str:

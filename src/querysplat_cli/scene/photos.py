@@ -34,7 +34,7 @@ SUFFIXES = {
     ".heif",
     ".avif",
 }
-FILM_SUFFIXES = {".mp4", ".mov", ".m4v", ".webm", ".mkv", ".avi"}
+FILM_SUFFIXES = {".mp4", ".mov", ".m4v", ".webm", ".mkv", ".avi", ".3gp"}
 PICTURE_FOLDERS = ("images", "images_2", "images_4", "images_8")
 """Where DL3DV and nerfstudio keep the pictures of a scene, largest first."""
 SCENE_FOLDERS = ("", "nerfstudio", "colmap")
@@ -94,9 +94,10 @@ def load_photos(
     """Decoded photos in the order of `paths`, and the files that are not usable as photos, with the reason.
 
     Sides longer than `max_side` pixels are reduced (area filter). Transparency is laid over white, and masked, unless a
-    file in `masks` says what takes part (`scene/masks.py`). 16-bit values keep their high byte; of several frames the
-    first is taken; colour profiles are not applied. Without `names`, photos have those of their files, with as much of
-    their folders as makes these unique. `keep` gets each photo as soon as it is decoded, and gives what is kept of it.
+    file in `masks` says what takes part (`scene/masks.py`). 16-bit values keep their high byte; of several pages the
+    first is taken, and animations are not usable; colour profiles are not applied. Without `names`, photos have those
+    of their files, with as much of their folders as makes these unique. `keep` gets each photo as soon as it is
+    decoded, and gives what is kept of it.
     Raises QuerySplatError when there is no usable photo at all.
     """
     photos, left_out = decoded_photos(paths, names or short_names(paths), max_side, progress, keep)
