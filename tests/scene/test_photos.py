@@ -56,6 +56,9 @@ def test_folders_of_pictures_beside_the_photos_are_named(tmp_path: Path) -> None
     assert [each.name for each in unread_folders([tmp_path])] == ["day 2"]
     assert not unread_folders([tmp_path, tmp_path / "day 2"])
     assert not unread_folders([tmp_path / "a.png"])
+    (tmp_path / "day 2").chmod(0)
+    unread_folders([tmp_path])  # lost+found of a card
+    (tmp_path / "day 2").chmod(0o700)
 
 
 def test_files_keep_the_order_given_and_come_once(tmp_path: Path) -> None:

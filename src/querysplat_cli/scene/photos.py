@@ -20,20 +20,8 @@ from querysplat_cli.scene.photo_names import names_a_photo, short_names
 from querysplat_cli.scene.views import LeftOut, Photo
 
 SUFFIXES = {
-    ".jpg",
-    ".jpeg",
-    ".jfif",
-    ".png",
-    ".tif",
-    ".tiff",
-    ".bmp",
-    ".webp",
-    ".ppm",
-    ".pgm",
-    ".heic",
-    ".heif",
-    ".avif",
-}
+    ".jpg", ".jpeg", ".jfif", ".png", ".tif", ".tiff", ".bmp", ".webp", ".ppm", ".pgm", ".heic", ".heif", ".avif",
+}  # fmt: skip
 FILM_SUFFIXES = {".mp4", ".mov", ".m4v", ".webm", ".mkv", ".avi", ".3gp"}
 PICTURE_FOLDERS = ("images", "images_2", "images_4", "images_8")
 """Where DL3DV and nerfstudio keep the pictures of a scene, largest first."""
@@ -77,7 +65,8 @@ def unread_folders(inputs: Sequence[Path]) -> list[LeftOut]:
     given, found = {path.resolve() for path in inputs}, []
     for folder in (path for path in inputs if path.is_dir() and any(map(_is_picture, _visible_files(path)))):
         for each in sorted(folder.iterdir()):
-            own = each.name.startswith((".", MASKS, IMAGES)) or (each / CAMERAS).is_file()
+            # Unlike Path.is_file, isfile is False in a folder that may not be looked into.
+            own = each.name.startswith((".", MASKS, IMAGES)) or os.path.isfile(each / CAMERAS)
             if each.is_dir() and not own and each.resolve() not in given and _holds_pictures(each):
                 why = "a folder of pictures beside the photos; give it as well if they belong to the scene"
                 found.append(LeftOut(each.name, why))
