@@ -88,7 +88,7 @@ def test_photos_and_cameras_become_a_scene_folder(tmp_path: Path, capsys: pytest
     names = [f"frame_{i:05d}.png" for i in (1, 2, 3)]
     assert (said["cameras"], [each["name"] for each in said["left_out"]]) == (3, ["unplaced.png", "lost.png"])
     assert [line.startswith("left out: unplaced.png (") for line in convert_lines(said)] == [False, True]
-    assert convert_lines(said)[1].endswith("), and 1 more")
+    assert convert_lines(said)[1].endswith("), lost.png (there is no photo of it)")
     assert sorted(path.name for path in scene.iterdir()) == ["cameras.json", "images"]
     given, made = read_known_cameras(room), read_known_cameras(scene)
     assert list(made) == names

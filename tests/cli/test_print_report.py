@@ -11,6 +11,7 @@ import pytest
 from querysplat_cli.cli import run
 from querysplat_cli.cli.print_report import exit_if_interrupted, lines, print_report
 from querysplat_cli.cli.verb import Printing
+from querysplat_cli.cli.words import left_out
 from querysplat_cli.reporting.report import Report
 from querysplat_cli.runtime import signals
 from querysplat_cli.runtime.errors import QuerySplatError
@@ -71,6 +72,14 @@ def test_left_out_photos_take_one_line_and_each_warning_one() -> None:
         "12,345 Gaussians from 1 photo", "left out: 0.png (it is blurred), and 8 more", "warning: it is dark",
     ]  # fmt: skip
     assert len(said) == 7
+
+
+def test_one_photo_is_named_for_each_reason() -> None:
+    """A file of another kind came first, and hid why photos were left out."""
+    reasons = ["not a picture"] * 2 + ["it is blurred", "not a picture", "it shows another place", "it is dark"]
+    photos = [{"name": f"{number}.jpg", "why": why} for number, why in enumerate(reasons)]
+    said = "left out: 0.jpg (not a picture), 2.jpg (it is blurred), 4.jpg (it shows another place), and 3 more"
+    assert list(left_out(photos)) == [said]
 
 
 def test_before_and_after() -> None:

@@ -3,6 +3,9 @@
 from collections.abc import Iterator, Sequence
 from typing import Any
 
+SHOWN_REASONS = 3
+"""Of photos that were left out, in a line for people; reports have all."""
+
 
 def decibels(lost: float) -> str:
     """A loss in dB in words, which can be a gain."""
@@ -10,7 +13,11 @@ def decibels(lost: float) -> str:
 
 
 def left_out(photos: Sequence[dict[str, Any]]) -> Iterator[str]:
-    """One line for photos that were left out; none without any."""
-    if photos:
-        more = f", and {len(photos) - 1} more" if photos[1:] else ""
-        yield f"left out: {photos[0]['name']} ({photos[0]['why']}){more}"
+    """One line for photos that were left out, with the first photo of each of the first reasons; none without any."""
+    firsts: dict[str, str] = {}
+    for photo in photos:
+        firsts.setdefault(photo["why"], photo["name"])
+    shown = [f"{name} ({why})" for why, name in firsts.items()][:SHOWN_REASONS]
+    if shown:
+        more = f", and {len(photos) - len(shown)} more" if photos[len(shown) :] else ""
+        yield f"left out: {', '.join(shown)}{more}"
