@@ -46,7 +46,7 @@ def test_the_film_of_a_live_photo_is_left_out(folder: Path) -> None:
     photos, left_out = load_inputs(find_photos([folder]))
     assert not any(photo.name.startswith("A.MOV") for photo in photos)
     assert sum(photo.name.startswith("other.MOV") for photo in photos) == 3
-    assert ("A.MOV", "it is the film of a Live Photo, which is used") in [(each.name, each.why) for each in left_out]
+    assert ("A.MOV", "it is the film of the Live Photo beside it") in [(each.name, each.why) for each in left_out]
     (folder / "m.mp4").unlink()
     (folder / "other.MOV").unlink()
     photos, left_out = load_inputs(find_photos([folder]))

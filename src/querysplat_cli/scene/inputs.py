@@ -34,7 +34,7 @@ def load_inputs(
     live = [path for path in paths if _is_live(path, paths)]
     paths = [path for path in paths if path not in live]
     films = [path for path in paths if is_film(path)]
-    beside = [LeftOut(path.name, "it is the film of a Live Photo, which is used") for path in live]
+    beside = [LeftOut(path.name, "it is the film of the Live Photo beside it") for path in live]
     if not films:
         if frames:
             raise QuerySplatError("--frames is for films, and there is no film among the inputs", "Leave it out.")

@@ -82,7 +82,8 @@ def find_scenes(places: Sequence[Path], pictures: str = DATASET_FOLDERS[0]) -> l
             raise QuerySplatError(found[0].fault, "Download or export the scene again.")
         for scene in found:
             if scene.name in scenes:
-                raise QuerySplatError(f"two scenes are called {scene.name}", "Give each scene once.")
+                why = f"two scenes are called {scene.name}"
+                raise QuerySplatError(why, "Give each scene once, and each a name of its own.")
             scenes[scene.name] = scene
     return sorted(scenes.values(), key=lambda scene: natural_key(Path(scene.name)))
 
