@@ -4,6 +4,7 @@ import json
 import struct
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -60,11 +61,19 @@ def test_y_is_up_in_the_file_and_down_in_a_scene(tmp_path: Path) -> None:
     torch.testing.assert_close(found.sh, scene.sh, atol=1e-5, rtol=1e-5)
 
 
+def document_of(path: Path) -> dict[str, Any]:
+    """The JSON of a .glb."""
+    content = path.read_bytes()
+    (length,) = struct.unpack_from("<I", content, 12)
+    found: dict[str, Any] = json.loads(content[20 : 20 + length])
+    return found
+
+
 def rewritten(path: Path, **changes: object) -> Path:
     """The file with other entries in its JSON."""
     content = path.read_bytes()
     (length,) = struct.unpack_from("<I", content, 12)
-    listing = json.dumps({**json.loads(content[20 : 20 + length]), **changes}).encode()
+    listing = json.dumps({**document_of(path), **changes}).encode()
     listing += b" " * (-len(listing) % 4)
     rest = content[20 + length :]
     header = struct.pack("<4sIII4s", b"glTF", 2, 20 + len(listing) + len(rest), len(listing), b"JSON")
@@ -100,8 +109,7 @@ def test_nodes_that_change_shapes_are_refused(tmp_path: Path, node: dict[str, ob
 def test_strides_are_kept_to(tmp_path: Path) -> None:
     scene = cloud(7, 0)
     write_glb(tmp_path / "a.glb", scene)
-    content = (tmp_path / "a.glb").read_bytes()
-    document = json.loads(content[20 : 20 + struct.unpack_from("<I", content, 12)[0]])
+    document = document_of(tmp_path / "a.glb")
     views = [{**view, "byteStride": view["byteLength"] // 7} for view in document["bufferViews"]]
     assert read_glb(rewritten(tmp_path / "a.glb", bufferViews=views))[0].means.equal(scene.means)
     views[0] |= {"byteStride": 24}
@@ -139,7 +147,7 @@ def test_all_primitives_of_a_mesh_are_read_and_several_meshes_refused(tmp_path: 
     """Only the first primitive was read, without a word."""
     scene, file = cloud(7, 0), tmp_path / "a.glb"
     write_glb(file, scene)
-    document = json.loads(file.read_bytes()[20 : 20 + struct.unpack_from("<I", file.read_bytes(), 12)[0]])
+    document = document_of(file)
     [mesh] = document["meshes"]
     found, _ = read_glb(rewritten(file, meshes=[{"primitives": 2 * mesh["primitives"]}]))
     assert found.means.equal(torch.cat([scene.means, scene.means]))
@@ -151,7 +159,7 @@ def test_all_primitives_of_a_mesh_are_read_and_several_meshes_refused(tmp_path: 
 def test_compression_is_named(tmp_path: Path, place: str) -> None:
     file = tmp_path / "a.glb"
     write_glb(file, cloud(7, 0))
-    document = json.loads(file.read_bytes()[20 : 20 + struct.unpack_from("<I", file.read_bytes(), 12)[0]])
+    document = document_of(file)
     primitive, view = document["meshes"][0]["primitives"][0], document["bufferViews"][0]
     (primitive["extensions"][EXTENSION] if place == "primitive" else view)["extensions"] = {"EXT_small": {}}
     with pytest.raises(QuerySplatError, match="compressed with EXT_small, which is not read"):
@@ -168,7 +176,7 @@ def test_logarithms_of_scales_are_read_as_such(tmp_path: Path) -> None:
 def test_linear_colours_are_refused(tmp_path: Path) -> None:
     file = tmp_path / "a.glb"
     write_glb(file, cloud(7, 0))
-    document = json.loads(file.read_bytes()[20 : 20 + struct.unpack_from("<I", file.read_bytes(), 12)[0]])
+    document = document_of(file)
     document["meshes"][0]["primitives"][0]["extensions"][EXTENSION]["colorSpace"] = "lin_rec709_display"
     with pytest.raises(QuerySplatError, match="colours are those of lin_rec709_display"):
         read_glb(rewritten(file, meshes=document["meshes"]))

@@ -46,9 +46,12 @@ def open_source(settings: SourceSettings) -> Source:
 
 
 def notes_of(every: Iterable[SourceSettings]) -> list[str]:
-    """What users should know about the captured scenes of these sources. Raises as `open_source`."""
-    sources = [open_source(settings) for settings in every if settings.kind == "captured"]
-    return list(dict.fromkeys(note for source in sources if isinstance(source, Captured) for note in source.notes))
+    """What users should know about the captured scenes of these sources, which are looked for once for all stages.
+
+    Raises as `open_source`.
+    """
+    distinct = {(each.places, each.pictures): each for each in every if each.kind == "captured"}
+    return list(dict.fromkeys(note for each in distinct.values() for note in Captured(each).notes))
 
 
 class Captured:

@@ -224,8 +224,8 @@ def _opened(folder: Path) -> Any:
 
 def _with_points(folder: Path, scratch: Path) -> Path:
     """`folder`, or `scratch` with a copy of its model and no points: COLMAP reads no model without points3D."""
-    images, kind = next(((file, file.suffix) for file in _model_files(folder) if file.is_file()), (None, ""))
-    if images is None or (folder / f"points3D{kind}").is_file():
+    kind = next((file.suffix for file in _model_files(folder) if file.is_file()), None)
+    if kind is None or (folder / f"points3D{kind}").is_file():
         return folder
     for part in ("cameras", "images", "rigs", "frames"):
         if (folder / f"{part}{kind}").is_file():

@@ -143,14 +143,15 @@ def _scenes(place: Traversable, name: str, pictures: str, depth: int) -> Iterato
 
 def _inner_scenes(entry: Traversable, pictures: str, depth: int) -> Sequence[CapturedScene]:
     """The scenes in a folder or zip in a folder of scenes. One that cannot be read leaves the others alone."""
-    packed = isinstance(entry, Path) and entry.suffix.lower() == ".zip" and entry.is_file()
-    if not (packed or entry.is_dir()):
-        return []
-    name = _stem(entry) if packed else entry.name
+    name = entry.name if entry.is_dir() else _stem(entry)
     try:
-        return list(_scenes(_opened(Path(str(entry))) if packed else entry, name, pictures, depth))
+        if entry.is_dir():
+            return list(_scenes(entry, name, pictures, depth))
+        if isinstance(entry, Path) and entry.suffix.lower() == ".zip" and entry.is_file():
+            return list(_scenes(_opened(entry), name, pictures, depth))
     except QuerySplatError as error:
         return [CapturedScene(name, (), {}, (f"left out: {error.message}",), error.message)]
+    return []
 
 
 def _scene(place: Traversable, name: str, pictures: str) -> CapturedScene | None:
