@@ -101,7 +101,7 @@ def test_maps_are_read_between_pixels_as_torch_does_it() -> None:
     maps = torch.rand(2, 5, 7, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
     pixels = 12 * torch.rand(50, 2, generator=torch.Generator().manual_seed(1), dtype=torch.float64) - 3
     views = torch.arange(50) % 2
-    found = _bilinear(maps, views, pixels)
+    found = _bilinear(maps, views[:, None], pixels[:, None, None])[:, 0, 0]
     grid = 2 * pixels / torch.tensor([7.0, 5.0]).double() - 1
     each = F.grid_sample(maps.movedim(3, 1), grid.expand(2, 1, 50, 2), padding_mode="border", align_corners=False)
     torch.testing.assert_close(found, each[views, :, 0, torch.arange(50)])

@@ -59,8 +59,8 @@ class Correction:
 class PairAttention(nn.Module):
     """Queries read rows of their own: softmax(q·k) v over the rows that count, and a row of zeros with logit 0.
 
-    A row becomes a key and a value by a small MLP. A query without a row reads zeros. The weights are returned as well,
-    as means over the heads.
+    A small MLP gives the keys k and values v of the rows. A query without a row reads zeros. The weights are returned,
+    too, as means over the heads.
     """
 
     def __init__(self, width: int, heads: int) -> None:
@@ -77,13 +77,17 @@ class PairAttention(nn.Module):
         rows: Float[Tensor, "queries rows pair"],
         counts: Bool[Tensor, "queries rows"] | None = None,
     ) -> tuple[Float[Tensor, "queries width"], Float[Tensor, "queries rows"]]:
-        query = self.q_proj(self.norm(tokens)).unflatten(-1, (self.heads, -1))
-        keys, values = self.keys_and_values(F.gelu(rows)).unflatten(-1, (2, self.heads, -1)).unbind(2)
-        logits = torch.einsum("qhc,qrhc->qrh", query, keys) / query.shape[-1] ** 0.5
+        keys, values = self.keys_and_values.weight.unflatten(0, (2, self.heads, -1))
+        of_keys, of_values = self.keys_and_values.bias.unflatten(0, (2, self.heads, -1))
+        query = self.q_proj(self.norm(tokens)).unflatten(-1, (self.heads, -1)) / keys.shape[1] ** 0.5
+        rows = F.gelu(rows)
+        # q·(K r + b) = (Kᵀ q)·r + q·b, and Σ w (V r + b) = V Σ w r + b Σ w: no row needs a key or a value of its own.
+        logits = torch.einsum("qhc,hcp->qhp", query, keys) @ rows.mT + (query * of_keys).sum(-1, keepdim=True)
         if counts is not None:
-            logits = logits.masked_fill(~counts[..., None], -torch.inf)
-        weights = F.pad(logits, (0, 0, 0, 1)).softmax(1)[:, :-1]
-        return self.out_proj(torch.einsum("qrh,qrhc->qhc", weights, values).flatten(1)), weights.detach().mean(2)
+            logits = logits.masked_fill(~counts[:, None], -torch.inf)
+        weights = F.pad(logits, (0, 1)).softmax(-1)[..., :-1]
+        read = torch.einsum("qhp,hcp->qhc", weights @ rows, values) + weights.sum(-1, keepdim=True) * of_values
+        return self.out_proj(read.flatten(1)), weights.detach().mean(1)
 
 
 class RefinerBlock(nn.Module):

@@ -155,7 +155,7 @@ def _appearance_rows(
 ) -> Float[Tensor, "queries rows channels"]:
     """Photo and residual at the projection of each Gaussian; the viewing ray; whether something stands before it."""
     maps = torch.cat([around.images, comparison.residual], 1).movedim(1, 3)
-    found = _bilinear(maps, places.views[..., None], places.each)
+    found = _bilinear(maps, places.views, places.each)
     photo, residual = found[..., :3] - colours[:, None], 4 * found[..., 3:]
     gap = signed_log((_nearest(around.depth, places.views, places.pixels) - places.z) / places.spacing)
     size = (places.footprint / places.spacing).log().clamp(-5, 5)
@@ -170,19 +170,18 @@ def _nearest(maps: Tensor, views: Int[Tensor, "..."], pixels: Float[Tensor, "*n 
 
 
 def _bilinear(
-    maps: Float[Tensor, "views height width channels"], views: Int[Tensor, "..."], pixels: Float[Tensor, "*n 2"]
-) -> Float[Tensor, "*n channels"]:
+    maps: Float[Tensor, "views height width channels"],
+    views: Int[Tensor, "queries rows"],
+    pixels: Float[Tensor, "queries rows gaussians 2"],
+) -> Float[Tensor, "queries rows gaussians channels"]:
     """Maps between the centres of the four nearest pixels; beyond the picture, those of its border."""
-    size = pixels.new_tensor([maps.shape[2] - 1, maps.shape[1] - 1])
-    place = (pixels - 0.5).clamp_min(0).minimum(size)
-    low = place.floor()
-    share = place - low
-    high = (low + 1).minimum(size)
-    rows = []
-    for y in (low[..., 1], high[..., 1]):
-        left, right = (_nearest(maps, views, torch.stack([x, y], -1)) for x in (low[..., 0], high[..., 0]))
-        rows.append(left.lerp(right, share[..., :1]))
-    return rows[0].lerp(rows[1], share[..., 1:])
+    places = 2 * pixels / pixels.new_tensor([maps.shape[2], maps.shape[1]]) - 1
+    found = pixels.new_empty(*pixels.shape[:3], maps.shape[3])
+    for view, each in enumerate(maps.movedim(3, 1)):
+        here = views == view
+        read = F.grid_sample(each[None], places[here][None], padding_mode="border", align_corners=False)
+        found[here] = read[0].movedim(0, 2)
+    return found
 
 
 def _normals(places: _Places, around: Surroundings) -> Float[Tensor, "queries rows 3"]:

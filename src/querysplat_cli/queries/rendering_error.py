@@ -17,8 +17,7 @@ from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
 from querysplat_cli.scene.rotations import quaternion_to_matrix
 from querysplat_cli.scene.views import Views
-from querysplat_cli.splat.blending_weights import blending_weights
-from querysplat_cli.splat.render import render
+from querysplat_cli.splat.attribution import attribute
 
 
 @dataclass(frozen=True)
@@ -67,52 +66,33 @@ def compare(gaussians: Gaussians, views: Views, cameras: Cameras, grey: float = 
     opacity in logits. They are multiplied by the gains of the policy and clamped. The last number is the logarithm of
     the Gaussian's pixels.
     """
-    gaussians = gaussians.map(Tensor.detach)
-    change = _Change.none(gaussians)
-    axes = quaternion_to_matrix(F.normalize(gaussians.quats, dim=1))
-    background = views.images.new_full((3,), grey) if grey else None
-    pictures = []
-    with torch.enable_grad():
-        for view in range(len(views)):
-            picture = render(change.of(gaussians, axes), cameras[[view]], background=background)
-            residual = (views.images[view] - picture.colour[0].detach()) * views.masks[view]
-            (picture.colour[0] * residual).sum().backward()
-            pictures.append((residual, picture.alpha[0].detach(), picture.depth[0].detach()))
-    pixels = blending_weights(gaussians, cameras)[:, None]
-    slopes = change.slopes() / (pixels + 1)
+    gaussians = gaussians.detach()
+    background = views.images.new_full((3,), grey)
+    descent, pixels = gaussians.map(torch.zeros_like), torch.zeros_like(gaussians.opacities)
+    seen = []
+    for view in range(len(views)):
+        found = attribute(gaussians, cameras[[view]], views.images[view], views.masks[view], background)
+        for total, part in zip(descent.tensors(), found.descent.tensors(), strict=True):
+            total += part
+        pixels += found.weights
+        seen.append((found.residual, found.picture.alpha[0], found.picture.depth[0]))
+    errors = _along_own_axes(gaussians, descent) / (pixels[:, None] + 1)
     limit = QUERY_POLICY.largest_error
-    errors = torch.cat([(error_gains().to(slopes) * slopes).clamp(-limit, limit), (pixels + 1).log() / 4], 1)
-    residual, alpha, depth = (torch.stack(part) for part in zip(*pictures, strict=True))
-    return Comparison(errors, residual, alpha, depth)
+    clamped = (error_gains().to(errors) * errors).clamp(-limit, limit)
+    residual, alpha, depth = (torch.stack(part) for part in zip(*seen, strict=True))
+    return Comparison(torch.cat([clamped, (pixels[:, None] + 1).log() / 4], 1), residual, alpha, depth)
 
 
-@dataclass(frozen=True)
-class _Change:
-    """Variables that change every Gaussian: its colour, opacity (logits), centre (own axes) and log-size."""
-
-    colour: Float[Tensor, "n 1 3"]
-    fade: Float[Tensor, "n"]
-    move: Float[Tensor, "n 3"]
-    grow: Float[Tensor, "n 3"]
-
-    @staticmethod
-    def none(gaussians: Gaussians) -> "_Change":
-        zeros = gaussians.means.new_zeros
-        n = len(gaussians)
-        start = gaussians.sh[:, :1].clone(), zeros(n), zeros(n, 3), zeros(n, 3)
-        return _Change(*(part.requires_grad_() for part in start))
-
-    def of(self, gaussians: Gaussians, axes: Float[Tensor, "n 3 3"]) -> Gaussians:
-        return Gaussians(
-            means=gaussians.means + (axes @ (self.move * gaussians.scales)[..., None])[..., 0],
-            quats=gaussians.quats,
-            scales=gaussians.scales * self.grow.exp(),
-            opacities=torch.sigmoid(torch.logit(gaussians.opacities, eps=1e-6) + self.fade),
-            sh=torch.cat([self.colour, gaussians.sh[:, 1:]], 1),
-        )
-
-    def slopes(self) -> Float[Tensor, "n 10"]:
-        parts = self.colour, self.fade, self.move, self.grow
-        given = [torch.zeros_like(part) if part.grad is None else part.grad for part in parts]
-        colour, *others = (each.reshape(len(self.fade), -1) for each in given)
-        return torch.cat([colour / SH_0, *others], 1)
+def _along_own_axes(gaussians: Gaussians, descent: Gaussians) -> Float[Tensor, "n 10"]:
+    """Derivatives by colour, opacity (logit), centre (own axes, in units of the sizes) and size (logarithm)."""
+    axes = quaternion_to_matrix(F.normalize(gaussians.quats, dim=1))
+    opacities = gaussians.opacities
+    return torch.cat(
+        [
+            descent.sh[:, 0] / SH_0,
+            (descent.opacities * opacities * (1 - opacities))[:, None],
+            (descent.means[:, None] @ axes)[:, 0] * gaussians.scales,
+            descent.scales * gaussians.scales,
+        ],
+        1,
+    )

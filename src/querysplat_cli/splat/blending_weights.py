@@ -6,8 +6,9 @@ from torch import Tensor
 
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
+from querysplat_cli.splat import cpu
 from querysplat_cli.splat.conventions import RenderSettings
-from querysplat_cli.splat.render import render
+from querysplat_cli.splat.render import refuse_broken, render, usual_splatter
 
 
 def blending_weights(
@@ -18,16 +19,12 @@ def blending_weights(
 ) -> Float[Tensor, "n"]:
     """The blending weight of each Gaussian, times `pixel_weight` (None: 1), summed over all pixels of all views.
 
-    Views are rendered one after another, so that memory does not grow with their number.
+    Views are looked at one after another, so that memory does not grow with their number.
     """
-    flat = _flat(gaussians)
-    total = torch.zeros_like(flat.opacities)
+    total = torch.zeros_like(gaussians.opacities).detach()
     for view in range(len(cameras)):
-        with torch.enable_grad():
-            red = render(flat, cameras[[view]], settings=settings).colour[0, 0]
-            weighted = red if pixel_weight is None else red * pixel_weight[view]
-            (gradient,) = torch.autograd.grad(weighted.sum(), flat.sh)
-        total += gradient[:, 0, 0] / SH_0
+        one = total.new_ones(cameras.height, cameras.width) if pixel_weight is None else pixel_weight[view]
+        total += three_blending_weights(gaussians, cameras[[view]], one.expand(3, -1, -1), settings)[0]
     return total
 
 
@@ -37,8 +34,11 @@ def three_blending_weights(
     pixel_weights: Float[Tensor, "3 height width"],
     settings: RenderSettings | None = None,
 ) -> Float[Tensor, "3 n"]:
-    """`blending_weights` of one view with each of three pixel weights, by one rendering."""
+    """`blending_weights` of one view with each of three pixel weights, in one pass."""
     flat = _flat(gaussians)
+    if usual_splatter(flat) == "cpu":
+        refuse_broken(flat, camera)
+        return cpu.weigh(flat, camera, pixel_weights, settings or RenderSettings())
     with torch.enable_grad():
         weighted = render(flat, camera, settings=settings).colour[0] * pixel_weights
         (gradient,) = torch.autograd.grad(weighted.sum(), flat.sh)

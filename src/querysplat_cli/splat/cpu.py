@@ -15,8 +15,12 @@ from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.splat.compiled_blending import BLENDED_PLANES, blend_backward
 from querysplat_cli.splat.compiled_blending import blend as blend_tiles
 from querysplat_cli.splat.compiled_projection import (
+    BLUE,
+    DEPTH,
     GAUSSIANS_AT_ONCE,
     GRADIENT_COLUMNS,
+    GREEN,
+    RED,
     ROW_COLUMNS,
     VIEW_COLUMNS,
     by_depth,
@@ -42,11 +46,6 @@ def blend(
     Raises QuerySplatError when the Gaussians of one view would fill more than 1 GiB of tile lists, and when
     `settings.alpha_min` is below 0.0025, where the kernel's exponential ends.
     """
-    if settings.alpha_min < LOWEST_ALPHA_MIN:
-        raise QuerySplatError(
-            f"the CPU splatter cannot follow alpha down to {settings.alpha_min:.2g}",
-            f'Take alpha_min ≥ {LOWEST_ALPHA_MIN}, or backend="reference".',
-        )
     fields = (gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.sh)
     colour, alpha, depth = _Blend.apply(
         *(field.float().contiguous() for field in fields),
@@ -87,7 +86,9 @@ class _Blend(torch.autograd.Function):
         arrays = [tensor.detach().numpy() for tensor in (means, quats, scales, opacities, sh)]
         planes = np.empty((len(w2c), BLENDED_PLANES, height, width), np.float32)
         rows = _camera_rows(Cameras(w2c.detach().double(), K.detach().double(), height, width))
-        views = [_forward_view(arrays, camera, settings, planes[v]) for v, camera in enumerate(rows)]
+        views = [_dealt(arrays, camera, settings, (height, width)) for camera in rows]
+        for view, picture in zip(views, planes, strict=True):
+            _blend(view, settings, picture)
         result = torch.from_numpy(planes)
         ctx.save_for_backward(means, quats, scales, opacities, sh, w2c)
         ctx.views, ctx.settings, ctx.planes = views, settings, planes
@@ -101,36 +102,108 @@ class _Blend(torch.autograd.Function):
         *tensors, w2c = ctx.saved_tensors
         arrays = [tensor.detach().numpy() for tensor in tensors]
         gradients = [np.zeros_like(array) for array in arrays]
-        tasks = numba.get_num_threads()
-        parts = np.empty((tasks, len(arrays[0]), GRADIENT_COLUMNS), np.float32)
-        of_views = np.zeros((len(ctx.views), -(-len(arrays[0]) // GAUSSIANS_AT_ONCE), VIEW_COLUMNS))
-        planes = ctx.planes
-        slopes = np.zeros_like(planes)
+        parts = _parts(len(arrays[0]))
+        of_views = np.zeros((len(ctx.views), *_of_view_shape(len(arrays[0]))))
+        slopes = np.zeros_like(ctx.planes)
         for part, given in ((slopes[:, :3], of_colour), (slopes[:, 3], of_alpha), (slopes[:, 4], of_depth)):
             if given is not None:
                 part[:] = given.numpy()
-        tiles_x = -(-planes.shape[3] // WIDE)
         for v, view in enumerate(ctx.views):
-            parts[:] = 0
-            blend_backward(
-                view.rows,
-                view.starts,
-                view.lists,
-                _fair_shares(view.starts, tasks),
-                tiles_x,
-                _blend_limits(ctx.settings),
-                planes[v],
-                slopes[v],
-                parts,
-            )
+            _blend_backward(view, ctx.settings, ctx.planes[v], slopes[v], parts)
             limits = _projection_limits(ctx.settings)
             project_view_backward(*arrays, view.camera, limits, view.rows, parts, *gradients, of_views[v])
         of_cameras = _camera_gradients(w2c, torch.from_numpy(of_views).sum(1))
         return (*(torch.from_numpy(gradient) for gradient in gradients), *of_cameras, None, None, None)
 
 
-def _forward_view(arrays: list[np.ndarray], camera: np.ndarray, settings: RenderSettings, planes: np.ndarray) -> _View:
-    height, width = planes.shape[1:]
+@dataclass(frozen=True)
+class Drawn:
+    """One view that is drawn, on black: planes of red, green, blue, alpha and Σ w·z, to be pulled back once."""
+
+    planes: Float[Tensor, "5 height width"]
+    _arrays: list[np.ndarray]
+    _view: _View
+    _settings: RenderSettings
+
+    @staticmethod
+    def of(gaussians: Gaussians, camera: Cameras, settings: RenderSettings) -> "Drawn":
+        arrays = _arrays(gaussians)
+        planes = np.empty((BLENDED_PLANES, camera.height, camera.width), np.float32)
+        view = _one_dealt(arrays, camera, settings)
+        _blend(view, settings, planes)
+        return Drawn(torch.from_numpy(planes), arrays, view, settings)
+
+    def pull_back(self, slopes: Float[Tensor, "4 height width"]) -> tuple[Gaussians, Float[Tensor, "n"]]:
+        """Gradients by `slopes`, ∂loss/∂ of the first four planes, and blending weights, summed over all pixels.
+
+        Where the depth of every Gaussian is 0, so is its plane. A slope of 1 there changes no other gradient, and that
+        of a Gaussian's depth is the sum of its blending weights.
+        """
+        planes = torch.cat([self.planes[:4], torch.zeros_like(self.planes[4:])]).numpy()
+        slopes = torch.cat([slopes, torch.ones_like(slopes[:1])])
+        self._view.rows[:, DEPTH] = 0
+        count = len(self._arrays[0])
+        parts = _parts(count)
+        _blend_backward(self._view, self._settings, planes, slopes.numpy(), parts)
+        weights = parts[:, :, DEPTH].sum(0)
+        parts[:, :, DEPTH] = 0
+        gradients = [np.zeros_like(array) for array in self._arrays]
+        limits, view = _projection_limits(self._settings), self._view
+        of_view = np.zeros(_of_view_shape(count))
+        project_view_backward(*self._arrays, view.camera, limits, view.rows, parts, *gradients, of_view)
+        return Gaussians(*map(torch.from_numpy, gradients)), torch.from_numpy(weights)
+
+
+def weigh(
+    gaussians: Gaussians, camera: Cameras, pixel_weights: Float[Tensor, "3 height width"], settings: RenderSettings
+) -> Float[Tensor, "3 n"]:
+    """The blending weight of each Gaussian in one view times each of the pixel weights, summed over all pixels.
+
+    Each is the gradient of a colour of the Gaussian, for which nothing needs to be blended.
+    """
+    view = _one_dealt(_arrays(gaussians), camera, settings)
+    slopes = torch.cat([pixel_weights, torch.zeros_like(pixel_weights[:2])]).float().numpy()
+    parts = _parts(len(gaussians))
+    _blend_backward(view, settings, np.zeros_like(slopes), slopes, parts)
+    return torch.from_numpy(parts.sum(0)[:, [RED, GREEN, BLUE]].T)
+
+
+def _arrays(gaussians: Gaussians) -> list[np.ndarray]:
+    return [field.detach().float().contiguous().numpy() for field in gaussians.tensors()]
+
+
+def _one_dealt(arrays: list[np.ndarray], camera: Cameras, settings: RenderSettings) -> _View:
+    row = _camera_rows(camera.to(torch.float64))[0]
+    return _dealt(arrays, row, settings, (camera.height, camera.width))
+
+
+def _parts(count: int) -> np.ndarray:
+    """Room for the gradients of the projected rows, for each thread."""
+    return np.empty((numba.get_num_threads(), count, GRADIENT_COLUMNS), np.float32)
+
+
+def _of_view_shape(count: int) -> tuple[int, int]:
+    return -(-count // GAUSSIANS_AT_ONCE), VIEW_COLUMNS
+
+
+def _blend_backward(
+    view: _View, settings: RenderSettings, planes: np.ndarray, slopes: np.ndarray, parts: np.ndarray
+) -> None:
+    """Overwrite `parts` by the gradients of the projected rows."""
+    parts[:] = 0
+    shares, tiles_x = _fair_shares(view.starts, len(parts)), -(-planes.shape[2] // WIDE)
+    limits = _blend_limits(settings)
+    blend_backward(view.rows, view.starts, view.lists, shares, tiles_x, limits, planes, slopes, parts)
+
+
+def _dealt(arrays: list[np.ndarray], camera: np.ndarray, settings: RenderSettings, size: tuple[int, int]) -> _View:
+    """The Gaussians projected into a picture of that height and width, and listed for each of its tiles."""
+    if settings.alpha_min < LOWEST_ALPHA_MIN:
+        raise QuerySplatError(
+            f"the CPU splatter cannot follow alpha down to {settings.alpha_min:.2g}",
+            f'Take alpha_min ≥ {LOWEST_ALPHA_MIN}, or backend="reference".',
+        )
+    height, width = size
     tiles_x, tiles_y = -(-width // WIDE), -(-height // HIGH)
     rows = np.empty((len(arrays[0]), ROW_COLUMNS), np.float32)
     depths = np.empty(len(arrays[0]), np.float32)
@@ -151,8 +224,12 @@ def _forward_view(arrays: list[np.ndarray], camera: np.ndarray, settings: Render
         )
     lists = np.empty(starts[-1], np.int32)
     deal(order, first, offsets, spans, tiles_x, tiles_y, min(tiles_y, tasks), starts, lists)
-    blend_tiles(rows, starts, lists, tiles_x, _blend_limits(settings), planes)
     return _View(camera, rows, starts, lists)
+
+
+def _blend(view: _View, settings: RenderSettings, planes: np.ndarray) -> None:
+    tiles_x = -(-planes.shape[2] // WIDE)
+    blend_tiles(view.rows, view.starts, view.lists, tiles_x, _blend_limits(settings), planes)
 
 
 def _fair_shares(starts: np.ndarray, tasks: int) -> np.ndarray:

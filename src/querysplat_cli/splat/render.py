@@ -36,6 +36,12 @@ class Rendering:
     alpha: Float[Tensor, "views height width"]
     depth: Float[Tensor, "views height width"]
 
+    @staticmethod
+    def of(colour: Tensor, alpha: Tensor, weighted_depth: Tensor, background: Float[Tensor, "3"] | None) -> "Rendering":
+        """What a splatter blends on black, over a background."""
+        black = Rendering(colour, alpha, weighted_depth / alpha.clamp_min(1e-10))
+        return replace(black, colour=black.over(background))
+
     def over(self, background: Float[Tensor, "3"] | None) -> Float[Tensor, "views 3 height width"]:
         """The colour over another background, where this is rendered over black."""
         if background is None:
@@ -57,13 +63,9 @@ def render(
     tensors, the plain torch reference for float64, and the compiled CPU kernel otherwise. Raises
     QuerySplatError when a tensor holds NaN or Inf, and MissingPart when the backend is not there.
     """
-    _refuse_wrong_shapes(gaussians)
-    _refuse_non_finite(gaussians.named())
-    _refuse_non_finite({"w2c": cameras.w2c, "K": cameras.K})
-    blend: Blend = BACKENDS.find(_chosen(gaussians) if backend == "auto" else backend)
-    colour, alpha, weighted_depth = blend(gaussians, cameras, settings or RenderSettings())
-    black = Rendering(colour, alpha, weighted_depth / alpha.clamp_min(1e-10))
-    return replace(black, colour=black.over(background))
+    refuse_broken(gaussians, cameras)
+    blend: Blend = BACKENDS.find(usual_splatter(gaussians) if backend == "auto" else backend)
+    return Rendering.of(*blend(gaussians, cameras, settings or RenderSettings()), background)
 
 
 def register_splatter(name: str, blend: Blend) -> None:
@@ -75,10 +77,18 @@ def register_splatter(name: str, blend: Blend) -> None:
     BACKENDS.register(name, blend)
 
 
-def _chosen(gaussians: Gaussians) -> str:
+def usual_splatter(gaussians: Gaussians) -> str:
+    """What the backend "auto" stands for."""
     if gaussians.means.is_cuda:
         return "gsplat"
     return "reference" if gaussians.means.dtype == torch.float64 else "cpu"
+
+
+def refuse_broken(gaussians: Gaussians, cameras: Cameras) -> None:
+    """Raises QuerySplatError where tensors do not fit together, and where one holds NaN or Inf."""
+    _refuse_wrong_shapes(gaussians)
+    _refuse_non_finite(gaussians.named())
+    _refuse_non_finite({"w2c": cameras.w2c, "K": cameras.K})
 
 
 def _refuse_wrong_shapes(gaussians: Gaussians) -> None:
