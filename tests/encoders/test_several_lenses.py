@@ -57,6 +57,23 @@ def test_photos_of_one_lens_keep_it() -> None:
     assert not any("lens" in warning for warning in posed.warnings)
 
 
+@pytest.mark.parametrize("count", [3, 4])
+def test_a_few_zoomed_photos_have_a_lens_each_and_a_warning(count: int) -> None:
+    photos = photographs(room(), arc(count))
+    mixed = [*photos[:-1], cropped(photos[-1])]
+    posed = estimate_cameras(mixed, CameraRequest(448, seed=0), quiet)
+    focals = [camera.focal[0] for camera in posed.photo_cameras]
+    assert focals[-1] / np.mean(focals[:-1]) == pytest.approx(1 / SHARE, rel=0.1)
+    assert any("do not share a lens" in warning for warning in posed.warnings)
+
+
+@pytest.mark.parametrize("count", [3, 4])
+def test_a_few_photos_of_one_lens_keep_it(count: int) -> None:
+    posed = estimate_cameras(photographs(room(), arc(count)), CameraRequest(448, seed=0), quiet)
+    assert len({camera.focal for camera in posed.photo_cameras}) == 1
+    assert not any("lens" in warning for warning in posed.warnings)
+
+
 def test_groups_divide_a_lens_and_never_join_two() -> None:
     focals = {0: 500.0, 1: 800.0, 2: 510.0, 4: 500.0}
     assert focal_groups(focals, [1, 1, 1, 1, 2], 0.06) == [0, 1, 0, 1, 2]

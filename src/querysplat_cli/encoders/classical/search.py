@@ -20,7 +20,7 @@ from querysplat_cli.encoders.classical.matches import Matches, matched
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
 from querysplat_cli.encoders.classical.pure_rotation import placed_by_rotation
 from querysplat_cli.encoders.classical.resting_matches import without_resting_matches
-from querysplat_cli.encoders.classical.several_lenses import with_lenses_apart
+from querysplat_cli.encoders.classical.several_lenses import few_refined, with_lenses_apart
 from querysplat_cli.encoders.classical.sparse_model import SparseModel
 from querysplat_cli.encoders.classical.support_policy import SUPPORT_POLICY
 from querysplat_cli.encoders.classical.supported_matches import with_supported_matches
@@ -90,6 +90,9 @@ class _Trial:
     def refined(self) -> Found:
         if self.mapped is None:
             return Found(self.matches, None, self.matching)
+        if self.few:
+            model, warnings = few_refined(self.mapped, self.matches)
+            return Found(self.matches, model, self.matching, warnings)
         return Found(self.matches, self.mapped.refined(self.matches), self.matching, self.mapped.warnings)
 
 

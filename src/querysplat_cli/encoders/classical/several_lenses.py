@@ -11,6 +11,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pycolmap
 
+from querysplat_cli.encoders.classical.bundle_adjustment import bundle_adjusted
 from querysplat_cli.encoders.classical.camera_warnings import field_of_view
 from querysplat_cli.encoders.classical.epipolar import epipolar_support
 from querysplat_cli.encoders.classical.mapping import Mapped, from_colmap, map_photos
@@ -43,6 +44,23 @@ def with_lenses_apart(mapped: Mapped, matches: Matches, photos: Sequence[Photo],
                 shutil.copy(trial.database, matches.database)
                 return replace(apart, warnings=(f"the photos do not share a lens: {_spans(apart.model)}",))
     return replace(mapped, warnings=("the photos do not seem to share a lens, so the cameras may be wrong",))
+
+
+def few_refined(mapped: Mapped, matches: Matches) -> tuple[SparseModel, tuple[str, ...]]:
+    """`mapped.refined` of two to four photos, and what is to be said of their lenses.
+
+    Three and four photos get a lens each where one of them fits much better then, as zoomed or cropped ones do. The
+    prior of each lens stands in for the photos that would determine it.
+    """
+    together = mapped.refined(matches)
+    if mapped.reconstruction is None or len(together.cameras) < 3:
+        return together, ()
+    divided = with_lenses(mapped.reconstruction, range(len(matches.sizes)))
+    alone = bundle_adjusted(divided, matches.focals, matches.usual_focals)
+    if not _fits_better(alone, together):
+        return together, ()
+    found = f"the photos do not share a lens: {_spans(alone)}"
+    return alone, (f"{found}; so few hardly determine that, and the cameras may be wrong",)
 
 
 def focal_groups(focals: Mapping[int, float], shared: Sequence[int], gap: float) -> list[int]:
@@ -86,7 +104,12 @@ def _differ(mapped: Mapped) -> bool:
     if not policy.few_photos < len(mapped.model.cameras) <= policy.lens_apart_photos:
         return False
     model = mapped.adjusted
-    together, alone = from_colmap(model), _adjusted(with_lenses(model, range(max(model.images))))
+    return _fits_better(_adjusted(with_lenses(model, range(max(model.images)))), from_colmap(model))
+
+
+def _fits_better(alone: SparseModel, together: SparseModel) -> bool:
+    """Whether a photo has another focal length and far smaller errors in the model `alone`, with a lens for each."""
+    policy = CAMERA_POLICY
     for photo, camera in alone.cameras.items():
         apart = abs(np.log(camera.focal[0] / together.cameras[photo].focal[0])) > np.log1p(policy.lens_difference)
         if apart and _error(alone, photo) < policy.lens_apart_error * _error(together, photo):
