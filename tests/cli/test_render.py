@@ -138,19 +138,37 @@ def test_a_film_of_few_cameras_is_a_smooth_path_through_them(options: list[str],
     assert max(steps) < max(0.5 * np.abs(pictures[0] - pictures[len(pictures) // 2]).mean(), 12)
 
 
-def test_a_film_through_portrait_and_landscape_photos_shows_the_middle(ball: Path) -> None:
+def give_portrait_and_landscape(ply: Path) -> None:
     K = torch.tensor([[60.0, 0, 32], [0, 60, 24], [0, 0, 1]]).repeat(2, 1, 1)
     K[1, :2, 2] = torch.tensor([24.0, 32.0])
     views = Views(torch.zeros(2, 3, 64, 64), torch.ones(2, 64, 64, dtype=torch.bool), ("a", "b"), (SIZE, SIZE[::-1]))
-    ball.with_suffix("").mkdir()
+    ply.with_suffix("").mkdir()
     cameras = Cameras(torch.eye(4).repeat(2, 1, 1), K, 64, 64)
-    write_cameras(ball.with_suffix("") / "cameras.json", cameras, views)
+    write_cameras(ply.with_suffix("") / "cameras.json", cameras, views)
+
+
+def test_a_film_through_portrait_and_landscape_photos_shows_the_middle(ball: Path) -> None:
+    give_portrait_and_landscape(ball)
     assert run(["render", str(ball), "-o", str(ball.with_name("film.mp4")), "--seconds", "1"]) == 0
     with av.open(str(ball.with_name("film.mp4"))) as film:
         pictures = [frame.to_ndarray(format="rgb24")[..., 0].astype(float) for frame in film.decode(video=0)]
     for red in (pictures[0], pictures[-1]):
         rows, columns = np.nonzero(red > 128)
         assert (rows.mean(), columns.mean()) == pytest.approx((23.5, 31.5), abs=1)
+
+
+def test_the_cameras_of_a_file_are_not_squashed_into_the_shape_of_the_first(
+    ball: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    give_portrait_and_landscape(ball)
+    file, film = ball.with_name("given.json"), ball.with_name("film.mp4")
+    (ball.with_suffix("") / "cameras.json").rename(file)
+    command = ["render", str(ball), "--cameras", str(file), "-o"]
+    assert run([*command, str(film)]) == ExitCode.BAD_INPUT
+    assert "several shapes" in capsys.readouterr().err
+    assert not film.exists()
+    assert run([*command, str(ball.with_name("frames"))]) == 0
+    assert run([*command, str(film), "--seconds", "0.2"]) == 0
 
 
 def test_a_film_of_one_camera_is_an_orbit(ball: Path) -> None:

@@ -19,7 +19,7 @@ from querysplat_cli.pipeline.gaussian_files import (
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.limits import require_memory
 from querysplat_cli.runtime.progress import Stages
-from querysplat_cli.scene.cameras import Cameras, PhotoCamera, rescaled
+from querysplat_cli.scene.cameras import Cameras, PhotoCamera, rescaled, same_shape
 from querysplat_cli.scene.files import FolderKind, atomic_folder, atomic_path, refuse_existing, with_name
 from querysplat_cli.scene.formats.transforms import (
     NamedCameras,
@@ -156,6 +156,11 @@ def _cameras(request: RenderRequest, beside: Path, gaussians: Gaussians) -> Path
     inputs = read_cameras(file)[0]
     if request.is_film and (file == beside or request.seconds):
         return _through(inputs, request)
+    if request.is_film and not request.size and not all(same_shape(size, inputs.sizes[0]) for size in inputs.sizes):
+        raise QuerySplatError(
+            f"{file}: its cameras have pictures of several shapes, and a film has one",
+            "Write to a folder, or add --seconds for a smooth path through the cameras.",
+        )
     return distinct_stems(inputs.names), inputs.cameras, list(inputs.sizes)
 
 
