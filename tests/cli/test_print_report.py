@@ -5,6 +5,7 @@ import signal
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -46,6 +47,19 @@ def test_a_scene_of_large_photos_is_not_sent_back_to_small_pictures(level: str, 
     quality = {**REPORT.quality, "full_size": {"max_size": 900, "input": {"psnr": 30.0, "ssim": 0.9}, "heldout": None}}
     *_, last = lines(replace(REPORT, quality=quality, full_size={"level": level}))
     assert last == f"next: querysplat view s.ply{further}"
+
+
+@pytest.mark.parametrize(
+    ("run", "told"),
+    [
+        ({"loss_after": 0.07, "curve": [[0, 0.1, 0.07, 23.0, 9]]}, True),
+        ({"loss_after": 0.06, "curve": [[0, 0.1, 0.07, 23.0, 9]]}, False),
+        ({"loss_after": 0.07, "curve": []}, False),
+    ],
+)
+def test_steps_that_were_not_kept_are_told(run: dict[str, Any], told: bool) -> None:
+    said = list(lines(replace(REPORT, tto=[{"interrupted": False, "loss_before": 0.07, **run}])))
+    assert any("were not kept" in line for line in said) == told
 
 
 def test_the_next_command_can_be_copied_where_names_have_spaces() -> None:

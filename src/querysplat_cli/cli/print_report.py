@@ -35,7 +35,7 @@ def exit_if_interrupted(report: Report) -> None:
 
 
 def lines(report: Report) -> Iterator[str]:
-    """Five lines, and one more each for photos that were left out, for what a network matched, and for a warning."""
+    """Five lines, and more for photos that were left out, what a network matched, warnings and steps not kept."""
     yield f"{report.gaussians:,} Gaussians from {counted(len(report.views['used']), 'photo')}"
     yield from left_out(report.views["left_out"])
     overlays = (entry for entry in report.left_out if entry["what"] == OVERLAYS)
@@ -51,11 +51,18 @@ def lines(report: Report) -> Iterator[str]:
     if sizes := (report.full_size or {}).get("not_kept"):
         shown = ", ".join(f"{size:,}" for size in sizes)
         yield f"optimisation on photos of {shown} px made them look worse, and was not kept"
+    if report.tto and _in_vain(report.tto[-1]):
+        yield "the last steps of optimisation did not lower the loss on the photos, and were not kept"
     yield "; ".join(_quality(report))
     yield _time(report)
     preview = Path(report.scene) / "preview.png"
     yield f"{_file(report)}; {preview} shows photos beside renders, report.json has the rest"
     yield _next(report)
+
+
+def _in_vain(run: dict[str, Any]) -> bool:
+    """Whether steps were taken on the small pictures, and their result is not in the scene."""
+    return bool(run.get("curve")) and "max_size" not in run and run["loss_after"] >= run["loss_before"]
 
 
 def _regions(regions: list[dict[str, Any]], seams: list[dict[str, Any]]) -> str:
