@@ -69,7 +69,10 @@ class Scene:
 
     @cached_property
     def _cameras(self) -> tuple[NamedCameras, NamedCameras | None]:
-        return read_cameras(self.folder / "cameras.json")
+        file = self.folder / "cameras.json"
+        if not file.is_file():
+            raise QuerySplatError(f"{self.ply} has no cameras of its own: there is no {file}", "Give some.")
+        return read_cameras(file)
 
 
 def reconstruct(
