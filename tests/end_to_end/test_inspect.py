@@ -63,3 +63,18 @@ def test_pictures_of_a_scene(preset: str, canvas: int, tmp_path: Path, capsys: p
     assert run(["inspect", str(tmp_path / "a"), "--query", "999999", "--force", "-q"]) == ExitCode.BAD_INPUT
     assert "there are queries 0 to" in capsys.readouterr().err
     assert (folder / "points.png").is_file()
+
+
+def test_figures_are_those_of_gaussians_that_were_optimised_themselves(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The memories decode to what they were before."""
+    take_photos(tmp_path / "photos", 3, 3)
+    made = ["reconstruct", str(tmp_path / "photos"), "-o", str(tmp_path / "a.ply"), "--max-size", "128", "-q"]
+    assert run([*made, "--tto", "3", "--tto-space", "gaussians", "--quality", "draft"]) == ExitCode.DONE
+    assert run(["info", str(tmp_path / "a"), "-q", "--json"]) == ExitCode.DONE
+    of_the_file = json.loads(capsys.readouterr().out)["opacity"]["quantiles"]
+    assert run(["inspect", str(tmp_path / "a"), "-q", "--json"]) == ExitCode.DONE
+    found = json.loads(capsys.readouterr().out)
+    assert found["opacity"] == pytest.approx(of_the_file, abs=1e-5)
+    assert found["warnings"][0].startswith("the Gaussians were optimised themselves")

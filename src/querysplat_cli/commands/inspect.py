@@ -15,7 +15,7 @@ from querysplat_cli.commands.samples import drawn_points, quantiles
 from querysplat_cli.model.attention_maps import attention_of, valueless
 from querysplat_cli.pipeline.gaussian_files import refuse_replacing_scene
 from querysplat_cli.pipeline.read_scene import read_scene
-from querysplat_cli.pipeline.resume import joined_of_regions, load_again
+from querysplat_cli.pipeline.resume import joined_of_regions, load_again, own_gaussians
 from querysplat_cli.pipeline.scene_folder import StoredScene
 from querysplat_cli.queries.prepare import MemoryMap
 from querysplat_cli.runtime.errors import MAKE_AGAIN, QuerySplatError
@@ -32,6 +32,7 @@ TILE_COLUMNS = 4
 RING_RADIUS = 12
 """In pixels, of the ring around a query's Gaussians."""
 DRAWINGS = FolderKind(("attention_*.png",), ("query.png", "rounds.png", "histograms.png", "points.png"))
+BEFORE = "the Gaussians were optimised themselves: the pictures of the query show those that it had before"
 DRAWN_OPACITY = 0.05
 """Gaussians of less opacity are not drawn as points."""
 
@@ -91,7 +92,9 @@ def inspect_scene(request: InspectRequest, stages: Stages) -> Inspected:
         per_query = model.config.gaussians_per_query
         own = gaussians[slice(chosen * per_query, (chosen + 1) * per_query)]
         rounds = _rounds(scene, own, chosen, patches)
-        gaussians = gaussians[kept]
+        # Memories do not know what became of Gaussians that were optimised themselves.
+        apart = any(run["space"] == "gaussians" and run["steps"] for run in report["tto"])
+        gaussians = own_gaussians(request.scene, scene, report) if apart else gaussians[kept]
     with stages("draw"), atomic_folder(output) as draft:
         _queries(draft, scene, maps, rounds, own)
         _histograms(draft / "histograms.png", gaussians)
@@ -107,7 +110,8 @@ def inspect_scene(request: InspectRequest, stages: Stages) -> Inspected:
         opacity=quantiles(gaussians.opacities),
         scale=quantiles(gaussians.scales.flatten()),
         depth=scene.map.depth.numel() > 0,
-        warnings=tuple(
+        warnings=(BEFORE,) * apart
+        + tuple(
             f"the values of the {name} memory are all zero: what the query attends to there changes nothing"
             for name in valueless(scene.memories)
         ),

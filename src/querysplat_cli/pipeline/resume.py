@@ -76,7 +76,7 @@ def _optimised(settings: ResumeSettings, stages: Stages) -> Report:
         if scene.joined and space != "gaussians":
             raise joined_of_regions(path, "Use --space gaussians, or make the scene again with --regions 1.")
         _check(path, options, space, count, apart=apart)
-        beside = _own_gaussians(path, scene, before) if apart or file_of_scene(path).is_file() else None
+        beside = own_gaussians(path, scene, before) if apart or file_of_scene(path).is_file() else None
         gaussians = beside if apart else None
     with stages("tto") as progress:
         perceptual = optimisation_lpips(settings.lpips, official=scene.anchors is None)
@@ -114,7 +114,7 @@ def _at_full_size(
     """Optimise the Gaussians of the stored scene on its large photos, and write it back."""
     path, device = settings.scene, find_device(settings.device)
     with stages("read"):
-        gaussians = _own_gaussians(path, scene, before)
+        gaussians = own_gaussians(path, scene, before)
     inputs, heldout = stored_photos(scene)
     with stages("full size") as progress:
         photos = replace(inputs.summary(), reached=_finest_size(scene, before) or 0)
@@ -197,7 +197,7 @@ def _read(settings: ResumeSettings) -> tuple[StoredScene, dict[str, Any]]:
     return scene, before
 
 
-def _own_gaussians(path: Path, scene: StoredScene, report: dict[str, Any]) -> Gaussians:
+def own_gaussians(path: Path, scene: StoredScene, report: dict[str, Any]) -> Gaussians:
     """The Gaussians beside the scene folder without their backdrop. Raises QuerySplatError where they are other ones.
 
     Without this check, a file that was copied over the scene's own would lose Gaussians as a backdrop, or be replaced.
