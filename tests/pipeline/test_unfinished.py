@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from querysplat_cli.pipeline.settings import ReconstructSettings
-from querysplat_cli.pipeline.unfinished import OF_FILES, unfinished
+from querysplat_cli.pipeline.unfinished import OF_FILES, is_long, unfinished
 from querysplat_cli.runtime import signals
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.views import Photo
@@ -169,3 +169,13 @@ def test_a_run_that_ends_leaves_nothing(settings: ReconstructSettings) -> None:
     with unfinished(settings, [photo(settings.inputs[0])], 64):
         pass
     assert not folder.exists()
+
+
+def test_a_short_run_goes_on_with_what_a_long_one_left(settings: ReconstructSettings) -> None:
+    """With fewer regions the folder was neither used nor ever removed."""
+    alone = replace(settings, regions=1)
+    assert is_long(alone, photos=12)
+    assert goes_on(alone, regions=False)[0]
+    with unfinished(alone, [photo(settings.inputs[0])], 64):
+        pass
+    assert not is_long(alone, photos=12)

@@ -45,8 +45,12 @@ OF_FILES = ("inputs", "ply", "force", "frame", "metres_by", "backdrop", "cluster
 
 
 def is_long(settings: ReconstructSettings, photos: int) -> bool:
-    """Whether what a run with so many photos reaches is kept until it is done."""
-    return photos >= PIPELINE_POLICY.long_run_photos or (settings.regions or 1) > 1
+    """Whether what a run with so many photos reaches is kept until it is done.
+
+    So it is where an earlier run of the same output left something: nobody else uses or removes that.
+    """
+    many = photos >= PIPELINE_POLICY.long_run_photos or (settings.regions or 1) > 1
+    return many or _working_folder(settings).is_dir()
 
 
 @dataclass(frozen=True)
@@ -90,8 +94,7 @@ def unfinished(settings: ReconstructSettings, photos: Sequence[Photo], size: int
     At the end it is removed; on an exception it stays, if a stage is complete. `size` is that of the working pictures.
     Raises QuerySplatError where another process makes the same scene.
     """
-    place = without_steps(settings.ply)
-    folder = place.parent / f".{place.name}.unfinished"
+    folder = _working_folder(settings)
     folder.mkdir(parents=True, exist_ok=True)
     try:
         with sole_writer(folder):
@@ -102,6 +105,11 @@ def unfinished(settings: ReconstructSettings, photos: Sequence[Photo], size: int
             signals.keep(f"What is finished is kept in {folder}, and the same command goes on with it.")
         elif folder.is_dir():
             shutil.rmtree(folder, ignore_errors=True)
+
+
+def _working_folder(settings: ReconstructSettings) -> Path:
+    place = without_steps(settings.ply)
+    return place.parent / f".{place.name}.unfinished"
 
 
 def _made_of(settings: ReconstructSettings, photos: Sequence[Photo], size: int) -> dict[str, dict[str, Any]]:
