@@ -103,6 +103,15 @@ def test_dry_run_measures_and_writes_nothing(config: Path, capsys: pytest.Captur
     assert plan["unmeasured"] == ""
 
 
+def test_under_torchrun_the_first_process_alone_prints_the_plan(
+    config: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Each printed one, so that standard output was no JSON."""
+    monkeypatch.setenv("RANK", "1")
+    assert run(["train", "--config", str(config), "-o", str(config.parent / "run"), "--dry-run", "--json"]) == 0
+    assert capfd.readouterr() == ("", "")
+
+
 def test_dry_run_counts_the_samples_that_are_still_to_be_made(config: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Once one sample was cached, making the others took no time."""
     next((config.parent / "cache").rglob("*.safetensors")).unlink()

@@ -1,7 +1,7 @@
 """`querysplat train`: the model's weights from scenes."""
 
 import os
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -73,9 +73,9 @@ def train(options: TrainOptions, printing: Printing) -> None:
         options.samples_only,
         options.cluster,
     )
-    # torchrun starts several processes; the first one reports for all.
-    is_first = os.environ.get("RANK", "0") == "0"
-    with showing_stages(replace(printing, quiet=printing.quiet or not is_first)) as stages:
+    if os.environ.get("RANK", "0") != "0":  # torchrun starts several processes; the first one reports for all
+        printing = Printing(quiet=True)
+    with showing_stages(printing) as stages:
         if options.dry_run:
             print_training_plan(plan(request, stages), printing)
             return
