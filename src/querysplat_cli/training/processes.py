@@ -10,6 +10,8 @@ from typing import TypeVar
 import torch
 from torch import Tensor, distributed, nn
 
+from querysplat_cli.runtime.errors import QuerySplatError
+
 T = TypeVar("T")
 BARRIER_TIMEOUT = timedelta(hours=12)
 """How long the others wait for a process that still prepares samples."""
@@ -30,14 +32,16 @@ class Processes:
     def wait(self) -> None:
         """Return once all processes have called this."""
         if self.world > 1:
-            distributed.barrier()
+            with _in_words():
+                distributed.barrier()
 
     def gather(self, values: Sequence[T]) -> list[T]:
         """The values of all processes, in the order of their ranks."""
         if self.world == 1:
             return list(values)
         everyone: list[list[T]] = [[] for _ in range(self.world)]
-        distributed.all_gather_object(everyone, list(values))
+        with _in_words():
+            distributed.all_gather_object(everyone, list(values))
         return [value for each in everyone for value in each]
 
     def sum_gradients(self, parameters: Sequence[nn.Parameter]) -> None:
@@ -49,15 +53,28 @@ class Processes:
             return
         gradients = [parameter.grad for parameter in parameters if parameter.grad is not None]
         flat = torch.cat([gradient.flatten() for gradient in gradients])
-        distributed.all_reduce(flat)
+        with _in_words():
+            distributed.all_reduce(flat)
         for gradient, summed in zip(gradients, flat.split([each.numel() for each in gradients]), strict=True):
             gradient.copy_(summed.view_as(gradient))
 
     def spread(self, tensors: Sequence[Tensor]) -> None:
         """Give every process the tensors of the first one."""
         if self.world > 1:
-            for tensor in tensors:
-                distributed.broadcast(tensor, 0)
+            with _in_words():
+                for tensor in tensors:
+                    distributed.broadcast(tensor, 0)
+
+
+@contextmanager
+def _in_words() -> Iterator[None]:
+    """Around a call that all processes make together: torch's error is no bug where another process has ended."""
+    try:
+        yield
+    except RuntimeError as error:
+        raise QuerySplatError(
+            "another process of this training ended, or cannot be reached", f"Look for its own message. Torch: {error}"
+        ) from error
 
 
 @contextmanager
@@ -67,7 +84,13 @@ def joined_processes(device: torch.device) -> Iterator[Processes]:
     if world == 1:
         yield Processes()
         return
-    distributed.init_process_group("nccl" if device.type == "cuda" else "gloo", timeout=BARRIER_TIMEOUT)
+    try:
+        distributed.init_process_group("nccl" if device.type == "cuda" else "gloo", timeout=BARRIER_TIMEOUT)
+    except (RuntimeError, ValueError) as error:  # a variable of torchrun is missing, or the others do not come
+        raise QuerySplatError(
+            f"the {world} processes of WORLD_SIZE cannot be joined: {error}",
+            "Start them with torchrun, or take WORLD_SIZE out of the environment.",
+        ) from error
     try:
         yield Processes(distributed.get_rank(), world, int(os.environ.get("LOCAL_RANK", "0")))
     finally:
