@@ -1,15 +1,17 @@
 """`querysplat train`, run as a command."""
 
 import json
+import time
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from querysplat_cli.cli import run
+from querysplat_cli.encoders.base import Encoder
 from querysplat_cli.runtime.errors import ExitCode
-from querysplat_cli.training.config import StageSettings
-from querysplat_cli.training.data import Wanted
+from querysplat_cli.training.config import DataSettings, StageSettings
+from querysplat_cli.training.data import Wanted, sample_maker
 from querysplat_cli.training.trainer import STATE
 from training_scenes import toml, training
 
@@ -120,6 +122,27 @@ def test_dry_run_counts_the_samples_that_are_still_to_be_made(config: Path, caps
     assert (plan["samples"], plan["ready"]) == (3, 2)
     assert plan["seconds_per_sample"] > 0
     assert plan["hours"] > plan["seconds_per_sample"] / 3600
+
+
+def test_dry_run_does_not_count_what_is_compiled_once(
+    config: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """With the first sample of a machine, two hours were expected of a training of half an hour."""
+    pauses = iter([5.0, 0.0])
+
+    def maker(setup: tuple[DataSettings, Callable[[], Encoder]]) -> Callable[[Wanted], None]:
+        make = sample_maker(setup)
+
+        def compiled(job: Wanted) -> None:
+            time.sleep(next(pauses))
+            make(job)
+
+        return compiled
+
+    next((config.parent / "cache").rglob("*.safetensors")).unlink()
+    monkeypatch.setattr("querysplat_cli.training.plan.sample_maker", maker)
+    assert run(["train", "--config", str(config), "-o", str(config.parent / "run"), "--dry-run", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["seconds_per_sample"] < 5
 
 
 def test_dry_run_makes_one_sample_and_says_why_it_cannot(

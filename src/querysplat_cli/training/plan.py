@@ -2,9 +2,9 @@
 
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 
@@ -34,6 +34,7 @@ from querysplat_cli.training.start import freeze, starting_model
 from querysplat_cli.training.step import StepSettings, add_gradient, anchored
 from querysplat_cli.training.trainer import samples_in_turn
 
+Result = TypeVar("Result")
 PICTURE_BYTES = 3 + 1
 """Of a pixel in the cache: colours and mask."""
 DEPTH_BYTES = 2 + 2
@@ -88,7 +89,7 @@ class TrainPlan:
 
 
 def plan(request: TrainRequest, stages: Stages) -> TrainPlan:
-    """What `train` would take, measured on one sample and two steps. Nothing is written.
+    """What `train` would take, measured on one sample, made twice, and two steps. Nothing is written.
 
     Under torchrun, and with WORLD_SIZE, its figures are for so many processes.
     """
@@ -209,33 +210,42 @@ def _measured(config: TrainConfig, device: torch.device, *, cached: bool, stages
 
 
 def _one_sample(config: TrainConfig, device: torch.device, *, cached: bool) -> tuple[Sample, float | None]:
-    """A sample of the cache, or a new one and the seconds that it took."""
+    """A sample of the cache, or a new one and the seconds that it takes."""
     draw = Draw(0, 0, config.stages[0].inputs)
     if cached:
         return CachedSamples(config.data, config.seed).get(draw)[0], None
     encoder = training_encoder(config.data, device)
-    start = time.perf_counter()
     if config.data.online:
-        return OnlineSamples(config.data, config.seed, lambda: encoder).get(draw)[0], time.perf_counter() - start
+        return _second_of_two(lambda: OnlineSamples(config.data, config.seed, lambda: encoder).get(draw)[0])
     with scratch_folder() as scratch:
         data = replace(config.data, cache=str(scratch), sources=tuple(narrowed(config.data.sources, draw.inputs)[:1]))
         wanted = wanted_samples(data, data.sources)
         if not wanted:
             raise no_samples(config.data, draw.inputs)
-        sample_maker((data, lambda: encoder))(wanted[0])
-        seconds = time.perf_counter() - start
-        if wanted[0].reason.is_file():
-            raise QuerySplatError("the first sample cannot be made", wanted[0].reason.read_text())
+
+        def make() -> None:
+            sample_maker((data, lambda: encoder))(wanted[0])
+            if wanted[0].reason.is_file():
+                raise QuerySplatError("the first sample cannot be made", wanted[0].reason.read_text())
+
+        _, seconds = _second_of_two(make)
         return read_sample(wanted[0].path), seconds
 
 
 def _seconds_of_step(config: TrainConfig, model: QuerySplat, sample: Sample) -> float:
-    """Seconds of the second of two steps on one sample. The first one is slower, because it compiles."""
+    """Seconds of a step on one sample."""
     anchors = anchored(sample) if model.config.queries == "anchored" else None
-    seconds = 0.0
-    for _ in range(2):
-        start = time.perf_counter()
+
+    def step() -> None:
         generator = torch.Generator().manual_seed(0)
         add_gradient(model, sample, anchors, StepSettings(config, weights(0, config.losses)), generator)
-        seconds = time.perf_counter() - start
-    return seconds
+
+    return _second_of_two(step)[1]
+
+
+def _second_of_two(do: Callable[[], Result]) -> tuple[Result, float]:
+    """What `do` returns the second time, and the seconds of that. The first one is slower, because it compiles."""
+    do()
+    start = time.perf_counter()
+    result = do()
+    return result, time.perf_counter() - start
