@@ -36,9 +36,12 @@ CLASSES: list[Any] = [
 
 
 def write_part(path: Path, part: Any) -> None:
-    """Write `part`, whole or not at all."""
-    with atomic_path(path) as draft:
-        torch.save(part, draft)
+    """Write `part`, whole or not at all. Fails as `atomic_path` does."""
+    with atomic_path(path) as draft, draft.open("wb") as file:
+        try:
+            torch.save(part, file)
+        except RuntimeError as error:  # torch's own, in which the reason is lost
+            raise error.__context__ if isinstance(error.__context__, OSError) else error from None
 
 
 def read_part(path: Path) -> Any:
