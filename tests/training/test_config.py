@@ -166,3 +166,9 @@ def test_hostile_files_are_refused(tmp_path: Path, content: str, message: str) -
         load_config(str(path), ())
     with pytest.raises(QuerySplatError, match="cannot be read"):
         load_config("compact", ("seed=1" + "0" * 5000,))
+
+
+def test_a_captured_source_without_places_is_refused() -> None:
+    """The message sent users to .failed files, of which there were none."""
+    with pytest.raises(QuerySplatError, match="is captured, and has no places"):
+        load_config("compact", ("data.sources.0.kind='captured'",))

@@ -274,6 +274,9 @@ def _check(config: TrainConfig) -> None:
                 raise QuerySplatError(
                     f"data.sources.{i}.{name} cannot be [{fewest}, {most}]", "Give the smaller number first."
                 )
+        if source.kind == "captured" and not source.places:
+            why = f"data.sources.{i} is captured, and has no places"
+            raise QuerySplatError(why, f"""Name some with --set 'data.sources.{i}.places=["/path/to/scenes"]'.""")
     if not config.stages or not config.data.sources:
         raise QuerySplatError("a training needs stages and data.sources", "See docs/training.md.")
     if config.model.refinement_rounds and "refiner".startswith(config.optimiser.frozen):
