@@ -8,14 +8,15 @@ from querysplat_cli.training.photographer import cast, walk
 from querysplat_cli.training.rooms import make_room
 
 PHOTOS = 7
+HEIGHT, WIDTH = 336, 448
 SMALL = ["--max-size", "192", "--tto", "24", "--quiet"]
 
 
 def take_photos(folder: Path, seed: int, count: int = PHOTOS, *, mirrored: bool = False) -> list[Path]:
-    """Photos of a procedural room, 640 × 480. Rooms share patterns, but a mirrored room matches none that is not."""
+    """Photos of a procedural room. Rooms share patterns, but a mirrored room matches none that is not."""
     folder.mkdir(parents=True, exist_ok=True)
     scene = make_room(seed)
-    cameras = walk(scene, count, seed)
+    cameras = walk(scene, count, seed).resized(HEIGHT, WIDTH)
     files = [folder / f"room{seed}_{i}.png" for i in range(count)]
     for i, file in enumerate(files):
         picture = (cast(scene, cameras[[i]], samples=1)[0][0] * 255).round().byte().permute(1, 2, 0).numpy()[..., ::-1]

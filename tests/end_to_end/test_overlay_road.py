@@ -6,12 +6,12 @@ from typing import Any
 
 import cv2
 import pytest
-from rooms import PHOTOS, SMALL, take_photos
+from rooms import HEIGHT, PHOTOS, SMALL, WIDTH, take_photos
 
 from querysplat_cli.cli import run
 from querysplat_cli.scene.masks import Overlay
 
-TEXT = {"fontFace": cv2.FONT_HERSHEY_SIMPLEX, "fontScale": 1.1, "lineType": cv2.LINE_AA}
+TEXT = {"fontFace": cv2.FONT_HERSHEY_SIMPLEX, "fontScale": 0.77, "lineType": cv2.LINE_AA}
 
 
 @pytest.fixture
@@ -19,8 +19,8 @@ def photos(tmp_path: Path) -> Path:
     """A room, and in all photos the same text, white in a black outline, over the middle and at the bottom."""
     for file in take_photos(tmp_path / "photos", 3):
         picture = cv2.imread(str(file))
-        for place in ((40, 180), (150, 320)):
-            for colour, thickness in (((0, 0, 0), 9), ((255, 255, 255), 3)):
+        for place in ((28, 126), (105, 224)):
+            for colour, thickness in (((0, 0, 0), 6), ((255, 255, 255), 2)):
                 cv2.putText(picture, "2024-05-01 12:30", place, color=colour, thickness=thickness, **TEXT)  # type: ignore[call-overload]
         cv2.imwrite(str(file), picture)
     return tmp_path / "photos"
@@ -46,8 +46,8 @@ def test_text_over_photos_takes_no_part(photos: Path, capsys: pytest.CaptureFixt
     )
     assert len(listed) == PHOTOS
     for each in listed:
-        hidden = ~Overlay(tuple(map(tuple, each["overlay"]["boxes"]))).shown(480, 640)
-        assert hidden[155:180, 45:315].mean() > 0.85
-        assert hidden[295:320, 155:425].mean() > 0.85
-        assert hidden[:130].mean() < 0.01
+        hidden = ~Overlay(tuple(map(tuple, each["overlay"]["boxes"]))).shown(HEIGHT, WIDTH)
+        assert hidden[109:126, 32:220].mean() > 0.85
+        assert hidden[207:224, 109:297].mean() > 0.85
+        assert hidden[:90].mean() < 0.01
     assert not any("overlay" in each for each in without)
