@@ -47,7 +47,7 @@ def test_its_report_is_that_of_the_gaussians_that_are_left(
     assert run(["tto", str(tmp_path / "cut"), "--steps", "0", "-q"]) == ExitCode.DONE
     again = report_in(tmp_path / "cut")["quality"]
     assert again["before"]["input"] == report["quality"]["input"]["psnr"]
-    # The memories are decoded again, without the precision of the file, which costs an .spz 0.06 dB here, and bands that
+    # The memories are decoded again, without the precision of the file, which costs an .spz 0.06 dB here. Bands that
     # bring nothing any more are left out.
     assert again["input"]["psnr"] > again["before"]["input"] - (0.05 if kind == ".ply" else 0.1)
 

@@ -15,7 +15,8 @@ import pytest
 from querysplat_cli.runtime.cluster import find_engine, read_cluster
 from querysplat_cli.runtime.engine import InProcess, report_progress
 from querysplat_cli.runtime.errors import ExitCode, QuerySplatError
-from querysplat_cli.runtime.workers import Workers, cores
+from querysplat_cli.runtime.threads import cores
+from querysplat_cli.runtime.workers import Workers
 
 JOBS = ["a", "b", "c"]
 

@@ -12,7 +12,8 @@ import psutil
 import pytest
 
 from querysplat_cli.runtime.engine import unheard
-from querysplat_cli.runtime.workers import THREAD_LIMITS, Workers, _Pool
+from querysplat_cli.runtime.threads import THREAD_LIMITS
+from querysplat_cli.runtime.workers import Workers, _Pool
 
 
 def handler(folder: Path) -> Callable[[str], None]:

@@ -53,8 +53,13 @@ class Scene:
 
     @property
     def cameras(self) -> Cameras:
-        """The cameras of the input photos, at the working size."""
+        """The cameras of the input photos, at the working size, with one canvas that has room for all of `sizes`."""
         return self._cameras[0].cameras
+
+    @property
+    def sizes(self) -> tuple[tuple[int, int], ...]:
+        """Height and width of each input photo, in the order of `cameras`; its pixels begin at the canvas's top left."""
+        return self._cameras[0].sizes
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -4,6 +4,7 @@ import os
 
 import psutil
 
+from querysplat_cli.runtime import containers
 from querysplat_cli.runtime.errors import MissingPart
 
 GIB = 2**30
@@ -34,8 +35,9 @@ def more_memory() -> str:
 
 
 def free_memory() -> int:
-    """Bytes of memory that this process can still take, by the machine's free memory and by `ulimit -v`."""
-    free, limit = int(psutil.virtual_memory().available), _limit()
+    """Bytes of memory that this process can still take, by the machine, its container and `ulimit -v`."""
+    free, contained, limit = int(psutil.virtual_memory().available), containers.free_memory(), _limit()
+    free = free if contained is None else min(free, contained)
     return free if limit is None else max(0, min(free, limit - psutil.Process().memory_info().vms))
 
 

@@ -1,12 +1,15 @@
-"""How the threads of torch, numba and COLMAP wait for each other."""
+"""How the threads of torch, numba and COLMAP wait for each other, and how many there are."""
 
 import os
 from collections.abc import MutableMapping
+
+from querysplat_cli.runtime import containers
 
 PASSIVE_WAITING = {"OMP_WAIT_POLICY": "PASSIVE", "KMP_BLOCKTIME": "0"}
 """For GNU's OpenMP, and for LLVM's and Intel's, which also obey a time of their own."""
 OWN_CHOICES = (*PASSIVE_WAITING, "GOMP_SPINCOUNT", "KMP_LIBRARY")
 """With any of these variables users choose for themselves how threads wait."""
+THREAD_LIMITS = ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def wait_passively(environment: MutableMapping[str, str] = os.environ) -> None:
@@ -18,3 +21,20 @@ def wait_passively(environment: MutableMapping[str, str] = os.environ) -> None:
     """
     if not any(name in environment for name in OWN_CHOICES):
         environment.update(PASSIVE_WAITING)
+
+
+def cores() -> int:
+    """The cores that this process may use: those it may run on, or fewer where its container allows fewer."""
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return min(usable, containers.cores() or usable)
+
+
+def limit_threads(environment: MutableMapping[str, str] = os.environ) -> None:
+    """Start no more threads than the container allows cores, unless the environment says how many.
+
+    More would be stopped together for most of the time. As above, in front of the first import of the libraries.
+    """
+    allowed = containers.cores()
+    if allowed is not None:
+        for name in THREAD_LIMITS:
+            environment.setdefault(name, str(min(allowed, cores())))

@@ -15,9 +15,9 @@ from typing import Any, Generic, TypeVar
 from querysplat_cli.runtime import signals
 from querysplat_cli.runtime.engine import Done, Handler, Heard, reporting_to, unheard
 from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.threads import THREAD_LIMITS, cores
 
 Job = TypeVar("Job")
-THREAD_LIMITS = ("OMP_NUM_THREADS", "NUMBA_NUM_THREADS", "MKL_NUM_THREADS")
 STOP_SECONDS = 5.0
 """How long a stopped worker may take to remove its unfinished files."""
 
@@ -192,24 +192,20 @@ def _last_words(code: int | None) -> str:
     return f"its process ended with code {code}"
 
 
-def cores() -> int:
-    """The cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 @contextmanager
 def shared_cores(workers: int) -> Iterator[None]:
     """Inside this context, new processes are limited to their share of the cores, unless the user has set a limit.
 
     The limits are variables of this process's own environment, and Numba refuses to compile while they differ from
-    the number of its running threads. So they are gone again afterwards, with all that Dask adds.
+    the number of its running threads. So the environment is as it was afterwards, without all that Dask adds.
     """
-    before = set(os.environ)
+    before, all_cores = dict(os.environ), str(cores())
     share = str(max(1, cores() // max(1, workers)))
     if workers > 1:
-        os.environ.update({name: share for name in THREAD_LIMITS if name not in before})
+        os.environ.update({name: share for name in THREAD_LIMITS if before.get(name, all_cores) == all_cores})
     try:
         yield
     finally:
-        for name in set(os.environ) - before:
+        for name in set(os.environ) - set(before):
             del os.environ[name]
+        os.environ.update(before)

@@ -13,7 +13,8 @@ from querysplat_cli.runtime import signals
 from querysplat_cli.runtime.cluster import find_engine
 from querysplat_cli.runtime.device import find_device
 from querysplat_cli.runtime.progress import Progress, Stages
-from querysplat_cli.runtime.workers import Workers, cores
+from querysplat_cli.runtime.threads import cores
+from querysplat_cli.runtime.workers import Workers
 from querysplat_cli.scene.files import refuse_existing, sole_writer, writable
 from querysplat_cli.splat.lpips import Perceptual
 from querysplat_cli.training.config import DataSettings, TrainConfig
