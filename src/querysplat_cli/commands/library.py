@@ -58,7 +58,7 @@ class Scene:
 
     @property
     def sizes(self) -> tuple[tuple[int, int], ...]:
-        """Height and width of each input photo, in the order of `cameras`; its pixels begin at the canvas's top left."""
+        """Height and width of each input photo, in the order of `cameras`; its pixels begin at the top left."""
         return self._cameras[0].sizes
 
     @property

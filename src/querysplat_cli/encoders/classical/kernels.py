@@ -13,7 +13,7 @@ KERNELS = (
     (_sweep, (F2, F3, F4, uint8[:, :, ::1])),
     (_two_passes, (uint8[:, :, ::1], F2, uint16[:, :, :, ::1])),
     (_best_planes, (uint16[:, :, ::1], F2)),
-    (_improve, (F3, int64, int64, F2, F3, F2, F3, F3, F2, float32, float32)),
+    (_improve, (F3, int64, int64, F2, F3, F2, F2, F3, F2, float32, float32)),
     (_vote, (F2, F3, F2, L1, D3, D2, D1)),
     (_lend, (F2, F3, F2, F2, F3, D2, D1)),
     (_carve_view, (F2, boolean[:, ::1], F3, F3, F3, F4, L1, D3, D2, float64)),
