@@ -22,7 +22,7 @@ _CONTRADICTION_COST = DEPTH_POLICY.contradiction_cost
 _FULL_COST_DIFFERENCE = DEPTH_POLICY.full_cost_difference
 _UNSEEN_COST = DEPTH_POLICY.unseen_cost
 _CORRELATION_FLOOR = DEPTH_POLICY.correlation_floor
-_STEPS = np.arange(-_REFINEMENT_REACH, _REFINEMENT_REACH + 1, 2, np.float32)
+_STEPS = np.arange(-_REFINEMENT_REACH, _REFINEMENT_REACH + 1, 2).astype(np.float32)
 _WINDOW = len(_STEPS) ** 2
 """Samples of a window."""
 _SAMPLES = 32
