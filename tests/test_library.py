@@ -50,6 +50,8 @@ def test_a_scene_is_written_read_and_rendered_from_python(tmp_path: Path) -> Non
     colour = render(read_ply(tmp_path / "scene.ply"), Cameras(torch.eye(4)[None], K, 48, 64)).colour[0]
     assert colour[:, 24, 32].tolist() == pytest.approx([0.97, 0.02, 0.02], abs=0.05)
     assert colour[:, 0, 0].tolist() == [0, 0, 0]
+    on_white = render(read_ply(tmp_path / "scene.ply"), Cameras(torch.eye(4)[None], K, 48, 64), background=(1, 1, 1))
+    assert on_white.colour[0, :, 0, 0].tolist() == [1, 1, 1]
 
 
 def test_a_place_is_rendered_too_and_levels_of_detail_are_opened(tmp_path: Path) -> None:

@@ -6,6 +6,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from querysplat_cli.pipeline.gaussian_files import file_of_scene, folder_of_scene, is_streamed, read_gaussians
 from querysplat_cli.pipeline.reconstruct import reconstruct as make_scene
 from querysplat_cli.pipeline.resume import optimise_scene
@@ -122,8 +124,10 @@ def render(scene: Scene | Gaussians | Place, cameras: Cameras | None = None, **h
     """Pictures of a scene or of Gaussians, differentiably: `colour`, `alpha` and `depth` of every view.
 
     A `Scene`, or that at a place, is shown from its own cameras by default; Gaussians need some. `how` are the other
-    arguments of `querysplat_cli.splat.render.render`: `background`, `settings`, `backend`.
+    arguments of `querysplat_cli.splat.render.render`: `background` (three numbers), `settings`, `backend`.
     """
+    if how.get("background") is not None:
+        how["background"] = torch.as_tensor(how["background"], dtype=torch.float32)
     if isinstance(scene, str | Path):
         scene = open_scene(scene)
     if isinstance(scene, Scene):

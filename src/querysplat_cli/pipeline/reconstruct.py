@@ -29,6 +29,7 @@ from querysplat_cli.pipeline.scene_points import scene_points
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.pipeline.unfinished import Unfinished, is_long, unfinished
 from querysplat_cli.prune.resolution import Blurred, blurred
+from querysplat_cli.reporting.colourless import colourless_warning
 from querysplat_cli.reporting.report import (
     Report,
     exposure_entry,
@@ -261,7 +262,7 @@ def _report(
             **({"full_size": scores.large} if scores.large else {}),
         },
         left_out=[asdict(omission) for omission in omissions_of(settings, scene, inputs.finest, inputs.overlaid)],
-        warnings=[*passes.warnings, *scene.geometry.warnings],
+        warnings=[*passes.warnings, *scene.geometry.warnings, *colourless_warning(scene.posed.views)],
         tto=[*tto_entries(scene.adapted.runs), *(further.runs if further else [])],
         settings=settings_entry(asdict(settings)),
         peak_memory_gib=round(peak_gib(), 2),
