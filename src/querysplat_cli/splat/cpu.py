@@ -173,8 +173,8 @@ def _arrays(gaussians: Gaussians) -> list[np.ndarray]:
 
 
 def _one_dealt(arrays: list[np.ndarray], camera: Cameras, settings: RenderSettings) -> _View:
-    row = _camera_rows(camera.to(torch.float64))[0]
-    return _dealt(arrays, row, settings, (camera.height, camera.width))
+    fixed = Cameras(camera.w2c.detach().double(), camera.K.detach().double(), camera.height, camera.width)
+    return _dealt(arrays, _camera_rows(fixed)[0], settings, (fixed.height, fixed.width))
 
 
 def _parts(count: int) -> np.ndarray:
