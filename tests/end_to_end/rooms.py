@@ -12,11 +12,13 @@ HEIGHT, WIDTH = 336, 448
 SMALL = ["--max-size", "192", "--tto", "24", "--quiet"]
 
 
-def take_photos(folder: Path, seed: int, count: int = PHOTOS, *, mirrored: bool = False) -> list[Path]:
+def take_photos(
+    folder: Path, seed: int, count: int = PHOTOS, *, mirrored: bool = False, size: tuple[int, int] = (HEIGHT, WIDTH)
+) -> list[Path]:
     """Photos of a procedural room. Rooms share patterns, but a mirrored room matches none that is not."""
     folder.mkdir(parents=True, exist_ok=True)
     scene = make_room(seed)
-    cameras = walk(scene, count, seed).resized(HEIGHT, WIDTH)
+    cameras = walk(scene, count, seed).resized(*size)
     files = [folder / f"room{seed}_{i}.png" for i in range(count)]
     for i, file in enumerate(files):
         picture = (cast(scene, cameras[[i]], samples=1)[0][0] * 255).round().byte().permute(1, 2, 0).numpy()[..., ::-1]
