@@ -34,7 +34,7 @@ def limit_threads(environment: MutableMapping[str, str] = os.environ) -> None:
 
     More would be stopped together for most of the time. As above, in front of the first import of the libraries.
     """
-    allowed = containers.cores()
-    if allowed is not None:
+    if containers.cores() is not None:
+        allowed = str(cores())
         for name in THREAD_LIMITS:
-            environment.setdefault(name, str(min(allowed, cores())))
+            environment.setdefault(name, allowed)

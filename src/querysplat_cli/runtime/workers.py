@@ -199,10 +199,11 @@ def shared_cores(workers: int) -> Iterator[None]:
     The limits are variables of this process's own environment, and Numba refuses to compile while they differ from
     the number of its running threads. So the environment is as it was afterwards, without all that Dask adds.
     """
-    before, all_cores = dict(os.environ), str(cores())
-    share = str(max(1, cores() // max(1, workers)))
+    before, all_cores = dict(os.environ), cores()
+    share = str(max(1, all_cores // max(1, workers)))
     if workers > 1:
-        os.environ.update({name: share for name in THREAD_LIMITS if before.get(name, all_cores) == all_cores})
+        unlimited = [name for name in THREAD_LIMITS if before.get(name) in (None, str(all_cores))]
+        os.environ.update(dict.fromkeys(unlimited, share))
     try:
         yield
     finally:

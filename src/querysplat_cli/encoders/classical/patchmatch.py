@@ -71,7 +71,12 @@ def refine_planes(
     relative = [source.seen_from(view) for source in sources]
     leads = [source.K @ T[:3, :3] @ to_rays for source, T in zip(sources, relative, strict=True)]
     shifts = [source.K @ T[:3, 3] for source, T in zip(sources, relative, strict=True)]
-    pictures = np.stack([source.grey.ravel() for source in sources])
+    views = (
+        np.stack(leads).astype(np.float32),
+        np.stack(shifts).astype(np.float32),
+        np.stack([source.grey.ravel() for source in sources]),
+        np.stack([source.inverse for source in sources]),
+    )
     state = np.stack([start.inverse, start.slope_x, start.slope_y, np.full_like(start.inverse, 2)])
     for turn in range(2):
         for colour in range(2):
@@ -80,10 +85,7 @@ def refine_planes(
                 colour,
                 turn,
                 view.grey,
-                np.stack(leads).astype(np.float32),
-                np.stack(shifts).astype(np.float32),
-                pictures,
-                np.stack([source.inverse for source in sources]),
+                *views,
                 start.inverse,
                 np.float32(limits.far),
                 np.float32(limits.near),
