@@ -88,7 +88,7 @@ class _Blend(torch.autograd.Function):
         rows = _camera_rows(Cameras(w2c.detach().double(), K.detach().double(), height, width))
         views = [_dealt(arrays, camera, settings, (height, width)) for camera in rows]
         for view, picture in zip(views, planes, strict=True):
-            _blend(view, settings, picture)
+            _fill_planes(view, settings, picture)
         result = torch.from_numpy(planes)
         ctx.save_for_backward(means, quats, scales, opacities, sh, w2c)
         ctx.views, ctx.settings, ctx.planes = views, settings, planes
@@ -130,7 +130,7 @@ class Drawn:
         arrays = _arrays(gaussians)
         planes = np.empty((BLENDED_PLANES, camera.height, camera.width), np.float32)
         view = _one_dealt(arrays, camera, settings)
-        _blend(view, settings, planes)
+        _fill_planes(view, settings, planes)
         return Drawn(torch.from_numpy(planes), arrays, view, settings)
 
     def pull_back(self, slopes: Float[Tensor, "4 height width"]) -> tuple[Gaussians, Float[Tensor, "n"]]:
@@ -227,7 +227,7 @@ def _dealt(arrays: list[np.ndarray], camera: np.ndarray, settings: RenderSetting
     return _View(camera, rows, starts, lists)
 
 
-def _blend(view: _View, settings: RenderSettings, planes: np.ndarray) -> None:
+def _fill_planes(view: _View, settings: RenderSettings, planes: np.ndarray) -> None:
     tiles_x = -(-planes.shape[2] // WIDE)
     blend_tiles(view.rows, view.starts, view.lists, tiles_x, _blend_limits(settings), planes)
 
