@@ -13,7 +13,7 @@ import pytest
 
 from querysplat_cli.cli import run
 from querysplat_cli.commands import doctor
-from querysplat_cli.runtime import signals
+from querysplat_cli.runtime import containers, signals
 from querysplat_cli.runtime.optional_parts import OPTIONAL_PARTS
 
 
@@ -34,6 +34,13 @@ def test_a_working_machine_has_no_problems(capsys: pytest.CaptureFixture[str]) -
     parts = {part["extra"]: part for part in found["optional"]}
     assert parts["formats"]["version"]  # the tests install it
     assert parts["formats"]["command"] == "pip install 'querysplat[formats]'"
+
+
+def test_cores_are_those_that_the_container_allows(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(containers, "cores", lambda: 1)
+    assert ", 1 core, " in diagnosed(capsys)["machine"]
 
 
 def test_a_part_that_is_missing_is_no_problem(

@@ -1,7 +1,6 @@
 """The report of a run: the object that `--json` prints and `report.json` keeps."""
 
 import json
-import os
 import platform
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -16,6 +15,8 @@ from querysplat_cli.encoders.holdout import PoseDifference
 from querysplat_cli.reporting.view_scores import Quality
 from querysplat_cli.runtime.choices import HoldoutProtocol
 from querysplat_cli.runtime.matching_weights import INSTALL
+from querysplat_cli.runtime.threads import cores
+from querysplat_cli.runtime.words import counted
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.rotations import rotation_angles
 from querysplat_cli.scene.views import LeftOut
@@ -188,10 +189,9 @@ def _cameras_entry(before: Cameras, after: Cameras) -> dict[str, float] | None:
 
 
 def machine() -> str:
-    """The machine that times were measured on."""
+    """The machine that times were measured on, with the cores that this process may use."""
     model = platform.processor() or platform.machine()
     with suppress(OSError, StopIteration):
         lines = Path("/proc/cpuinfo").read_text().splitlines()
         model = next(line.split(":")[1].strip() for line in lines if line.startswith("model name"))
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return f"{model}, {cores} cores, {platform.system()}, Python {platform.python_version()}"
+    return f"{model}, {counted(cores(), 'core')}, {platform.system()}, Python {platform.python_version()}"
