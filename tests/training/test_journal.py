@@ -1,9 +1,12 @@
 """The curve of a training's log."""
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from querysplat_cli.training.journal import CURVE_WINDOW, running_mean
+from querysplat_cli.training.journal import COLUMNS, CURVE_WINDOW, Journal, running_mean
 
 
 @pytest.mark.parametrize(("count", "left"), [(1, 1), (2, 2), (15, 11), (3 * CURVE_WINDOW, 2 * CURVE_WINDOW + 1)])
@@ -12,3 +15,16 @@ def test_a_short_log_has_a_curve_and_not_a_point(count: int, left: int) -> None:
     found = running_mean(steps)
     assert len(found) == left
     assert found.mean() == pytest.approx(steps.mean())
+
+
+@pytest.mark.parametrize(
+    "damaged", [b"7", b"null", b"[1]", b"{}", b'{"step": 2', b'{"step": "2"}', b'{"step": 2}', b"\xff\x00", b"[" * 9999]
+)
+def test_a_damaged_line_is_left_out(damaged: bytes, tmp_path: Path) -> None:
+    rows = [dict.fromkeys(COLUMNS, step) for step in (1, 3, 5)]
+    first, second, later = (json.dumps(row).encode() for row in rows)
+    (tmp_path / "log.jsonl").write_bytes(b"\n".join([first, damaged, second, later]) + b"\n")
+    journal = Journal(tmp_path, 3, tensorboard=False)
+    assert journal.rows() == rows[:2]
+    journal.draw()
+    assert (tmp_path / "curve.png").is_file()

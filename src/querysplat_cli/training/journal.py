@@ -16,16 +16,18 @@ from querysplat_cli.scene.files import atomic_path
 CURVE_WINDOW = 25
 """Lines that the drawn curve is a mean of. Single lines vary, because each stands for other scenes."""
 
+COLUMNS = ("step", "loss", "psnr", "lr", "seconds_per_step")
+"""What every line has as a number, and someone reads."""
+
 
 class Journal:
     """`log.jsonl` in the training's folder. A line stands for the steps since the one before."""
 
     def __init__(self, folder: Path, step: int, *, tensorboard: bool) -> None:
-        """Lines beyond `step`, of a training that went further before it was killed, are dropped."""
+        """Lines beyond `step`, of a training that went further before it was killed, are dropped, and damaged ones."""
         self._path = folder / "log.jsonl"
         self._write = _tensorboard(folder) if tensorboard else None
-        lines = self._path.read_text().splitlines() if self._path.is_file() else []
-        rows = [row for row in map(_parsed, lines) if row and row["step"] <= step]
+        rows = [row for row in self.rows() if row["step"] <= step] if self._path.is_file() else []
         with atomic_path(self._path) as draft:
             draft.write_text("".join(json.dumps(row) + "\n" for row in rows))
 
@@ -37,7 +39,8 @@ class Journal:
             self._write(row)
 
     def rows(self) -> list[dict[str, Any]]:
-        return [row for row in map(_parsed, self._path.read_text().splitlines()) if row]
+        lines = self._path.read_text(errors="replace").splitlines()
+        return [row for row in map(_parsed, lines) if row]
 
     def last(self) -> dict[str, Any] | None:
         """The last line; None where there is none yet."""
@@ -74,12 +77,13 @@ def running_mean(values: np.ndarray) -> np.ndarray:
 
 
 def _parsed(line: str) -> dict[str, Any] | None:
-    """None for a line that a killed process did not finish."""
+    """None for a damaged line, such as one that a killed process did not finish."""
     try:
-        row: dict[str, Any] = json.loads(line)
-    except ValueError:
+        row = json.loads(line)
+    except (ValueError, RecursionError):
         return None
-    return row
+    sound = isinstance(row, dict) and all(isinstance(row.get(name), int | float) for name in COLUMNS)
+    return row if sound else None
 
 
 def check_tensorboard() -> None:
