@@ -1,5 +1,6 @@
 """What a long run keeps is used again only where it was made of the same photos and settings."""
 
+import os
 import shutil
 from contextlib import suppress
 from dataclasses import replace
@@ -9,9 +10,11 @@ import numpy as np
 import pytest
 import torch
 
+from querysplat_cli.pipeline.reconstruct import reconstruct
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.pipeline.unfinished import OF_FILES, is_long, unfinished
 from querysplat_cli.runtime import signals
+from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.views import Photo
 
@@ -179,3 +182,11 @@ def test_a_short_run_goes_on_with_what_a_long_one_left(settings: ReconstructSett
     with unfinished(alone, [photo(settings.inputs[0])], 64):
         pass
     assert not is_long(alone, photos=12)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no error of its own for long names")
+def test_a_name_that_leaves_no_room_for_the_folder_is_refused_at_once(tmp_path: Path) -> None:
+    settings = ReconstructSettings((tmp_path / "no photos",), tmp_path / "new" / f"{'a' * 240}.ply")
+    with pytest.raises(QuerySplatError, match="the name of the output is too long"):
+        reconstruct(settings)
+    assert not (tmp_path / "new").exists()

@@ -27,7 +27,7 @@ from querysplat_cli.pipeline.regions.build import build_regions, region_count
 from querysplat_cli.pipeline.scene_folder import SCENE_FOLDER, StoredScene, write_scene
 from querysplat_cli.pipeline.scene_points import scene_points
 from querysplat_cli.pipeline.settings import ReconstructSettings
-from querysplat_cli.pipeline.unfinished import Unfinished, is_long, unfinished
+from querysplat_cli.pipeline.unfinished import Unfinished, check_name, is_long, unfinished
 from querysplat_cli.prune.resolution import Blurred, blurred
 from querysplat_cli.reporting.colourless import colourless_warning
 from querysplat_cli.reporting.report import (
@@ -118,6 +118,7 @@ def reconstruct(settings: ReconstructSettings, stages: Stages | None = None) -> 
 
 
 def _reconstruct(settings: ReconstructSettings, device: torch.device, stages: Stages) -> Report:
+    check_name(settings)
     inputs = _read_inputs(settings, device, stages)
     check_scale(settings.metres_by, inputs.photos, poses_known=inputs.known is not None)
     if not is_long(settings, len(inputs.photos)):

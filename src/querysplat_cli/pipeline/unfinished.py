@@ -28,7 +28,7 @@ from querysplat_cli.runtime import signals
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.json_files import read_json
 from querysplat_cli.scene.filed_views import FiledViews
-from querysplat_cli.scene.files import atomic_path, sole_writer, without_steps
+from querysplat_cli.scene.files import atomic_path, can_be_named, sole_writer, without_steps
 from querysplat_cli.scene.formats.known import find_known_cameras
 from querysplat_cli.scene.masks import mask_file
 from querysplat_cli.scene.views import Photo, Views
@@ -85,6 +85,12 @@ class Unfinished:
         folder = self.folder / f"{REGION}{number}"
         folder.mkdir(exist_ok=True)
         return folder
+
+
+def check_name(settings: ReconstructSettings) -> None:
+    """Raise QuerySplatError where the name of `settings.ply` is too long for that of a working folder."""
+    if not can_be_named(_working_folder(settings)):
+        raise QuerySplatError(f"{settings.ply}: the name of the output is too long", "Choose a shorter one.")
 
 
 @contextmanager

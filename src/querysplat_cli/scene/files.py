@@ -203,6 +203,15 @@ def without_steps(path: Path) -> Path:
     return place
 
 
+def can_be_named(place: Path) -> bool:
+    """Whether names as long as that of `place` are possible there."""
+    try:
+        os.lstat(place)
+    except OSError as error:
+        return error.errno != errno.ENAMETOOLONG
+    return True
+
+
 @contextmanager
 def _draft(place: Path) -> Iterator[Path]:
     """A name for a draft of `place`, which is as `without_steps` makes it. Errors of writing are put in words."""
