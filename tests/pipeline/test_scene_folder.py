@@ -1,22 +1,27 @@
 """What is written to a scene folder is read back unchanged."""
 
 import json
+import os
 import sys
 from dataclasses import replace
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 import torch
 from stored_scene import a_report
 
 from querysplat_cli.pipeline.read_scene import read_scene
+from querysplat_cli.pipeline.reconstruct import reconstruct
 from querysplat_cli.pipeline.scene_folder import StoredScene, write_images, write_scene
+from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.formats.dataset import find_scenes
 from querysplat_cli.scene.formats.ply import read_ply
 from querysplat_cli.scene.formats.transforms import read_transforms
 from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.pictures import write_picture
 
 
 def equal(one: object, two: object) -> None:
@@ -39,6 +44,16 @@ def test_no_picture_is_written_outside_its_folder(
     with pytest.raises(QuerySplatError, match="outside the scene's folder"):
         write_images(tmp_path / "images", views, tmp_path)
     assert not (tmp_path / "a.png").exists()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no error of its own for long names")
+def test_a_photo_whose_picture_can_have_no_name_is_refused_at_once(tmp_path: Path) -> None:
+    photos = tmp_path / "photos"
+    write_picture(photos / "a.webp", np.zeros((64, 64, 3), np.uint8))
+    (photos / "a.webp").rename(photos / f"{'a' * 248}.webp")
+    with pytest.raises(QuerySplatError, match="too long for its picture"):
+        reconstruct(ReconstructSettings((photos,), tmp_path / "scene.ply"))
+    assert list(tmp_path.iterdir()) == [photos]
 
 
 def test_a_picture_that_is_stored_loses_nothing_more(stored: tuple[StoredScene, Gaussians], tmp_path: Path) -> None:

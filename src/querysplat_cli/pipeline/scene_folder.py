@@ -18,8 +18,9 @@ import dataclasses
 import json
 import os
 import shutil
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 import cv2
@@ -42,7 +43,7 @@ from querysplat_cli.reporting.view_scores import score
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.exposures import Exposures, write_exposures
-from querysplat_cli.scene.files import FolderKind, atomic_together
+from querysplat_cli.scene.files import FolderKind, atomic_together, can_be_named
 from querysplat_cli.scene.formats.supersplat import write_supersplat
 from querysplat_cli.scene.formats.transforms import listed_files, write_cameras
 from querysplat_cli.scene.gaussians import Gaussians
@@ -50,7 +51,7 @@ from querysplat_cli.scene.photo_files import PhotoFile, write_photo_files
 from querysplat_cli.scene.pictures import LOSSLESS_SUFFIXES, eight_bit, stored_name, write_picture
 from querysplat_cli.scene.sim3 import Sim3
 from querysplat_cli.scene.sparse_points import SparsePoints, write_sparse_points
-from querysplat_cli.scene.views import Views
+from querysplat_cli.scene.views import Photo, Views
 from querysplat_cli.splat.transform import transform_gaussians
 
 JPEG_SETTINGS = (cv2.IMWRITE_JPEG_QUALITY, 100, cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)
@@ -175,6 +176,17 @@ def _lost_by_kind(file: Path, scene: StoredScene, gaussians: Gaussians, report: 
     here = transform_gaussians(found, scene.frame.inverse()) if scene.frame else found
     after = score(here, scene.views, scene.cameras).summary()["psnr"]
     return of_kind(file, gaussians, round(report["quality"]["input"]["psnr"] - after, 3))
+
+
+def check_picture_names(folder: Path, photos: Sequence[Photo]) -> None:
+    """Raise QuerySplatError where a photo's picture would have too long a name for the file system of `folder`.
+
+    Pictures of photos in formats that are not written have longer names than these.
+    """
+    for photo in photos:
+        if not can_be_named(folder / PurePath(stored_name(photo.name)).name):
+            why = f"{photo.name}: its name is too long for its picture in the scene's folder"
+            raise QuerySplatError(why, "Rename the photo.")
 
 
 def write_images(folder: Path, views: Views, stored: Path) -> None:
