@@ -12,6 +12,9 @@ from querysplat_cli.evaluation.nerfbaselines import write_predictions
 from querysplat_cli.scene.formats.dataset import Frame
 from querysplat_cli.scene.pictures import distinct_stems, eight_bit, write_picture
 
+RENDERED, NERFBASELINES = "rendered", "nerfbaselines"
+"""Their folders in that of a case."""
+
 
 @dataclass(frozen=True)
 class Keeping:
@@ -20,6 +23,11 @@ class Keeping:
     rendered: bool = False
     nerfbaselines: bool = False
 
+    def lacks(self, folder: Path) -> bool:
+        """Whether the folder of a finished case was written without pictures that are to be kept."""
+        wanted = {RENDERED: self.rendered, NERFBASELINES: self.nerfbaselines}
+        return any(asked and not (folder / name).is_dir() for name, asked in wanted.items())
+
     def writer(
         self, about: Mapping[str, str], truth: Callable[[Frame], Tensor], meter: Meter
     ) -> Callable[[Path, RowResult], None]:
@@ -27,9 +35,9 @@ class Keeping:
 
         def write(folder: Path, result: RowResult) -> None:
             if self.rendered:
-                _write_rendered(folder / "rendered", result)
+                _write_rendered(folder / RENDERED, result)
             if self.nerfbaselines:
-                write_predictions(folder / "nerfbaselines", about, result.views, truth, meter)
+                write_predictions(folder / NERFBASELINES, about, result.views, truth, meter)
 
         return write
 

@@ -58,6 +58,10 @@ class RowFolder:
     def is_done(self, name: str) -> bool:
         return (self.case(name) / "metrics.json").is_file()
 
+    def done(self) -> list[str]:
+        """The names of the cases that have scores."""
+        return [case.name for case in self.path.iterdir() if self.is_done(case.name)]
+
 
 def open_row_folder(row_folder: RowFolder, config: dict[str, Any], *, force: bool) -> None:
     """Write `config` into a new folder, or check that an existing folder has the same.
@@ -161,7 +165,7 @@ def row_folders(out: Path) -> list[RowFolder]:
 
 def has_results(out: Path) -> bool:
     """Whether a case is done in `out`."""
-    return any(row_folder.is_done(case.name) for row_folder in row_folders(out) for case in row_folder.path.iterdir())
+    return any(row_folder.done() for row_folder in row_folders(out))
 
 
 def read_json(path: Path) -> Any:

@@ -83,6 +83,10 @@ def _evaluated(request: EvalRequest, stages: Stages, say: Callable[[str], None])
     jobs = plan_jobs(request, splits, scenes, table, lpips)
     _write_splits(request.out, splits)
     say(to_do(jobs, len(splits), request.workers))
+    keeping = Keeping(request.save_pictures, request.nerfbaselines)
+    folders = [RowFolder(request.out, row.name, split.name) for split in splits for row, _ in table]
+    if lacking := sum(keeping.lacks(folder.case(name)) for folder in folders for name in folder.done()):
+        say(f"{counted(lacking, 'finished scene')} without the pictures asked for: only --force makes them again")
     setup = Setup(
         request.out,
         Protocol(request.protocol),
@@ -90,7 +94,7 @@ def _evaluated(request: EvalRequest, stages: Stages, say: Callable[[str], None])
         lpips if isinstance(lpips, LpipsFiles) else None,
         request.metrics,
         request.fitted,
-        Keeping(request.save_pictures, request.nerfbaselines),
+        keeping,
         request.predictions,
         request.lpips,
     )
