@@ -1,6 +1,7 @@
 """What `poses` does: the errors of one set of cameras against another."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from querysplat_cli.runtime.figures import check_drawing
 from querysplat_cli.runtime.json_files import shown
 from querysplat_cli.runtime.progress import Progress, Stages
 from querysplat_cli.scene.cameras import PhotoCamera
-from querysplat_cli.scene.files import refuse_existing
+from querysplat_cli.scene.files import refuse_existing, writable
 from querysplat_cli.scene.formats.known import find_known_cameras, read_known_cameras
 from querysplat_cli.scene.formats.transforms import listed_paths
 from querysplat_cli.scene.formats.transforms_frame import is_rigid
@@ -34,6 +35,12 @@ def compare(request: PosesRequest, stages: Stages) -> tuple[dict[str, Any], str]
     if request.plot:
         check_drawing(request.plot)
         refuse_existing([request.plot], force=request.force)
+    # COLMAP may take long, and the drawing comes after it.
+    with writable(request.plot.parent) if request.plot else nullcontext():
+        return _compared(request, stages)
+
+
+def _compared(request: PosesRequest, stages: Stages) -> tuple[dict[str, Any], str]:
     files = {name: file for place in (request.second, request.first) if place for name, file in _files(place).items()}
     first = _upright(_rigid_cameras(request.first), files)
     if request.second:
