@@ -135,8 +135,15 @@ def test_area_under_recall_is_the_integral() -> None:
     assert area_under_recall(errors, 30.0) == pytest.approx(curve.mean(), abs=1e-4)
 
 
+def test_names_that_do_not_agree_are_those_of_unpaired_photos() -> None:
+    names = list(track())
+    with pytest.raises(QuerySplatError, match=r"^1 photo in both") as caught:
+        compare_cameras(track(), {names[0]: track()[names[0]], "other.jpg": track()[names[1]]})
+    assert caught.value.hint == f"Names must agree: one has {names[1]}, the other other.jpg."
+
+
 def test_what_cannot_be_compared() -> None:
-    with pytest.raises(QuerySplatError, match="0 photos are in both"):
+    with pytest.raises(QuerySplatError, match="0 photos in both"):
         compare_cameras(track(), {"other.jpg": track()["photo_0.jpg"]})
     still = {name: replace(camera, w2c=np.eye(4)) for name, camera in track().items()}
     with pytest.raises(DegenerateAlignment):

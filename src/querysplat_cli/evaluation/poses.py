@@ -12,6 +12,7 @@ import torch
 from querysplat_cli.evaluation.policy import EVALUATION_POLICY
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.figures import check_drawing, new_figure, save_figure
+from querysplat_cli.runtime.words import counted
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.files import atomic_path
 from querysplat_cli.scene.match_cameras import matched_names
@@ -77,9 +78,13 @@ def compare_cameras(a: Mapping[str, PhotoCamera], b: Mapping[str, PhotoCamera]) 
     """
     shared = matched_names({name: PurePosixPath(camera.file or name) for name, camera in a.items()}, b)
     if len(shared) < 2:
+        only_a, only_b = (
+            next((name for name in side if name not in paired), "no other")
+            for side, paired in ((a, shared.keys()), (b, shared.values()))
+        )
         raise QuerySplatError(
-            f"{len(shared)} photos are in both sets of cameras",
-            f"Names must agree: one has {next(iter(a), 'none')}, the other {next(iter(b), 'none')}.",
+            f"{counted(len(shared), 'photo')} in both sets of cameras, and two are needed",
+            f"Names must agree: one has {only_a}, the other {only_b}.",
         )
     mine, theirs = [a[name] for name in shared], [b[name] for name in shared.values()]
     w2c_a, w2c_b = (np.stack([camera.w2c for camera in side]) for side in (mine, theirs))
