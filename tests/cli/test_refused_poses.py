@@ -26,3 +26,11 @@ def test_a_plot_that_cannot_be_written_is_refused_ahead_of_colmap(
     assert "a file is where a folder is needed" in capsys.readouterr().err  # not that photos for COLMAP are missing
     assert run(["poses", str(given), "--colmap", "--plot", str(tmp_path / "new" / "a.svg")]) == ExitCode.BAD_INPUT
     assert not (tmp_path / "new").exists()
+
+
+def test_gaussians_in_place_of_cameras_are_refused_in_words(
+    given: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "a.ply").write_bytes(b"ply")
+    assert run(["poses", str(given), str(tmp_path / "a.ply")]) == ExitCode.BAD_INPUT
+    assert "a.ply has Gaussians, and no cameras" in capsys.readouterr().err

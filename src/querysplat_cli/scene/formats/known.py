@@ -10,6 +10,9 @@ from querysplat_cli.scene.formats.transforms import read_transforms
 JSON_NAMES = ("transforms.json", "cameras.json", "colmap/transforms.json", "nerfstudio/transforms.json")
 """Where nerfstudio, our scene folder and DL3DV keep the file."""
 
+GAUSSIAN_KINDS = (".ply", ".spz", ".sog", ".glb")
+"""Files that users take for a scene, whose cameras are in the folder beside them."""
+
 MODEL_KINDS = (".bin", ".txt")
 """A file of such a kind stands for the COLMAP model in its folder."""
 
@@ -27,6 +30,8 @@ def find_known_cameras(path: Path) -> Path:
     """What `read_known_cameras` reads: a .json file, or the folder of a COLMAP model. Raises like it."""
     if not path.exists():
         raise QuerySplatError(f"{path}: no such file or folder", "Give a transforms.json or a COLMAP folder.")
+    if path.is_file() and path.suffix.lower() in GAUSSIAN_KINDS:
+        raise QuerySplatError(f"{path} has Gaussians, and no cameras", "Give the folder of its scene.")
     if path.is_file() and path.suffix.lower() not in (".json", *MODEL_KINDS):
         raise QuerySplatError(
             f"{path}: not a kind of file for cameras or Gaussians that is read",
