@@ -1,15 +1,19 @@
 """How many regions photos become, and where --regions cannot be had."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from querysplat_cli.encoders.base import Encoder
 from querysplat_cli.encoders.registry import find_encoder
-from querysplat_cli.pipeline.regions.build import region_count
+from querysplat_cli.pipeline.regions.build import _carry_out, region_count
 from querysplat_cli.pipeline.settings import ReconstructSettings
+from querysplat_cli.runtime.engine import Done, Handler, Heard
 from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.progress import Stages
 
 
 def some_encoder(*, own_frame: bool) -> Encoder:
@@ -39,3 +43,17 @@ def test_regions_that_cannot_be_had(changes: dict[str, object], own_frame: bool,
     settings = replace(ReconstructSettings((), Path(), regions=2), **changes)  # type: ignore[arg-type]
     with pytest.raises(QuerySplatError, match=words):
         region_count(settings, 20, some_encoder(own_frame=own_frame))  # type: ignore[arg-type]
+
+
+def test_a_region_is_shown_once(tmp_path: Path) -> None:
+    """Its first report only says that it begins, as the stage does."""
+
+    def report(handler: Handler, setup: None, folders: Sequence[Path], done: Done, heard: Heard) -> None:
+        for text, fraction in (("", 0.0), ("depth", 0.5)):
+            heard(folders[0], text, fraction)
+        done(folders[0], None)
+
+    said: list[tuple[str, str, float]] = []
+    stages = Stages(lambda stage, text, fraction: said.append((stage, text, fraction)))
+    _carry_out([tmp_path / "region-1"], SimpleNamespace(run=report), stages)
+    assert said == [("region-1", "", 0.0), ("region-1", "depth", 0.5), ("region-1", "", 1.0)]

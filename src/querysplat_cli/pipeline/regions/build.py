@@ -95,7 +95,7 @@ def _carry_out(folders: Sequence[Path], engine: Engine, stages: Stages) -> None:
             if folder not in shown:
                 stage = stack.enter_context(ExitStack())
                 shown[folder] = stage, stage.enter_context(stages(folder.name))
-            if folder not in over:
+            elif folder not in over:
                 shown[folder][1](text, fraction)
 
         def done(folder: Path, why: str | None) -> None:
