@@ -23,7 +23,7 @@ from querysplat_cli.pipeline.omitted import omissions_of
 from querysplat_cli.pipeline.parts import load_parts, with_absolute_parts
 from querysplat_cli.pipeline.perceptual import optimisation_lpips
 from querysplat_cli.pipeline.policy import PIPELINE_POLICY
-from querysplat_cli.pipeline.regions.build import build_regions, region_count
+from querysplat_cli.pipeline.regions.build import build_regions, check_regions, region_count
 from querysplat_cli.pipeline.scene_folder import SCENE_FOLDER, StoredScene, check_picture_names, write_scene
 from querysplat_cli.pipeline.scene_points import scene_points
 from querysplat_cli.pipeline.settings import ReconstructSettings
@@ -120,6 +120,7 @@ def reconstruct(settings: ReconstructSettings, stages: Stages | None = None) -> 
 def _reconstruct(settings: ReconstructSettings, device: torch.device, stages: Stages) -> Report:
     check_name(settings)
     inputs = _read_inputs(settings, device, stages)
+    check_regions(settings, len(inputs.photos), inputs.encoder)
     check_picture_names(settings.ply.parent, inputs.photos)
     check_scale(settings.metres_by, inputs.photos, poses_known=inputs.known is not None)
     if not is_long(settings, len(inputs.photos)):

@@ -49,6 +49,16 @@ def find_engine(
     return Dask(cluster, say)
 
 
+def check_cluster(cluster: str) -> None:
+    """Raise QuerySplatError where no scheduler answers, and MissingPart where a part is missing; worth doing first."""
+    find_engine(cluster)
+    kind = cluster.partition(":")[0]
+    if kind == "slurm":
+        _check_slurm()
+    elif kind != "local":
+        _scheduler(cluster).close()
+
+
 class Dask:
     """Jobs on the workers of a Dask cluster, one at a time on each."""
 
@@ -166,14 +176,19 @@ def _local(workers: int) -> Any:
         )
 
 
-def _slurm(jobs: int) -> Any:
-    """Jobs of Slurm, each one worker, with the resources of ~/.config/dask/jobqueue.yaml."""
+def _check_slurm() -> None:
+    """Raise MissingPart where jobs cannot be submitted from here."""
     if not find_spec("dask_jobqueue"):
         raise MissingPart("--cluster slurm needs dask-jobqueue", install_command("cluster"))
     if not which("sbatch"):
         raise MissingPart(
             "--cluster slurm: there is no sbatch here", "Run the command where jobs of Slurm are submitted."
         )
+
+
+def _slurm(jobs: int) -> Any:
+    """Jobs of Slurm, each one worker, with the resources of ~/.config/dask/jobqueue.yaml."""
+    _check_slurm()
     from dask_jobqueue import SLURMCluster
 
     try:

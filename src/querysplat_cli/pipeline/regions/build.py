@@ -16,6 +16,7 @@ from querysplat_cli.pipeline.regions.task import SCENE, TASK, region_maker, regi
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.pipeline.unfinished import Unfinished
 from querysplat_cli.runtime import signals
+from querysplat_cli.runtime.cluster import check_cluster
 from querysplat_cli.runtime.engine import Engine
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import StageProgress, Stages
@@ -47,6 +48,12 @@ def region_count(settings: ReconstructSettings, photos: int, encoder: Encoder) -
             f"{asked}: {photos} photos with cameras are too few", f"Use at most {max(1, most)}, or leave it out."
         )
     return wanted
+
+
+def check_regions(settings: ReconstructSettings, photos: int, encoder: Encoder) -> None:
+    """Raise as `region_count` and `check_cluster` do, before cameras are found: of so many photos or fewer."""
+    if region_count(settings, photos, encoder) > 1 and settings.cluster:
+        check_cluster(settings.cluster)
 
 
 def build_regions(
