@@ -142,6 +142,14 @@ def test_names_that_do_not_agree_are_those_of_unpaired_photos() -> None:
     assert caught.value.hint == f"Names must agree: one has {names[1]}, the other other.jpg."
 
 
+def test_cameras_at_one_place_are_named_on_either_side() -> None:
+    standing = {name: replace(camera, w2c=camera.w2c * np.array([1, 1, 1, 0])) for name, camera in track().items()}
+    standing = {name: replace(each, w2c=each.w2c + np.diag([0, 0, 0, 1])) for name, each in standing.items()}
+    for a, b in ((standing, track()), (track(), standing)):
+        with pytest.raises(DegenerateAlignment, match="at one place"):
+            compare_cameras(a, b)
+
+
 def test_what_cannot_be_compared() -> None:
     with pytest.raises(QuerySplatError, match="0 photos in both"):
         compare_cameras(track(), {"other.jpg": track()["photo_0.jpg"]})
