@@ -14,6 +14,7 @@ from PIL import Image, UnidentifiedImageError
 
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Progress
+from querysplat_cli.runtime.threads import cores
 from querysplat_cli.scene.decoding import Decoded, decode, no_photo, why_not_a_picture
 from querysplat_cli.scene.masks import IMAGES, MASKS, BadMask, mask_file, read_mask, resized_mask
 from querysplat_cli.scene.photo_names import names_a_photo, short_names
@@ -113,11 +114,11 @@ def decoded_photos(
 
 def _read_ahead(paths: Sequence[Path], names: Sequence[str], max_side: int) -> Generator[Photo | LeftOut, None, None]:
     """The photos in their order. At most two for each core wait in memory, or are left to decode after an error."""
-    cores = os.cpu_count() or 1
+    ahead = cores()
     rest = zip(paths, names, strict=True)
-    pool = ThreadPoolExecutor(cores)
+    pool = ThreadPoolExecutor(ahead)
     try:
-        jobs = deque(pool.submit(load_photo, path, name, max_side) for path, name in islice(rest, 2 * cores))
+        jobs = deque(pool.submit(load_photo, path, name, max_side) for path, name in islice(rest, 2 * ahead))
         while jobs:
             yield jobs.popleft().result()
             jobs.extend(pool.submit(load_photo, path, name, max_side) for path, name in islice(rest, 1))
