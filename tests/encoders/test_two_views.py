@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from synthetic import arc, camera, photographs, room
 
+from querysplat_cli.encoders.classical import two_views
 from querysplat_cli.encoders.classical.camera_warnings import camera_warnings
 from querysplat_cli.encoders.classical.dense_agreement import dense_agreement
 from querysplat_cli.encoders.classical.lens_prior import usual_focal
@@ -138,6 +139,19 @@ def test_photos_that_were_cut_have_the_lens_of_the_whole() -> None:
 
 def test_too_few_matches_make_no_model() -> None:
     assert mapped(matches(cloud(8), cameras(600.0), stated=600.0)) is None
+
+
+def test_a_poor_start_is_adjusted_until_it_explains_no_more_matches(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Turned by 2.3° and of a wrong focal length, it explains a few matches at first, and 177 after two rounds."""
+    truth = cameras(PRIOR_FOCAL)
+    pose = (truth[1].w2c @ np.linalg.inv(truth[0].w2c))[:3]
+    pose[:, :3] = cv2.Rodrigues(np.radians([0, 0, 2.3]))[0] @ pose[:, :3]
+    pose[:, 3] /= np.linalg.norm(pose[:, 3])
+    focals = np.full(2, 1.3 * PRIOR_FOCAL)
+    monkeypatch.setattr(two_views, "_starts", lambda *_: iter([(focals, pose)]))
+    model = mapped(matches(cloud(200), truth, stated=None))
+    assert model is not None
+    assert len(model.points) == 200
 
 
 @pytest.mark.parametrize(("share", "taken"), [(0.2, True), (0.14, False)])

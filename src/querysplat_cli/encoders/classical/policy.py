@@ -206,6 +206,8 @@ class CameraPolicy:
     """Two photos need so many points."""
     fewest_two_view_share: float = 0.25
     """These points must be such a share of all matches of the two photos."""
+    most_two_view_rounds: int = 10
+    """A pose of two photos is adjusted until it explains the same matches as before, at most so many times."""
     rival_cost: float = 1.25
     """A pose of two photos that costs up to so many times the lowest cost is a rival: a plane leaves two poses."""
     rival_angle: float = 5.0

@@ -139,12 +139,16 @@ def _adjusted(
     count = int(lenses.max()) + 1
     table = np.array([_ideal(focals[lens], sizes[lens]) for lens in range(count)])
     bundle = Bundle(np.stack([np.eye(3, 4), pose]), lenses, table, np.zeros((0, 3)))
-    for _ in range(2):
+    before = None
+    for _ in range(policy.most_two_view_rounds):
         cameras = _cameras(bundle, sizes)
         points = _triangulated(pair, cameras)
         good = _in_front(points, cameras) & (epipolar_error(pair, *cameras) < policy.epipolar_tolerance)
         if good.sum() < policy.fewest_two_view_points:
             return None
+        if before is not None and np.array_equal(good, before):
+            break
+        before = good
         seen = _observations(pair, good)
         weight = min(1.0, policy.independent_observations / len(seen.pixels))
         loss = Loss(policy.adjustment_loss_scale, weight)
