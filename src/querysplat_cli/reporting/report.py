@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from querysplat_cli.encoders.base import Matching
 from querysplat_cli.encoders.holdout import PoseDifference
@@ -18,6 +19,7 @@ from querysplat_cli.runtime.matching_weights import INSTALL
 from querysplat_cli.runtime.threads import cores
 from querysplat_cli.runtime.words import counted
 from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.rotations import rotation_angles
 from querysplat_cli.scene.views import LeftOut
 from querysplat_cli.tto.exposure_fit import PhotoColours
@@ -163,7 +165,7 @@ def _tto_entry(run: TtoRun, result: TtoResult) -> dict[str, Any]:
         **asdict(run.settings),
         "loss_before": round(result.loss_before, 5),
         "loss_after": round(result.loss_after, 5),
-        "cameras": _cameras_entry(result.cameras_before, result.cameras),
+        "cameras": _cameras_entry(result.cameras_before, result.cameras, result.gaussians),
         "added": result.added,
         "undone": result.undone,
         "interrupted": result.interrupted,
@@ -171,11 +173,12 @@ def _tto_entry(run: TtoRun, result: TtoResult) -> dict[str, Any]:
     }
 
 
-def _cameras_entry(before: Cameras, after: Cameras) -> dict[str, float] | None:
+def _cameras_entry(before: Cameras, after: Cameras, gaussians: Gaussians) -> dict[str, float] | None:
     """How much refinement changed the cameras; None where it did not.
 
     `degrees` is the mean rotation, `shift` the mean translation as a share of the distance between the two cameras that
-    are farthest apart, `focal` the focal factor.
+    are farthest apart, `focal` the focal factor. `pixels` is the mean over the views of the median way that the centres
+    of the Gaussians go in the picture.
     """
     if torch.equal(before.w2c, after.w2c):
         return None
@@ -185,7 +188,15 @@ def _cameras_entry(before: Cameras, after: Cameras) -> dict[str, float] | None:
         "degrees": round(float(turns.mean()), 4),
         "shift": round(float((after.centres - before.centres).norm(dim=1).mean() / extent), 5),
         "focal": round(float(after.K[0, 0, 0] / before.K[0, 0, 0]), 5),
+        "pixels": round(sum(_way(gaussians.means, before, after, view) for view in range(len(after))) / len(after), 3),
     }
+
+
+def _way(points: Tensor, before: Cameras, after: Cameras, view: int) -> float:
+    """The median way in pixels of those points that the view shows; 0 where it shows none."""
+    shown = points[before.sees(points, view) & after.sees(points, view)]
+    (x, y, _), (to_x, to_y, _) = (some.project(shown, view) for some in (before, after))
+    return float(torch.hypot(to_x - x, to_y - y).median()) if len(shown) else 0.0
 
 
 def machine() -> str:

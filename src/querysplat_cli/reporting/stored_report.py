@@ -23,6 +23,7 @@ class _Moved:
     degrees: float
     shift: float
     focal: float
+    pixels: float | None = None
 
 
 @dataclass(frozen=True)

@@ -206,8 +206,11 @@ class CameraPolicy:
     """Two photos need so many points."""
     fewest_two_view_share: float = 0.25
     """These points must be such a share of all matches of the two photos."""
-    most_two_view_rounds: int = 10
+    most_two_view_rounds: int = 5
     """A pose of two photos is adjusted until it explains the same matches as before, at most so many times."""
+    settled_share: float = 0.01
+    """It explains the same matches where no larger share of them changes. Thousands hardly ever stay all the same, and
+    each time takes as long as the first."""
     rival_cost: float = 1.25
     """A pose of two photos that costs up to so many times the lowest cost is a rival: a plane leaves two poses."""
     rival_angle: float = 5.0

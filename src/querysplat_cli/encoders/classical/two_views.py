@@ -146,7 +146,7 @@ def _adjusted(
         good = _in_front(points, cameras) & (epipolar_error(pair, *cameras) < policy.epipolar_tolerance)
         if good.sum() < policy.fewest_two_view_points:
             return None
-        if before is not None and np.array_equal(good, before):
+        if before is not None and np.count_nonzero(good != before) <= policy.settled_share * good.sum():
             break
         before = good
         seen = _observations(pair, good)
