@@ -17,10 +17,12 @@ def pictures(seed: int, *shape: int, dtype: torch.dtype = torch.float32) -> tupl
     return image.to(dtype), target.to(dtype)
 
 
-def reference(image: torch.Tensor, target: torch.Tensor, mask: torch.Tensor) -> tuple[float, torch.Tensor]:
+def reference(
+    image: torch.Tensor, target: torch.Tensor, mask: torch.Tensor, ssim_weight: float
+) -> tuple[float, torch.Tensor]:
     """Loss and gradient in float64 by plain torch."""
     leaf = image.double().requires_grad_()
-    loss = photometric_loss(leaf, target.double(), mask)
+    loss = photometric_loss(leaf, target.double(), mask, ssim_weight)
     return float(loss.detach()), torch.autograd.grad(loss, leaf)[0]
 
 
@@ -52,15 +54,15 @@ def test_metric_is_scikit_images(shape: tuple[int, ...]) -> None:
 
 
 @pytest.mark.parametrize("shape", [(1, 3, 24, 33), (4, 3, 17, 12), (1, 3, 3, 40), (2, 3, 1, 1), (1, 3, 11, 5)])
-@pytest.mark.parametrize("share", [1.0, 0.6, 0.0])
-def test_compiled_loss_and_gradient_are_plain_torchs(shape: tuple[int, ...], share: float) -> None:
+@pytest.mark.parametrize(("share", "ssim_weight"), [(1.0, 0.2), (0.6, 0.2), (0.6, 0.4), (0.0, 0.2)])
+def test_compiled_loss_and_gradient_are_plain_torchs(shape: tuple[int, ...], share: float, ssim_weight: float) -> None:
     """Pictures smaller than the window included (row 30 of docs/reference/stability-cases.md)."""
     image, target = pictures(1, *shape)
     mask = torch.rand(shape[0], *shape[2:], generator=torch.Generator().manual_seed(2)) < share
     leaf = image.clone().requires_grad_()
-    loss = photometric_loss(leaf, target, mask)
+    loss = photometric_loss(leaf, target, mask, ssim_weight)
     (slope,) = torch.autograd.grad(3 * loss, leaf)
-    exact, exact_slope = reference(image, target, mask)
+    exact, exact_slope = reference(image, target, mask, ssim_weight)
     assert float(loss.detach()) == pytest.approx(exact, abs=2e-7)
     size = float(exact_slope.abs().max())
     assert float((slope / 3 - exact_slope).abs().max()) <= 5e-6 * max(size, 1e-12)  # 1.3e-6 seen

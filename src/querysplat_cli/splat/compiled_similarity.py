@@ -14,11 +14,10 @@ RADIUS = 5
 TAPS = 2 * RADIUS + 1
 C1, C2 = 0.01**2, 0.03**2
 SSIM_WEIGHT = 0.2
-"""Weight of (1 − SSIM)/2 beside L1 (paper, section 3.3)."""
+"""Weight of (1 − SSIM)/2 beside L1 by default (paper, section 3.3)."""
 
 ROUGH, SQUARED = range(2)
 """Columns of the sums: the loss, and the squared error of the clamped picture."""
-HALF_WEIGHT = np.float32(0.5 * SSIM_WEIGHT)
 ZERO, ONE, TWO = np.float32(0), np.float32(1), np.float32(2)
 F1, F2 = np.float32(C1), np.float32(C2)
 
@@ -34,11 +33,11 @@ def _fma(typing, a, b, c):
 
 
 @nb.njit(cache=True, error_model="numpy", parallel=True)
-def photometric_sums(image, target, mask, share, weights, strips, sums, gradient):
+def photometric_sums(image, target, mask, share, ssim_weight, weights, strips, sums, gradient):
     """Fill sums [views·3·strips, 2]: a strip's part of the loss and of the squared error.
 
-    `share` is what each pixel of a view's mask counts. gradient [views, 3, height, width] is that of the loss; with
-    0 views it is not wanted.
+    `share` is what each pixel of a view's mask counts, `ssim_weight` what (1 − SSIM)/2 counts beside L1. gradient
+    [views, 3, height, width] is that of the loss; with 0 views it is not wanted.
     """
     height = image.shape[2]
     for job in nb.prange(image.shape[0] * 3 * strips):
@@ -51,6 +50,7 @@ def photometric_sums(image, target, mask, share, weights, strips, sums, gradient
             target[view, channel],
             mask[view],
             np.float32(share[view]),
+            np.float32(0.5 * ssim_weight * share[view]),
             weights,
             first,
             last,
@@ -61,8 +61,8 @@ def photometric_sums(image, target, mask, share, weights, strips, sums, gradient
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _strip(a, b, mask, share, weights, first, last, wanted, sums, gradient):
-    """Rows `first` to `last` of one plane."""
+def _strip(a, b, mask, share, half, weights, first, last, wanted, sums, gradient):
+    """Rows `first` to `last` of one plane. `half` is what 1 − SSIM counts in each pixel."""
     height, width = a.shape
     # Rows are kept twice, TAPS apart, so that the window that ends with any row is in one piece.
     blurred = np.zeros((5, 2 * TAPS, width), np.float32)
@@ -85,7 +85,7 @@ def _strip(a, b, mask, share, weights, first, last, wanted, sums, gradient):
         if within:
             for plane in range(5):
                 _down(blurred[plane, (newest + 1) % TAPS :], weights, means[plane])
-            _compare(means, a[y], b[y], mask[y], share, ONE if first <= y < last else ZERO, worth, by_mean)
+            _compare(means, a[y], b[y], mask[y], share, half, ONE if first <= y < last else ZERO, worth, by_mean)
         if not wanted:
             continue
         for plane in range(3):
@@ -132,9 +132,8 @@ def _down(rows, weights, out):
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _compare(means, a, b, mask, share, counts, worth, by_mean):
+def _compare(means, a, b, mask, share, half, counts, worth, by_mean):
     """Add the loss and the squared error of each pixel of a row that counts; fill ∂f/∂m(a), ∂f/∂m(a²), ∂f/∂m(ab)."""
-    half = HALF_WEIGHT * share
     for x in range(len(a)):
         inside = ONE if mask[x] else ZERO
         mean_a, mean_b = means[0, x], means[1, x]

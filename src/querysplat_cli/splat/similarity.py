@@ -88,8 +88,9 @@ def photometric_loss(
     image: Float[Tensor, "views 3 height width"],
     target: Float[Tensor, "views 3 height width"],
     mask: Bool[Tensor, "views height width"] | None = None,
+    ssim_weight: float = SSIM_WEIGHT,
 ) -> Float[Tensor, ""]:
-    """L1 + 0.2·(1 − SSIM)/2, mean over the pixels of `mask`; only `image` gets a gradient.
+    """L1 + `ssim_weight`·(1 − SSIM)/2, mean over the pixels of `mask`; only `image` gets a gradient.
 
     SSIM's windows find zeros in both pictures outside of the mask and beyond the borders. Views have equal weight,
     whatever the size of their masks. float32 on a CPU takes the compiled kernel.
@@ -98,9 +99,9 @@ def photometric_loss(
     if mask is None:
         mask = torch.ones_like(image[:, 0], dtype=torch.bool)
     if image.dtype == torch.float32 and image.device.type == "cpu":
-        return _Photometric.apply(image, target, mask)
+        return _Photometric.apply(image, target, mask, ssim_weight)
     image, target = (torch.where(mask[:, None], picture, 0) for picture in (image, target))
-    loss = (image - target).abs() + SSIM_WEIGHT * (1 - ssim_map(image, target)) / 2
+    loss = (image - target).abs() + ssim_weight * (1 - ssim_map(image, target)) / 2
     count = mask.sum((1, 2)).clamp_min(1)
     return ((loss.mean(1) * mask).sum((1, 2)) / count).mean()
 
@@ -109,6 +110,7 @@ def photometric_value(
     image: Float[Tensor, "views 3 height width"],
     target: Float[Tensor, "views 3 height width"],
     mask: Bool[Tensor, "views height width"],
+    ssim_weight: float = SSIM_WEIGHT,
 ) -> tuple[float, float]:
     """`photometric_loss`, and the mean squared error of the clamped picture over the pixels of `mask`.
 
@@ -116,24 +118,26 @@ def photometric_value(
     """
     if image.dtype != torch.float32 or image.device.type != "cpu":
         errors = (image.clamp(0, 1) - target).square().mean(1)
-        return float(photometric_loss(image, target, mask)), float(errors[mask].mean())
-    return _means(image, target, mask, np.empty((0, 3, 0, 0), np.float32))
+        return float(photometric_loss(image, target, mask, ssim_weight)), float(errors[mask].mean())
+    return _means(image, target, mask, ssim_weight, np.empty((0, 3, 0, 0), np.float32))
 
 
 class _Photometric(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, image: Tensor, target: Tensor, mask: Tensor) -> Tensor:
+    def forward(ctx: Any, image: Tensor, target: Tensor, mask: Tensor, ssim_weight: float) -> Tensor:
         gradient = np.empty(tuple(image.shape), np.float32)
-        loss, _ = _means(image, target, mask, gradient)
+        loss, _ = _means(image, target, mask, ssim_weight, gradient)
         ctx.gradient = torch.from_numpy(gradient)
         return image.new_tensor(loss)
 
     @staticmethod
     def backward(ctx: Any, given: Tensor) -> tuple[Tensor | None, ...]:
-        return ctx.gradient if given == 1 else given * ctx.gradient, None, None
+        return ctx.gradient if given == 1 else given * ctx.gradient, None, None, None
 
 
-def _means(image: Tensor, target: Tensor, mask: Tensor, gradient: np.ndarray) -> tuple[float, float]:
+def _means(
+    image: Tensor, target: Tensor, mask: Tensor, ssim_weight: float, gradient: np.ndarray
+) -> tuple[float, float]:
     """The loss, and the mean squared error; fills `gradient` unless it has no views."""
     views, _, height, _ = image.shape
     strips = max(1, height // STRIP)
@@ -145,6 +149,7 @@ def _means(image: Tensor, target: Tensor, mask: Tensor, gradient: np.ndarray) ->
         target.contiguous().numpy(),
         masks,
         1 / (3 * views * np.maximum(counts, 1)),
+        ssim_weight,
         taps().astype(np.float32),
         strips,
         sums,

@@ -87,7 +87,8 @@ def optimise_full_size(
             target = None  # the smaller pictures make room for the larger ones
             views, cameras = views_at(stage.max_size)
             target, size = RenderingLoss.for_solid_scenes(views, cameras, generator, refitted), stage.max_size
-        target = replace(target, halved=stage.halved, confirmed=facts.confirmed)
+        weight = FULL_SIZE_POLICY.ssim_weight
+        target = replace(target, halved=stage.halved, confirmed=facts.confirmed, ssim_weight=weight)
         start = runs[-1][1].gaussians if runs else gaussians
         result = optimise_gaussians(
             start,

@@ -15,7 +15,7 @@ from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.conventions import MID_GREY
 from querysplat_cli.splat.lpips import Perceptual, perceptual_loss
 from querysplat_cli.splat.render import Rendering, RenderSettings, render
-from querysplat_cli.splat.similarity import photometric_loss, photometric_value
+from querysplat_cli.splat.similarity import SSIM_WEIGHT, photometric_loss, photometric_value
 from querysplat_cli.tto.exposure_policy import EXPOSURE_POLICY
 from querysplat_cli.tto.exposure_refit import RefittedExposures
 from querysplat_cli.tto.policy import TTO_POLICY
@@ -69,6 +69,7 @@ class RenderingLoss:
     confirmed: where the depth of each working picture agrees with another view. These maps may be smaller than the
         pictures here, and have no padding. Elsewhere gradients keep the depth of the scene smooth
         (`tto/smooth_depth.py`; None: nothing does).
+    ssim_weight: of D-SSIM, 0.2 by default.
     cut_out: the masks leave out what is around the things in the photos. Gradients keep the scene transparent there.
     """
 
@@ -82,6 +83,7 @@ class RenderingLoss:
     perceptual: Perceptual | None = None
     halved: float = 0.0
     confirmed: tuple[Bool[Tensor, "_ _"], ...] | None = None
+    ssim_weight: float = SSIM_WEIGHT
     cut_out: bool = False
 
     @classmethod
@@ -132,7 +134,8 @@ class RenderingLoss:
             picture = self._recorded(rendering.over(behind), photo[0])
             distance = self._distance(picture, photo)
             smaller = TTO_POLICY.half * self._half_loss(leaves, cameras, behind, view, photo) if halve else 0.0
-            ((photometric_loss(picture, *photo) + distance + smaller + beside) / len(chosen)).backward()
+            loss = photometric_loss(picture, *photo, self.ssim_weight) + distance + smaller + beside
+            (loss / len(chosen)).backward()
             # Over changing backgrounds the distance is another one than that of the value.
             value, error = self._compared(rendering, photo, view, None if self.backgrounds else distance.detach())
             losses.append(value)
@@ -146,12 +149,12 @@ class RenderingLoss:
     def _half_loss(
         self, gaussians: Gaussians, cameras: Cameras, behind: Tensor | None, view: int, photo: tuple[Tensor, Tensor]
     ) -> Tensor:
-        """L1 + 0.2·D-SSIM of a view at half of the size; pixels count where none of theirs is masked."""
+        """L1 and D-SSIM of a view at half of the size; pixels count where none of theirs is masked."""
         size = cameras.height // 2, cameras.width // 2
         smaller = F.interpolate(photo[0], size, mode="area")
         mask = F.interpolate(photo[1][:, None].float(), size, mode="area")[:, 0] == 1
         picture = self._exposed(self._render(gaussians, cameras.resized(*size), view), view).over(behind)
-        return photometric_loss(self._recorded(picture, smaller), smaller, mask)
+        return photometric_loss(self._recorded(picture, smaller), smaller, mask, self.ssim_weight)
 
     def _roughness(self, rendering: Rendering, photo: tuple[Tensor, Tensor], view: int) -> Tensor | float:
         """How rough the depth is that no other view confirms, by its weight; 0 where this takes no part."""
@@ -213,7 +216,7 @@ class RenderingLoss:
     ) -> tuple[float, float]:
         """The loss and the mean squared error, over `background`; `distance` is that of LPIPS there, if it is known."""
         picture = self._recorded(rendering.over(self.background), photo[0])
-        value, error = photometric_value(picture, *photo)
+        value, error = photometric_value(picture, *photo, self.ssim_weight)
         return value + float(self._distance(picture, photo) if distance is None else distance), error
 
 
