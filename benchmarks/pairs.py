@@ -114,7 +114,7 @@ def rows_of(
             found, seconds = cameras_of(encoders[matcher], pair)
             errors: tuple[float | None, ...] = None, None, None
             if len(found) == 2:
-                errors = _pair_errors(found, {each: true[each] for each in names})
+                errors = pair_errors(found, {each: true[each] for each in names})
             yield Row(name, use, apart, *names, matcher, *errors, seconds)
 
 
@@ -127,7 +127,7 @@ def whole_of(
         yield Whole(name, PHOTO_SETS[name].use, matcher, len(photos), len(found), error, seconds)
 
 
-def _pair_errors(found: dict[str, PhotoCamera], true: dict[str, PhotoCamera]) -> tuple[float | None, ...]:
+def pair_errors(found: dict[str, PhotoCamera], true: dict[str, PhotoCamera]) -> tuple[float | None, ...]:
     """Degrees of rotation and shift, and the focal error; a pair that no similarity aligns counts as turned around."""
     compared = pose_errors(found, true)
     if compared is None:
