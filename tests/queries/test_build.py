@@ -10,8 +10,8 @@ from querysplat_cli.encoders.base import Geometry
 from querysplat_cli.model.anchors import Anchors
 from querysplat_cli.model.checkpoints import load
 from querysplat_cli.queries.build import build_anchors
-from querysplat_cli.queries.cells import CELLS
-from querysplat_cli.queries.coverage import AnchorReport
+from querysplat_cli.queries.cells import CELLS, measure_cells
+from querysplat_cli.queries.coverage import AnchorReport, choose_blocks, compare_views
 from querysplat_cli.queries.features import FEATURES
 from querysplat_cli.queries.policy import QUERY_POLICY
 from querysplat_cli.queries.rendering_error import with_rendering_error
@@ -145,6 +145,18 @@ def test_a_soft_limit_cuts_the_photos_more_coarsely_and_keeps_what_lies_beyond(s
     assert report.kept <= soft
     assert (report.side == CELLS * QUERY_POLICY.finest_cell) == (soft == BLOCKS)
     assert report.beyond > 0
+
+
+@pytest.mark.parametrize("soft", [3, 9, 20, 40, 60, 80, 100])
+def test_blocks_are_the_finest_that_keep_a_limit(soft: int) -> None:
+    """As trying one size after another finds them, from the finest on."""
+    scene = plane([0.0, 0.3, 0.7])
+    kept = {}
+    for cell in range(QUERY_POLICY.finest_cell, WIDTH // CELLS + 1):
+        cells = measure_cells(*scene, cell)
+        comparison = compare_views(cells, *scene)
+        kept[CELLS * cell] = choose_blocks(cells, comparison, scene[1], cell, keep_all=False)[1].kept
+    assert build(*scene, soft=soft)[1].side == next(side for side, count in kept.items() if count <= soft)
 
 
 def test_a_soft_limit_is_exceeded_where_the_photos_alone_are_more() -> None:

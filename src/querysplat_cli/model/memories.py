@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
-from torch.nn import functional as F
 
 from querysplat_cli.model.anchors import Anchors, Neighbours
 from querysplat_cli.model.config import ModelConfig
@@ -168,7 +167,8 @@ def _plucker_rays(cameras: Cameras) -> Float[Tensor, "views 6 height width"]:
     x = (columns - cx) / fx
     y = (rows[:, None] - cy) / fy
     x, y = torch.broadcast_tensors(x, y)
-    local = F.normalize(torch.stack([x, y, torch.ones_like(x)], 1), dim=1)
+    # `F.normalize` takes four times as long across planes.
+    local = torch.stack([x, y, torch.ones_like(x)], 1) / (x * x + y * y + 1).sqrt()[:, None]
     c2w = cameras.c2w
     direction = torch.einsum("vij,vjhw->vihw", c2w[:, :3, :3], local)
     origin = c2w[:, :3, 3, None, None].expand_as(direction)

@@ -6,6 +6,7 @@ their borders, where no photo shows anything.
 """
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import torch
 from jaxtyping import Bool, Float
@@ -100,22 +101,51 @@ class _Chosen:
 
 
 def _cut(views: Views, cameras: Cameras, depth: Tensor, confidence: Tensor, limit: _Limit, keep_all: bool) -> _Chosen:
-    """The finest blocks that keep the limit."""
-    cell = QUERY_POLICY.finest_cell
+    """The finest blocks that keep the limit.
+
+    What share of the blocks become queries hardly depends on their size, and rises a little where they are finer. So
+    sizes are tried from coarse to fine, without those that the share of a coarser one rules out.
+    """
+    cut = partial(_cut_into, views, cameras, depth, confidence, keep_all=keep_all)
+    finest, longest = QUERY_POLICY.finest_cell, max(cameras.height, cameras.width)
+    if limit.count is None:
+        return cut(finest)
+    best: _Chosen | None = None
+    share = 1.0
     while True:
-        cells = measure_cells(views, cameras, depth, confidence, cell)
-        comparison = compare_views(cells, views, cameras, depth, confidence)
-        chosen = _Chosen(cells, comparison, *choose_blocks(cells, comparison, cameras, cell, keep_all))
-        if limit.count is None or chosen.report.kept <= limit.count:
-            return chosen
-        if chosen.report.side >= max(cameras.height, cameras.width):
-            if not limit.strict:
-                return chosen
+        cell = finest
+        while share * _block_count(cameras, cell) > limit.count and cell * CELLS < longest:
+            cell += 1
+        if best and cell * CELLS >= best.report.side:
+            return best
+        tried = cut(cell)
+        share = tried.report.kept / tried.report.blocks
+        if tried.report.kept <= limit.count:
+            best = tried
+        elif cell * CELLS < longest:
+            finest = cell + 1
+        elif limit.strict:
             raise QuerySplatError(
-                f"--queries {limit.count}: these photos need {chosen.report.kept}, even one for a whole photo",
+                f"--queries {limit.count}: these photos need {tried.report.kept}, even one for a whole photo",
                 "Ask for more.",
             )
-        cell += 1
+        else:
+            return tried
+
+
+def _cut_into(
+    views: Views, cameras: Cameras, depth: Tensor, confidence: Tensor, cell: int, *, keep_all: bool
+) -> _Chosen:
+    """Blocks of cells of `cell` pixels."""
+    cells = measure_cells(views, cameras, depth, confidence, cell)
+    comparison = compare_views(cells, views, cameras, depth, confidence)
+    return _Chosen(cells, comparison, *choose_blocks(cells, comparison, cameras, cell, keep_all))
+
+
+def _block_count(cameras: Cameras, cell: int) -> int:
+    """How many blocks the pictures have together."""
+    side = cell * CELLS
+    return len(cameras) * -(-cameras.height // side) * -(-cameras.width // side)
 
 
 def _anchors(cells: Cells, features: Float[Tensor, "queries channels"], patches: Float[Tensor, "rows 3"]) -> Anchors:
