@@ -44,9 +44,9 @@ class Point:
     best: tuple[str, ...] = ()
 
 
-def write_curves(out: Path, group: str = "interp") -> list[Point]:
+def write_curves(out: Path) -> list[Point]:
     """Write sweep.json, .csv, .md, .png and .svg of all results below `out`, and return the points."""
-    points = frontier(collect(row_folders(out), group))
+    points = frontier(collect(row_folders(out), "interp"))
     write_json(out / "sweep.json", [_flat(point) for point in points])
     flat = [_flat(point) for point in points]
     write_table(out / "sweep.csv", list(flat[0]) if flat else ["row"], flat)

@@ -16,7 +16,7 @@ from querysplat_cli.encoders.base import CameraRequest, Encoder, Geometry
 from querysplat_cli.encoders.holdout import isolated_split
 from querysplat_cli.runtime.choices import Frame
 from querysplat_cli.runtime.errors import ImpossibleScene, QuerySplatError
-from querysplat_cli.runtime.progress import Progress
+from querysplat_cli.runtime.progress import silent
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera
 from querysplat_cli.scene.files import atomic_path
 from querysplat_cli.scene.sim3 import rigid
@@ -53,7 +53,6 @@ def make_sample(
     known: Mapping[str, PhotoCamera] | None,
     max_size: int,
     seed: int,
-    progress: Progress = lambda text, fraction: None,
 ) -> Sample:
     """A sample from two separate passes, over all photos and over the photos named `inputs`.
 
@@ -63,15 +62,15 @@ def make_sample(
     """
     # The inputs come last: some encoders keep the pass that they made last for their depth and features.
     request = CameraRequest(max_size, seed, known)
-    everything = encoder.estimate_cameras(photos, request, progress)
+    everything = encoder.estimate_cameras(photos, request, silent)
     chosen = [photo for photo in photos if photo.name in inputs]
-    own = encoder.estimate_cameras(chosen, request, progress)
+    own = encoder.estimate_cameras(chosen, request, silent)
     if len(own.views) < len(chosen):
         raise ImpossibleScene(f"{len(chosen) - len(own.views)} of {len(chosen)} inputs have no camera")
     heldout = isolated_split(own, everything, inputs)[0].heldout
     if heldout is None:
         raise ImpossibleScene("no target can be brought to the inputs' frame")
-    return Sample(own.views, own.cameras, encoder.estimate_geometry(own, seed=seed, progress=progress), *heldout)
+    return Sample(own.views, own.cameras, encoder.estimate_geometry(own, seed=seed, progress=silent), *heldout)
 
 
 def write_sample(path: Path, sample: Sample) -> None:

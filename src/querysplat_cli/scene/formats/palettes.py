@@ -8,17 +8,19 @@ PALETTE_ROUNDS = 2
 MOST_PRODUCTS = 2e10
 """A palette is refined where its distances take no more products than this, which is about a second."""
 ROWS_AT_ONCE = 512
+CODES = 256
+"""Entries of a codebook: what a byte can count."""
 
 
-def codebook(values: np.ndarray, size: int = 256) -> np.ndarray:
-    """At most `size` ascending float32 numbers for the values of any shape: one-dimensional k-means."""
+def codebook(values: np.ndarray) -> np.ndarray:
+    """At most `CODES` ascending float32 numbers for the values of any shape: one-dimensional k-means."""
     flat = np.sort(values.astype(np.float64), axis=None)
-    if len(np.unique(flat)) <= size:
+    if len(np.unique(flat)) <= CODES:
         return np.unique(flat.astype(np.float32))
     sums = np.concatenate([[0.0], np.cumsum(flat)])
     # Half of the entries are spread over the range, half over the values, so that outliers get their share.
-    even = np.linspace(flat[0], flat[-1], size // 2)
-    centres = np.unique(np.concatenate([even, np.quantile(flat, np.linspace(0, 1, size - size // 2))]))
+    even = np.linspace(flat[0], flat[-1], CODES // 2)
+    centres = np.unique(np.concatenate([even, np.quantile(flat, np.linspace(0, 1, CODES // 2))]))
     for _ in range(ROUNDS):
         ends = np.searchsorted(flat, (centres[1:] + centres[:-1]) / 2)
         edges = np.concatenate([[0], ends, [len(flat)]])
