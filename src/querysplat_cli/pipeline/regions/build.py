@@ -83,7 +83,7 @@ def build_regions(
     except KeyboardInterrupt:
         done = sum((folder / SCENE).is_file() for folder in folders)
         raise QuerySplatError(
-            f"stopped: {done} of {count} regions are done", "The same command goes on with the others.",
+            f"stopped: {done} of {count} regions are done", "The same command goes on from there.",
             signals.exit_code(),
         ) from None  # fmt: skip
     kept = KeptRegions(lambda number: _read(folders[number] / SCENE))
