@@ -47,8 +47,9 @@ def test_its_report_is_that_of_the_gaussians_that_are_left(
     assert run(["tto", str(tmp_path / "cut"), "--steps", "0", "-q"]) == ExitCode.DONE
     again = report_in(tmp_path / "cut")["quality"]
     assert again["before"]["input"] == report["quality"]["input"]["psnr"]
-    # The memories are decoded again, without the precision of the file, which costs an .spz 0.06 dB here.
-    assert again["input"]["psnr"] == pytest.approx(again["before"]["input"], abs=0.05 if kind == ".ply" else 0.1)
+    # The memories are decoded again: without bands that change little, and with far Gaussians drawn in by those that
+    # are left. The Gaussians that were cut would bring 3 dB.
+    assert again["input"]["psnr"] == pytest.approx(again["before"]["input"], abs=0.2)
 
 
 @pytest.mark.slow
