@@ -22,7 +22,7 @@ def test_its_report_is_that_of_the_gaussians_that_are_left(
 ) -> None:
     if kind == ".spz":
         pytest.importorskip("gsply")
-    photos = [str(path) for path in take_photos(tmp_path / "photos", 3, 2, size=(480, 640))]
+    photos = [str(path) for path in take_photos(tmp_path / "photos", 2, 2, size=(480, 640))]
     made = ["reconstruct", *photos, "--max-size", "96", "--tto", "0", "-q", "-o", str(tmp_path / f"s{kind}")]
     assert run(made) == ExitCode.DONE
     whole = report_in(tmp_path / "s")
@@ -47,9 +47,8 @@ def test_its_report_is_that_of_the_gaussians_that_are_left(
     assert run(["tto", str(tmp_path / "cut"), "--steps", "0", "-q"]) == ExitCode.DONE
     again = report_in(tmp_path / "cut")["quality"]
     assert again["before"]["input"] == report["quality"]["input"]["psnr"]
-    # The memories are decoded again: without bands that change little, and with far Gaussians drawn in by those that
-    # are left. The Gaussians that were cut would bring 3 dB.
-    assert again["input"]["psnr"] == pytest.approx(again["before"]["input"], abs=0.2)
+    # The memories are decoded again, without the precision of the file, which costs an .spz up to 0.06 dB.
+    assert again["input"]["psnr"] == pytest.approx(again["before"]["input"], abs=0.05 if kind == ".ply" else 0.1)
 
 
 @pytest.mark.slow
