@@ -18,7 +18,7 @@ from querysplat_cli.runtime.choices import HoldoutProtocol
 from querysplat_cli.runtime.matching_weights import INSTALL
 from querysplat_cli.runtime.threads import cores
 from querysplat_cli.runtime.words import counted
-from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.cameras import Cameras, project_points
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.rotations import rotation_angles
 from querysplat_cli.scene.views import LeftOut
@@ -195,8 +195,8 @@ def _cameras_entry(before: Cameras, after: Cameras, gaussians: Gaussians) -> dic
 def _way(points: Tensor, before: Cameras, after: Cameras, view: int) -> float:
     """The median way in pixels of those points that the view shows; 0 where it shows none."""
     shown = points[before.sees(points, view) & after.sees(points, view)]
-    (x, y, _), (to_x, to_y, _) = (some.project(shown, view) for some in (before, after))
-    return float(torch.hypot(to_x - x, to_y - y).median()) if len(shown) else 0.0
+    start, end = (project_points(shown, some.w2c[view], some.K[view]) for some in (before, after))
+    return float((end - start).norm(dim=1).median()) if len(shown) else 0.0
 
 
 def machine() -> str:

@@ -103,10 +103,6 @@ def _centres(w2c: Float[Tensor, "n 4 4"]) -> Float[Tensor, "n 3"]:
     return -(w2c[:, :3, :3].mT @ w2c[:, :3, 3:]).squeeze(-1)
 
 
-def _at_one_place(centres: Float[Tensor, "n 3"]) -> bool:
-    return bool((centres - centres.mean(0)).norm() <= 1e-9 * centres.abs().max().clamp_min(1e-30))
-
-
 def _align_all(a: Float[Tensor, "n 4 4"], b: Float[Tensor, "n 4 4"]) -> Sim3:
     """The similarity that fits all cameras."""
     rotation_a, rotation_b = a[:, :3, :3], b[:, :3, :3]
@@ -116,7 +112,8 @@ def _align_all(a: Float[Tensor, "n 4 4"], b: Float[Tensor, "n 4 4"]) -> Sim3:
     rotation = u @ sign @ vt
     around_a, around_b = centres_a - centres_a.mean(0), centres_b - centres_b.mean(0)
     spread = around_a.square().sum()
-    if len(a) < 2 or _at_one_place(centres_a) or _at_one_place(centres_b):
+    sides = (around_a, centres_a), (around_b, centres_b)
+    if len(a) < 2 or any(around.norm() <= 1e-9 * some.abs().max().clamp_min(1e-30) for around, some in sides):
         raise DegenerateAlignment(
             f"{len(a)} cameras at one place do not fix the scale between two reconstructions",
             "Use photos taken from at least two places.",
