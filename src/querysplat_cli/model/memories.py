@@ -53,19 +53,14 @@ class Features(TensorDataclass):
     appearance: Float[Tensor, "appearance width"]
 
 
-def attended_rows(memories: Memories, anchors: Anchors) -> tuple[Memories, Anchors]:
-    """Only the memory rows that some anchor attends to, and the anchors with these rows renumbered.
+def attended_rows(features: Features, anchors: Anchors) -> tuple[Features, Anchors]:
+    """Only the rows that some anchor attends to, and the anchors with these rows renumbered.
 
-    Decoding gives the same result, bit for bit. The rows left out would never receive a gradient.
+    Decoding gives the same scene. The rows left out would never receive a gradient.
     """
-    geometry, near_geometry = _renumbered(anchors.geometry, len(memories.geometry_keys))
-    appearance, near_appearance = _renumbered(anchors.appearance, len(memories.appearance_keys))
-    fewer = Memories(
-        geometry_keys=memories.geometry_keys[geometry],
-        geometry_values=memories.geometry_values[geometry],
-        appearance_keys=memories.appearance_keys[appearance],
-        appearance_values=memories.appearance_values[appearance],
-    )
+    geometry, near_geometry = _renumbered(anchors.geometry, len(features.geometry))
+    appearance, near_appearance = _renumbered(anchors.appearance, len(features.appearance))
+    fewer = Features(features.geometry[geometry], features.appearance[appearance])
     return fewer, replace(anchors, geometry=near_geometry, appearance=near_appearance)
 
 

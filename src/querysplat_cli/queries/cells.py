@@ -55,12 +55,10 @@ def measure_cells(
     block = cell * CELLS
     # The median stays on one side of a depth edge. A mean would lie in the empty space between both sides.
     z = _windows(depth, cell, block).median(-1).values
-    trust = _windows(confidence, cell, block).mean(-1)
-    valid = _windows(views.masks.float(), cell, block).mean(-1) > 0.5
-    weight = _windows(views.masks.float(), cell, block).clamp_min(1e-6)
-    colour = torch.stack(
-        [(_windows(channel, cell, block) * weight).sum(-1) / weight.sum(-1) for channel in views.images.unbind(1)], -1
-    )
+    shown = views.masks[:, None].float()
+    trust, share = (_means(part, cell, block)[:, 0] for part in (confidence[:, None], shown))
+    weight = shown.clamp_min(1e-6)
+    colour = (_means(views.images * weight, cell, block) / _means(weight, cell, block)).movedim(1, -1)
     _, rows, columns = z.shape
     u = (torch.arange(columns) + 0.5) * cell
     v = (torch.arange(rows) + 0.5) * cell
@@ -72,7 +70,7 @@ def measure_cells(
     point = origin + z[..., None] * rotated
     footprint = z * cell / (fx * fy).sqrt()
     tangents = _tangents(point, footprint, c2w)
-    return Cells(*map(to_blocks, (point, z, footprint, trust, colour, valid, *tangents, origin)))
+    return Cells(*map(to_blocks, (point, z, footprint, trust, colour, share > 0.5, *tangents, origin)))
 
 
 def to_blocks(grid: Tensor) -> Tensor:
@@ -108,11 +106,21 @@ def discs(
 
 def _windows(maps: Tensor, cell: int, block: int) -> Tensor:
     """[V, H, W] → the pixels of each cell: [V, H/cell, W/cell, cell²], edges repeated up to whole blocks."""
-    views, height, width = maps.shape
-    pad = (0, -width % block, 0, -height % block)
-    padded = F.pad(maps[:, None], pad, mode="replicate")[:, 0] if any(pad) else maps
+    padded = _in_whole_blocks(maps[:, None], block)[:, 0]
+    views = len(maps)
     rows, columns = padded.shape[1] // cell, padded.shape[2] // cell
     return padded.reshape(views, rows, cell, columns, cell).transpose(2, 3).flatten(3)
+
+
+def _means(maps: Tensor, cell: int, block: int) -> Tensor:
+    """[V, C, H, W] → the mean of each cell: [V, C, H/cell, W/cell], edges repeated up to whole blocks."""
+    return F.avg_pool2d(_in_whole_blocks(maps, block), cell)
+
+
+def _in_whole_blocks(maps: Float[Tensor, "views channels height width"], block: int) -> Tensor:
+    """The last row and column repeated until the sides are multiples of `block`."""
+    pad = (0, -maps.shape[3] % block, 0, -maps.shape[2] % block)
+    return F.pad(maps, pad, mode="replicate") if any(pad) else maps
 
 
 def _tangents(point: Tensor, footprint: Tensor, c2w: Tensor) -> tuple[Tensor, Tensor, Tensor]:

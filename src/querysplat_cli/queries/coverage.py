@@ -8,6 +8,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from querysplat_cli.queries.cells import CELLS, Cells, from_blocks, to_blocks
+from querysplat_cli.queries.compiled_comparison import compare_cells, mark_covered
 from querysplat_cli.queries.policy import QUERY_POLICY
 from querysplat_cli.scene.cameras import NEAREST_DEPTH, Cameras
 from querysplat_cli.scene.views import Views
@@ -53,30 +54,23 @@ def compare_views(
     confidence: Float[Tensor, "views height width"],
 ) -> ViewComparison:
     """Project the cells of each view into its nearest other views, and compare depth and colour there."""
-    distance = torch.cdist(cameras.centres, cameras.centres)
-    shape = cells.depth.shape
-    supporters = torch.zeros(shape)
-    hidden = torch.zeros(shape)
-    colour = cells.colour.clone()
-    weight = torch.ones(shape)
-    for own in range(len(views)):
-        points = cells.point[own].reshape(-1, 3)
-        for other in distance[own].argsort(stable=True)[: QUERY_POLICY.compared_views + 1].tolist():
-            if other == own:
-                continue
-            inside, row, column, z = find_pixels(points, other, views, cameras)
-            surface = depth[other, row, column]
-            same = inside & ((z / surface - 1).abs() < QUERY_POLICY.depth_agreement)
-            sure = confidence[other, row, column]
-            in_front = inside & (z < surface * (1 - QUERY_POLICY.free_space)) & (sure > QUERY_POLICY.confident)
-            share = (same * sure).reshape(shape[1:])
-            supporters[own] += share
-            hidden[own] += in_front.reshape(shape[1:])
-            sample = views.images[other][:, row, column].T.reshape(*shape[1:], 3)
-            colour[own] += share[..., None] * sample
-            weight[own] += share
+    shape, policy = cells.depth.shape, QUERY_POLICY
+    # The nearest "other" view is mostly the view itself, which is passed over.
+    others = torch.cdist(cameras.centres, cameras.centres).argsort(stable=True)[:, : policy.compared_views + 1]
+    counts, colours = torch.zeros(*shape, 2), torch.cat([cells.colour, torch.ones(*shape, 1)], -1)
+    read = cells.point.flatten(1, -2), others, cameras.w2c, torch.stack(cameras.intrinsics, 1)
+    limits = NEAREST_DEPTH, policy.depth_agreement, policy.free_space, policy.confident
+    shown = depth, confidence, views.masks, views.images
+    compare_cells(
+        *(part.contiguous().numpy() for part in read),
+        limits,
+        *(part.contiguous().numpy() for part in shown),
+        counts.flatten(1, -2).numpy(),
+        colours.flatten(1, -2).numpy(),
+    )
+    supporters, hidden = counts.unbind(-1)
     hiding = hidden > supporters + cells.confidence
-    return ViewComparison(hiding, colour / weight[..., None], supporters, hidden)
+    return ViewComparison(hiding, colours[..., :3] / colours[..., 3:], supporters, hidden)
 
 
 def find_pixels(
@@ -118,8 +112,8 @@ def uncovered(
     """The wanted blocks that the blocks kept of earlier views do not cover. Views are taken in their order."""
     keep = torch.zeros_like(wanted)
     for own in range(len(cameras)):
-        points, footprint = cells.point[keep].reshape(-1, 3), cells.footprint[keep].reshape(-1)
-        covered = _covered(cells, cameras, own, cell, points, footprint)
+        earlier = [part[:own].flatten(0, 2) for part in (cells.point, cells.footprint, keep)]
+        covered = _covered(cells, cameras, own, cell, *earlier)
         keep[own] = wanted[own] & (covered.float().mean(-1) < QUERY_POLICY.covered)
     return keep
 
@@ -129,20 +123,17 @@ def _covered(
     cameras: Cameras,
     own: int,
     cell: int,
-    points: Float[Tensor, "n 3"],
-    footprint: Float[Tensor, "n"],
+    points: Float[Tensor, "blocks cells 3"],
+    footprint: Float[Tensor, "blocks cells"],
+    keep: Bool[Tensor, "blocks"],
 ) -> Bool[Tensor, "rows columns cells"]:
-    """Which cells of a view show a surface that one of `points` covers, from a cell that is about as fine."""
-    x, y, z = cameras.project(points, own)
-    depth, size = (from_blocks(part[own]) for part in (cells.depth, cells.footprint))
-    column = torch.floor(x / cell).clamp(-1, depth.shape[1]).long()
-    row = torch.floor(y / cell).clamp(-1, depth.shape[0]).long()
-    inside = (z > NEAREST_DEPTH) & (column >= 0) & (row >= 0) & (column < depth.shape[1]) & (row < depth.shape[0])
-    z, row, column, footprint = z[inside], row[inside], column[inside], footprint[inside]
-    same = (z / depth[row, column] - 1).abs() < QUERY_POLICY.depth_agreement
-    same &= footprint < QUERY_POLICY.coarser * size[row, column]
+    """Which cells of a view show a surface that a cell of a block in `keep` covers, one that is about as fine."""
+    depth, size = (from_blocks(part[own]).contiguous() for part in (cells.depth, cells.footprint))
     hits = torch.zeros_like(depth)
-    hits[row[same], column[same]] = 1
+    lens = torch.stack([part[own] for part in cameras.intrinsics])
+    limits = NEAREST_DEPTH, QUERY_POLICY.depth_agreement, QUERY_POLICY.coarser
+    blocks = (part.numpy() for part in (points, footprint, keep, cameras.w2c[own], lens))
+    mark_covered(*blocks, limits, cell, depth.numpy(), size.numpy(), hits.numpy())
     # Points that are a little coarser than the cells leave gaps between them, so a neighbour's hit counts, too.
     near = F.max_pool2d(hits[None, None], 3, 1, 1)[0, 0]
     return to_blocks(near[None])[0] > 0

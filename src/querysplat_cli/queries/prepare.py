@@ -93,9 +93,8 @@ def prepare(
     model.check_features(geometry.features, cameras.height, cameras.width)
     device = next(model.parameters()).device
     features = model.embed(*to_device((geometry.features, views.images, cameras), device))
-    memories = to_device(model.keys_and_values(features), CPU)
     anchors = report = None
-    rows = torch.arange(len(memories.geometry_keys)), torch.arange(len(memories.appearance_keys))
+    rows = torch.arange(len(features.geometry)), torch.arange(len(features.appearance))
     if model.config.queries == "anchored":
         anchors, report = build_anchors(
             views,
@@ -107,11 +106,11 @@ def prepare(
         )
         anchors = with_rendering_error(anchors, views, cameras)
         rows = anchors.geometry.index.unique(), anchors.appearance.index.unique()
-        memories, anchors = attended_rows(memories, anchors)
+        features, anchors = attended_rows(features, anchors)
+    memories = to_device(model.keys_and_values(features), CPU)
+    if anchors is not None:
         anchors = refined(model, memories, anchors, views, cameras, geometry)
-    variables: Memories | Features = memories
-    if target == "features":
-        variables = Features(features.geometry.cpu()[rows[0]], features.appearance.cpu()[rows[1]])
+    variables: Memories | Features = memories if target != "features" else to_device(features, CPU)
     return PreparedQueries(variables, anchors, report, _memory_map(rows, geometry, cameras.height, cameras.width))
 
 

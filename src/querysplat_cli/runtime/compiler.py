@@ -17,7 +17,7 @@ from querysplat_cli.runtime.caches import is_cached
 from querysplat_cli.runtime.progress import Progress, silent
 
 DEPTH_KERNELS = ("querysplat_cli.encoders.classical.kernels",)
-SCENE_KERNELS = ("querysplat_cli.model.kernels", "querysplat_cli.splat.kernels")
+SCENE_KERNELS = ("querysplat_cli.queries.kernels", "querysplat_cli.model.kernels", "querysplat_cli.splat.kernels")
 """The modules of kernels, by what needs them first: the depth, or queries and optimisation."""
 LONGEST_WAIT = 120.0
 """Seconds after which this process compiles the kernels, too."""

@@ -87,9 +87,10 @@ def decoded(model: QuerySplat, sample: Sample, anchors: Anchors | None, precisio
 def _scenes(model: QuerySplat, sample: Sample, anchors: Anchors | None) -> Iterator[Gaussians]:
     geometry = sample.geometry
     model.check_features(geometry.features, *sample.views.images.shape[-2:])
-    memories = model.encode(geometry.features, sample.views.images, sample.cameras)
+    features = model.embed(geometry.features, sample.views.images, sample.cameras)
     if anchors is not None:
-        memories, anchors = attended_rows(memories, anchors)
+        features, anchors = attended_rows(features, anchors)
+    memories = model.keys_and_values(features)
     if anchors is None or not model.config.refinement_rounds:
         yield model.decode(memories, anchors)
         return
