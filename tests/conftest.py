@@ -9,10 +9,9 @@ import pytest
 from jaxtyping import install_import_hook
 
 from common.locations import FIXTURES, PHOTOS, location, missing
-from querysplat_cli.runtime.threads import wait_passively
 
 # Before torch is imported: with a process for each core, spinning threads made the tests take three times as long.
-wait_passively()
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 SOURCE = Path(__file__).resolve().parents[1] / "src"
 # numba compiles plain functions only: its modules keep out of the hook's reach, and packages with them.
 install_import_hook(

@@ -8,7 +8,7 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Any
 
 from querysplat_cli.runtime.caches import find_caches
-from querysplat_cli.runtime.threads import limit_threads, wait_passively
+from querysplat_cli.runtime.threads import limit_threads, wait_shortly
 
 if TYPE_CHECKING:
     from querysplat_cli.commands.library import Scene, open_scene, optimise, reconstruct, render
@@ -63,7 +63,7 @@ except PackageNotFoundError:  # a source tree that was never installed
     __version__ = "0+unknown"
 
 # The command line and the library both come through here, and neither has imported torch or numba yet.
-wait_passively()
+wait_shortly()
 limit_threads()
 find_caches()
 

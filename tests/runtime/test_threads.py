@@ -1,4 +1,4 @@
-"""Idle threads sleep, unless the user chose otherwise."""
+"""Idle threads soon sleep, unless the user chose otherwise."""
 
 import os
 import subprocess
@@ -6,19 +6,19 @@ import sys
 
 import pytest
 
-from querysplat_cli.runtime.threads import OWN_CHOICES, PASSIVE_WAITING, wait_passively
+from querysplat_cli.runtime.threads import OWN_CHOICES, SHORT_WAITING, wait_shortly
 
 
-def test_idle_threads_sleep() -> None:
+def test_idle_threads_soon_sleep() -> None:
     environment: dict[str, str] = {}
-    wait_passively(environment)
-    assert environment == PASSIVE_WAITING
+    wait_shortly(environment)
+    assert environment == SHORT_WAITING
 
 
 @pytest.mark.parametrize("name", OWN_CHOICES)
 def test_the_choice_of_the_user_stays(name: str) -> None:
     environment = {name: "own"}
-    wait_passively(environment)
+    wait_shortly(environment)
     assert environment == {name: "own"}
 
 
