@@ -64,8 +64,8 @@ class TtoPolicy:
     follow."""
     work_seconds_before: float = 10.0
     """What it may take where they follow. The model's own rounds of feedback (`queries/refine.py`) do what the
-    other steps did: the mean of the sets that are tuned on has 26.81 dB and SSIM 0.832 then, 26.79 and 0.833 with
-    14 seconds, and had 26.73 and 0.830 with 14 seconds and without the rounds (docs/tried.md)."""
+    other steps did: the mean of the sets that are tuned on has 26.81 dB then, 26.79 with 14 seconds, and had 26.73
+    with 14 seconds and without the rounds (docs/tried.md)."""
     many_views: int = 24
     """A draft of more photos has proportionally more seconds and steps, so that each is seen as often. 44 photos of fox
     have 27.2 dB held out after 51 steps, 28.9 after 102, and 30.1 after 205. Where steps in Gaussian space follow, more
