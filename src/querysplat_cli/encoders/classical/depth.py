@@ -11,6 +11,7 @@ from querysplat_cli.encoders.base import Geometry, PosedViews
 from querysplat_cli.encoders.classical.consistency import DepthMaps, blurred, carve, confirm, lent
 from querysplat_cli.encoders.classical.contrast import stretch
 from querysplat_cli.encoders.classical.depth_policy import DEPTH_POLICY
+from querysplat_cli.encoders.classical.depth_warnings import depth_warnings
 from querysplat_cli.encoders.classical.fill_depth import fill_depth
 from querysplat_cli.encoders.classical.neighbours import InverseRange, choose_sources, inverse_range, nearest_views
 from querysplat_cli.encoders.classical.patch_features import PATCH, patch_features
@@ -26,8 +27,8 @@ def estimate_geometry(posed: PosedViews, *, seed: int, progress: Progress) -> Ge
     A sweep at half size finds the surfaces. Two rounds of plane refinement sharpen them; the second one also compares
     with the depths of the other views. Confidence is near 1 where two other views confirm a depth, about 1/2 where
     one does, and 0 where the depth was filled in. A filled depth never stands in front of what other views measured.
-    Without parallax, the depth is constant with confidence 0, and `warnings` says so. `seed` is unused: nothing is
-    random here.
+    Without parallax, the depth is constant with confidence 0. `warnings` says so, and where a few photos hardly agree.
+    `seed` is unused: nothing is random here.
     """
     del seed
     views = posed.views
@@ -36,8 +37,8 @@ def estimate_geometry(posed: PosedViews, *, seed: int, progress: Progress) -> Ge
     ranges = [inverse_range(posed, v) for v in range(len(views))]
     if not any(sources):
         depth = np.stack([np.full(masks.shape[1:], 1 / limits.middle, np.float32) for limits in ranges])
-        warning = "depth is a guess: there is no parallax to measure it by"
-        return _geometry(posed, depth, np.zeros_like(depth), (warning,))
+        guess = _geometry(posed, depth, np.zeros_like(depth))
+        return replace(guess, warnings=("depth is a guess: there is no parallax to measure it by",))
     pictures = views.images.permute(0, 2, 3, 1).contiguous().numpy()
     each = [_stretched(picture, mask) for picture, mask in zip(pictures, masks, strict=True)]
     photos = _as_sources(posed, each)
@@ -67,12 +68,12 @@ def estimate_geometry(posed: PosedViews, *, seed: int, progress: Progress) -> Ge
     progress("clearing free space", 0.95)
     least = [limits.far for limits in ranges]
     inverse = carve(replace(maps, inverse=inverse), K, w2c, nearest, least)
-    return _geometry(posed, 1 / inverse, confidence, ())
+    return _geometry(posed, 1 / inverse, confidence)
 
 
-def _geometry(posed: PosedViews, depth: np.ndarray, confidence: np.ndarray, warnings: tuple[str, ...]) -> Geometry:
+def _geometry(posed: PosedViews, depth: np.ndarray, confidence: np.ndarray) -> Geometry:
     z, sure = torch.from_numpy(depth), torch.from_numpy(confidence)
-    return Geometry(z, sure, (patch_features(posed, z, sure),), PATCH, warnings)
+    return Geometry(z, sure, (patch_features(posed, z, sure),), PATCH, depth_warnings(posed, z, sure))
 
 
 def _stretched(pictures: np.ndarray, masks: np.ndarray) -> np.ndarray:

@@ -120,5 +120,11 @@ class DepthPolicy:
     lent_confidence: float = 0.3
     """What another view measured, seen from a view that measured nothing there, weighs so much."""
 
+    # A warning (depth_warnings.py).
+    doubted_views: int = 4
+    """So few photos may have cameras that fit their matches and nothing else."""
+    agreeing_share: float = 0.3
+    """Photos that agree on the depth of less of what they share are warned of. PAIRS_FIGURE"""
+
 
 DEPTH_POLICY = DepthPolicy()
