@@ -130,6 +130,15 @@ def test_damaged_text_is_refused_by_its_file_and_line(
     assert not capfd.readouterr().err
 
 
+@pytest.mark.parametrize("name", ["cameras", "images", "rigs", "frames"])
+def test_text_that_is_cut_off_in_its_first_lines_is_refused_by_its_file(tmp_path: Path, name: str) -> None:
+    write_model(tmp_path, "PINHOLE", [500, 510, 320, 240], text=True, seen=True)
+    file = tmp_path / f"{name}.txt"
+    file.write_text(file.read_text()[:60])
+    with pytest.raises(QuerySplatError, match=rf"can be read: {name}\.txt is empty, or cut off$"):
+        read_known_cameras(tmp_path)
+
+
 def test_files_of_several_models_are_refused_in_words(tmp_path: Path) -> None:
     write_model(tmp_path, "PINHOLE", [500, 510, 320, 240], text=True)
     frames = tmp_path / "frames.txt"

@@ -14,7 +14,7 @@ from querysplat_cli.runtime.json_files import shown
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.drafts import scratch_folder
 from querysplat_cli.scene.formats.colmap_files import check_binary, unreadable
-from querysplat_cli.scene.formats.colmap_text import check_images, damaged_line
+from querysplat_cli.scene.formats.colmap_text import check_images, damage
 from querysplat_cli.scene.formats.point_cloud import PointCloud
 from querysplat_cli.scene.photo_names import names_a_photo, short_names
 
@@ -190,7 +190,7 @@ def _opened(folder: Path) -> Any:
         try:
             return load_pycolmap().Reconstruction(whole)
         except Exception as error:  # damage can raise anything in COLMAP's parser, in the words of its code
-            reason = damaged_line(folder) if kind == ".txt" else None
+            reason = damage(folder) if kind == ".txt" else None
             raise unreadable(folder, reason or "its files do not fit each other") from error
 
 

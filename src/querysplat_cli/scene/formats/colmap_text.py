@@ -29,13 +29,15 @@ LINES = {
 """What each line of each file is like, its fields joined by one space."""
 
 
-def damaged_line(folder: Path) -> str | None:
-    """Which line of the text model in `folder` is damaged, in words; None where none is."""
-    for name, like in LINES.items():
-        file = folder / f"{name}.txt"
-        for number, fields in _lines(file) if file.is_file() else ():
-            if fields and not re.fullmatch(like, " ".join(fields)):
+def damage(folder: Path) -> str | None:
+    """Which file of the text model in `folder` is empty, or which line is damaged, in words; None where none is."""
+    for file, like in ((folder / f"{name}.txt", like) for name, like in LINES.items()):
+        lines = [(number, fields) for number, fields in _lines(file) if fields] if file.is_file() else []
+        for number, fields in lines:
+            if not re.fullmatch(like, " ".join(fields)):
                 return _damaged(file, number)
+        if file.is_file() and not lines and file.stem != "points3D":  # a model may have no points
+            return f"{file.name} is empty, or cut off"
     return None
 
 
