@@ -102,6 +102,15 @@ def test_what_was_probably_meant_is_said(
     assert hint in second
 
 
+def test_a_file_that_was_taken_for_options_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "-rf.jpg").touch()
+    monkeypatch.chdir(tmp_path)
+    assert run(["reconstruct", "-rf.jpg"]) == 2
+    assert "For the file -rf.jpg, write ./-rf.jpg." in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("words", "offered"),
     [

@@ -6,8 +6,9 @@ import pytest
 from evaluation_scenes import write_room
 from made_results import result
 
+from querysplat_cli.evaluation.keeping import Keeping
 from querysplat_cli.evaluation.request import EvalRequest
-from querysplat_cli.evaluation.results import write_case
+from querysplat_cli.evaluation.results import RowFolder, write_case
 from querysplat_cli.evaluation.run import evaluate
 from querysplat_cli.runtime.progress import Stages
 
@@ -42,3 +43,10 @@ def test_finished_cases_without_the_pictures_asked_for_are_named(
     )
     evaluate(request, Stages(), notes.append)
     assert ("1 finished scene without the pictures asked for: only --force makes them again" in notes) is said
+
+
+def test_no_folder_is_listed_where_no_pictures_are_asked_for(tmp_path: Path) -> None:
+    nowhere = RowFolder(tmp_path / "missing", "theirs", "2views_small")
+    assert Keeping().lacking([nowhere]) == 0
+    with pytest.raises(FileNotFoundError):
+        Keeping(rendered=True).lacking([nowhere])

@@ -15,7 +15,12 @@ from querysplat_cli.evaluation.poses import area_under_recall, compare_cameras, 
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import PhotoCamera
+from querysplat_cli.scene.formats.known import read_known_cameras
+from querysplat_cli.scene.formats.transforms import write_transforms
+from querysplat_cli.scene.formats.transforms_frame import opengl_from_opencv
+from querysplat_cli.scene.lenses import pinhole_photos
 from querysplat_cli.scene.sim3 import DegenerateAlignment
+from querysplat_cli.scene.views import Photo
 
 
 def track(count: int = 8) -> dict[str, PhotoCamera]:
@@ -180,3 +185,37 @@ def test_a_camera_that_is_no_rigid_motion_is_named(tmp_path: Path, wrong: float)
         (tmp_path / f"{name}.json").write_text(json.dumps({**lens, "frames": frames}))
     with pytest.raises(QuerySplatError, match=r"wrong.json: the camera of '.*1.png' is no rigid motion"):
         compare(PosesRequest(tmp_path / "wrong.json", tmp_path / "right.json"), Stages())
+
+
+@pytest.mark.parametrize("longer", [1.0, 1.01])
+def test_fisheye_cameras_are_compared(longer: float, tmp_path: Path) -> None:
+    """With each other, and with the pinhole views that `reconstruct` makes of their photos."""
+    lens = {"fl_x": 110.0, "fl_y": 112.0, "cx": 158.0, "cy": 121.0, "k1": 0.02, "k2": -0.004, "k3": 0.001, "k4": 0.0}
+    files = {}
+    for name, factor in (("a", longer), ("b", 1.0)):
+        keys = {**lens, "fl_x": factor * lens["fl_x"], "fl_y": factor * lens["fl_y"], "w": 320, "h": 240}
+        frames = [
+            {"file_path": f"images/{photo}", "transform_matrix": opengl_from_opencv(camera.w2c).tolist()}
+            for photo, camera in track(3).items()
+        ]
+        files[name] = tmp_path / f"{name}.json"
+        files[name].write_text(json.dumps({"camera_model": "OPENCV_FISHEYE", **keys, "frames": frames}))
+    summary, _ = compare(PosesRequest(files["a"], files["b"]), Stages())
+    assert summary["centre"]["max"] < 1e-6
+    assert summary["focal_error"]["median"] == pytest.approx(longer - 1, abs=1e-9)
+    bent = read_known_cameras(files["b"], fisheye=True)
+    photos = [Photo(name, tmp_path / name, np.zeros((240, 320, 3), np.uint8)) for name in bent]
+    _, straight = pinhole_photos(photos, bent, "auto")
+    assert straight is not None
+    write_transforms(tmp_path / "views.json", straight)
+    summary, _ = compare(PosesRequest(files["b"], tmp_path / "views.json"), Stages())
+    assert summary["focal_error"]["max_abs"] < 0.01  # views have whole numbers of pixels
+
+
+def test_fisheye_photos_are_not_given_to_colmap(tmp_path: Path) -> None:
+    frames = [{"file_path": "a.png", "transform_matrix": np.eye(4).tolist()}]
+    file = tmp_path / "a.json"
+    lens = {"camera_model": "OPENCV_FISHEYE", "w": 320, "h": 240, "fl_x": 110, "fl_y": 110, "cx": 160, "cy": 120}
+    file.write_text(json.dumps({**lens, "frames": frames}))
+    with pytest.raises(QuerySplatError, match=r"lens of a\.png"):
+        compare(PosesRequest(file, colmap=True), Stages())

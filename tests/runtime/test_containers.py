@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from querysplat_cli.runtime import containers, limits, threads
+from querysplat_cli.runtime.errors import MissingPart
 
 GIB = 2**30
 
@@ -65,3 +66,15 @@ def test_no_more_threads_than_the_container_has_cores(tmp_path: Path, monkeypatc
     environment = {"OMP_NUM_THREADS": "7"}
     threads.limit_threads(environment)
     assert environment == {"OMP_NUM_THREADS": "7", "NUMBA_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+
+
+def test_the_address_space_is_that_of_the_cores_that_the_process_may_use(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a host of 64 cores a job of one was refused, for want of the address space of 64."""
+    monkeypatch.setattr(limits, "_limit", lambda: 3 * GIB)
+    monkeypatch.setattr("os.cpu_count", lambda: 64)
+    monkeypatch.setattr("os.sched_getaffinity", lambda process: {0})
+    limits.check_address_space("reconstruct")
+    monkeypatch.setattr("os.sched_getaffinity", lambda process: set(range(64)))
+    monkeypatch.setattr(containers, "cores", lambda: None)
+    with pytest.raises(MissingPart, match=r"is 3\.0 GiB, and about 11\.8 are needed"):
+        limits.check_address_space("reconstruct")

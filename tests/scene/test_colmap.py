@@ -19,13 +19,17 @@ POSES = [
 NAMES = ("left/1.jpg", "right/1.jpg", "right/2.jpg")
 
 
-def write_model(folder: Path, lens: str, parameters: list[float], *, text: bool = False) -> None:
+def write_model(folder: Path, lens: str, parameters: list[float], *, text: bool = False, seen: bool = False) -> None:
     model = pycolmap.Reconstruction()
     camera = pycolmap.Camera(model=lens, width=640, height=480, params=parameters, camera_id=1)
     model.add_camera_with_trivial_rig(camera)
     for number, (pose, name) in enumerate(zip(POSES, NAMES, strict=True), start=1):
         image = pycolmap.Image(name=name, camera_id=1, image_id=number)
+        if seen:
+            image.points2D = [pycolmap.Point2D(np.array(pixel)) for pixel in ([2.0, 3.0], [7.0, 8.0])]
         model.add_image_with_trivial_frame(image, pycolmap.Rigid3d(pose))
+    if seen:
+        model.add_point3D(np.array([5.0, 6.0, 7.0]), pycolmap.Track([pycolmap.TrackElement(1, 0)]))
     folder.mkdir(parents=True, exist_ok=True)
     (model.write_text if text else model.write_binary)(folder)
 
@@ -86,7 +90,60 @@ def test_damaged_models_are_refused(tmp_path: Path) -> None:
         read_known_cameras(tmp_path)
     for file in tmp_path.glob("cameras.*"):
         file.unlink()
-    with pytest.raises(QuerySplatError, match="no COLMAP model that can be read"):
+    with pytest.raises(QuerySplatError, match=r"no COLMAP model that can be read: cameras\.bin is missing"):
+        read_known_cameras(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("name", "whole", "damaged"),
+    [
+        ("cameras", "500 510 320 240", "500 51"),
+        ("cameras", "500 510 320 240", "500 51O 320 240"),
+        ("cameras", "1 PINHOLE", "1 PIN"),
+        ("images", " 1 left/1.jpg", ""),
+        ("images", "1 2 3 1 right/1.jpg", "1 x 3 1 right/1.jpg"),
+        ("images", "7 8 -1", "7 8"),
+        ("images", "7 8 -1", "7 8 x"),
+        ("points3D", "1 5 6 7 0 0 0 -1 1 0", "1 5 6"),
+        ("points3D", "1 5 6 7", "one 5 6 7"),
+        ("rigs", "1 1 CAMERA 1", "1 1 CAMERA"),
+        ("rigs", "1 1 CAMERA 1", "1 x CAMERA 1"),
+        ("frames", "1 CAMERA 1 1", "1 CAMERA 1"),
+        ("frames", "1 CAMERA 1 1", "x CAMERA 1 1"),
+    ],
+)
+def test_damaged_text_is_refused_by_its_file_and_line(
+    tmp_path: Path, name: str, whole: str, damaged: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """The message was that of a check in COLMAP's code."""
+    write_model(tmp_path, "PINHOLE", [500, 510, 320, 240], text=True, seen=True)
+    assert len(read_known_cameras(tmp_path)) == len(NAMES)
+    file = tmp_path / f"{name}.txt"
+    lines = file.read_text().splitlines()
+    number = next(i for i, line in enumerate(lines) if whole in line and not line.startswith("#"))
+    lines[number] = lines[number].replace(whole, damaged)
+    file.write_text("\n".join(lines) + "\n")
+    with pytest.raises(QuerySplatError) as caught:
+        read_known_cameras(tmp_path)
+    reason = f"line {number + 1} of {name}.txt is damaged, or cut off"
+    assert caught.value.message == f"{tmp_path}: no COLMAP model that can be read: {reason}"
+    assert not capfd.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["cameras", "images", "rigs", "frames"])
+def test_text_that_is_cut_off_in_its_first_lines_is_refused_by_its_file(tmp_path: Path, name: str) -> None:
+    write_model(tmp_path, "PINHOLE", [500, 510, 320, 240], text=True, seen=True)
+    file = tmp_path / f"{name}.txt"
+    file.write_text(file.read_text()[:60])
+    with pytest.raises(QuerySplatError, match=rf"can be read: {name}\.txt is empty, or cut off$"):
+        read_known_cameras(tmp_path)
+
+
+def test_files_of_several_models_are_refused_in_words(tmp_path: Path) -> None:
+    write_model(tmp_path, "PINHOLE", [500, 510, 320, 240], text=True)
+    frames = tmp_path / "frames.txt"
+    frames.write_text(frames.read_text().replace("CAMERA 1 3", "CAMERA 1 4"))
+    with pytest.raises(QuerySplatError, match=r"can be read: its files do not fit each other$"):
         read_known_cameras(tmp_path)
 
 

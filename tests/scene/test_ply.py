@@ -177,12 +177,14 @@ def test_files_that_are_no_scene_are_refused(tmp_path: Path) -> None:
     write_ply(tmp_path / "misnamed.ply", gaussians(10, 1))
     misnamed = (tmp_path / "misnamed.ply").read_bytes().replace(b"f_rest_3", b"f_rest_x")
     (tmp_path / "misnamed.ply").write_bytes(misnamed)
+    (tmp_path / "flat.ply").write_bytes(whole.replace(b"scale_2", b"other_2"))
     end = whole.index(b"end_header\n") + len(b"end_header\n")
     (tmp_path / "nan.ply").write_bytes(whole[:end] + b"\xff" * (len(whole) - end))
     (tmp_path / "huge.ply").write_bytes(whole.replace(b"vertex 10", b"vertex 99999999999999"))
     for name, message in {
         "missing": "no such file",
         "mesh": "not one of Gaussians: it has no f_dc_0",
+        "flat": r"a \.ply of flat Gaussians \(2DGS\), which is not read",
         "camera": "without vertices",
         "odd": "1 f_rest properties",
         "cut": "damaged",

@@ -1,6 +1,7 @@
 """Wrong usage of the command line, in two lines: what is wrong, and what was probably meant."""
 
 import difflib
+from glob import escape
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +19,19 @@ def explained(error: Any) -> tuple[str, str]:
     see = f"See `{path} --help`."
     option = getattr(error, "option_name", None)
     if option is not None and context is not None:
-        return f"{path.partition(' ')[2] or path} has no option {option}", f"{_meant(option, context)}{see}"
+        hint = f"{_file_meant(option) or _meant(option, context)}{see}"
+        return f"{path.partition(' ')[2] or path} has no option {option}", hint
     message = error.format_message()
     word = message.partition("'")[2].partition("'")[0]
     if message.startswith("No such command") and word and Path(word).exists():
         return message.partition(" Did you mean")[0], f"To make a scene of it: querysplat reconstruct {word}"
     return message, see
+
+
+def _file_meant(option: str) -> str:
+    """A file of the current folder whose name was taken for `option`, of which the parser may have read one letter."""
+    file = next(Path().glob(f"{escape(option)}*"), None)
+    return f"For the file {file}, write ./{file}. " if file else ""
 
 
 def _meant(option: str, context: Any) -> str:

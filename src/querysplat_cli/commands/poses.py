@@ -42,9 +42,10 @@ def compare(request: PosesRequest, stages: Stages) -> tuple[dict[str, Any], str]
 
 def _compared(request: PosesRequest, stages: Stages) -> tuple[dict[str, Any], str]:
     files = {name: file for place in (request.second, request.first) if place for name, file in _files(place).items()}
-    first = _upright(_rigid_cameras(request.first), files)
+    # COLMAP is asked for other lenses, and would place the photos of a fisheye badly.
+    first = _upright(_rigid_cameras(request.first, fisheye=not request.colmap), files)
     if request.second:
-        second, name = _upright(_rigid_cameras(request.second), files), str(request.second)
+        second, name = _upright(_rigid_cameras(request.second, fisheye=True), files), str(request.second)
     else:
         with stages("photos") as progress:
             photos = _photos(request.first, list(files.values()), progress)
@@ -55,9 +56,12 @@ def _compared(request: PosesRequest, stages: Stages) -> tuple[dict[str, Any], st
     return errors.summary(), name
 
 
-def _rigid_cameras(place: Path) -> dict[str, PhotoCamera]:
-    """The cameras in or at `place`. Raises QuerySplatError where one of them is no rigid motion."""
-    cameras = read_known_cameras(place)
+def _rigid_cameras(place: Path, *, fisheye: bool) -> dict[str, PhotoCamera]:
+    """The cameras in or at `place`; with `fisheye`, of fisheye lenses, too.
+
+    Raises QuerySplatError where one of them is no rigid motion.
+    """
+    cameras = read_known_cameras(place, fisheye=fisheye)
     wrong = [name for name, camera in cameras.items() if not is_rigid(camera.w2c)]
     if wrong:
         raise QuerySplatError(

@@ -1,6 +1,6 @@
 """Which pictures of a case are kept beside its scores."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -9,6 +9,7 @@ from torch import Tensor
 from querysplat_cli.evaluation.judge import RowResult
 from querysplat_cli.evaluation.metrics import Meter
 from querysplat_cli.evaluation.nerfbaselines import write_predictions
+from querysplat_cli.evaluation.results import RowFolder
 from querysplat_cli.scene.formats.dataset import Frame
 from querysplat_cli.scene.pictures import distinct_stems, eight_bit, write_picture
 
@@ -23,10 +24,13 @@ class Keeping:
     rendered: bool = False
     nerfbaselines: bool = False
 
-    def lacks(self, folder: Path) -> bool:
-        """Whether the folder of a finished case was written without pictures that are to be kept."""
-        wanted = {RENDERED: self.rendered, NERFBASELINES: self.nerfbaselines}
-        return any(asked and not (folder / name).is_dir() for name, asked in wanted.items())
+    def lacking(self, folders: Iterable[RowFolder]) -> int:
+        """How many finished cases were written without pictures that are to be kept."""
+        wanted = [name for name, kept in ((RENDERED, self.rendered), (NERFBASELINES, self.nerfbaselines)) if kept]
+        if not wanted:
+            return 0
+        cases = (folder.case(name) for folder in folders for name in folder.done())
+        return sum(not all((case / name).is_dir() for name in wanted) for case in cases)
 
     def writer(
         self, about: Mapping[str, str], truth: Callable[[Frame], Tensor], meter: Meter

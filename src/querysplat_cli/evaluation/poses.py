@@ -15,6 +15,7 @@ from querysplat_cli.runtime.figures import check_drawing, new_figure, save_figur
 from querysplat_cli.runtime.words import counted
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.files import atomic_path
+from querysplat_cli.scene.lenses import pinhole_width
 from querysplat_cli.scene.match_cameras import matched_names
 from querysplat_cli.scene.rotations import rotation_angles
 from querysplat_cli.scene.sim3 import Sim3, align_cameras, least_squares_fit
@@ -29,7 +30,8 @@ class PoseErrors:
     `extent` the largest distance between two of B's centres. `pair_rotation` and
     `pair_translation` are the errors, in degrees, of each pair's relative rotation and of the direction (with its
     sign) from the first camera to the second; these need no alignment. `focal` is A's focal length over the picture's
-    width, relative to B's, less one.
+    width, relative to B's, less one. Where one of a photo's two cameras is a fisheye's, the width is that of the
+    pinhole view that it becomes.
     """
 
     names: tuple[str, ...]
@@ -106,7 +108,7 @@ def compare_cameras(a: Mapping[str, PhotoCamera], b: Mapping[str, PhotoCamera]) 
         extent=float(apart.max()),
         pair_rotation=_pair_rotation(w2c_a, w2c_b, pairs),
         pair_translation=_between(_pair_direction(w2c_a, pairs), _pair_direction(w2c_b, pairs)),
-        focal=np.array([_focal(one) / _focal(other) - 1 for one, other in zip(mine, theirs, strict=True)]),
+        focal=np.array([_focal_error(one, other) for one, other in zip(mine, theirs, strict=True)]),
         centres=np.stack([centres_a, centres_b]),
     )
 
@@ -177,5 +179,11 @@ def _between(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     return np.where(lost, 180.0, np.degrees(np.arctan2(sine, cosine)))
 
 
-def _focal(camera: PhotoCamera) -> float:
-    return float(np.sqrt(camera.focal[0] * camera.focal[1])) / camera.width
+def _focal_error(one: PhotoCamera, other: PhotoCamera) -> float:
+    as_views = one.fisheye != other.fisheye  # the other one is a pinhole view's, as `reconstruct` makes it
+    return _focal(one, as_views) / _focal(other, as_views) - 1
+
+
+def _focal(camera: PhotoCamera, as_view: bool) -> float:
+    width = pinhole_width(camera) if as_view and camera.fisheye else camera.width
+    return float(np.sqrt(camera.focal[0] * camera.focal[1])) / width

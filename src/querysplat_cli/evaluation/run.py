@@ -85,7 +85,7 @@ def _evaluated(request: EvalRequest, stages: Stages, say: Callable[[str], None])
     say(to_do(jobs, len(splits), request.workers))
     keeping = Keeping(request.save_pictures, request.nerfbaselines)
     folders = [RowFolder(request.out, row.name, split.name) for split in splits for row, _ in table]
-    if lacking := sum(keeping.lacks(folder.case(name)) for folder in folders for name in folder.done()):
+    if lacking := keeping.lacking(folders):
         say(f"{counted(lacking, 'finished scene')} without the pictures asked for: only --force makes them again")
     setup = Setup(
         request.out,

@@ -1,11 +1,10 @@
 """Limits of memory that are known in advance, so that a command says what it needs before it starts."""
 
-import os
-
 import psutil
 
 from querysplat_cli.runtime import containers
 from querysplat_cli.runtime.errors import MissingPart
+from querysplat_cli.runtime.threads import cores
 
 GIB = 2**30
 BUSY = ("reconstruct", "demo", "evaluate", "train", "tto", "inspect", "poses", "convert --mesh")
@@ -13,13 +12,13 @@ ADDRESS_SPACE = {**dict.fromkeys(BUSY, 2.2), "weights": 0.9}
 """GiB of address space that a verb takes with small pictures, for one core and beside what every core takes."""
 OTHER_ADDRESS_SPACE = 1.5
 CORE_ADDRESS_SPACE = 0.15
-"""GiB of address space for each core: stacks and pools of its threads."""
+"""GiB of address space for each core that this process may use: stacks and pools of its threads."""
 
 
 def check_address_space(verb: str) -> None:
     """Raise MissingPart when `ulimit -v` is so low that native libraries would crash."""
     limit = _limit()
-    needed = ADDRESS_SPACE.get(verb, OTHER_ADDRESS_SPACE) + CORE_ADDRESS_SPACE * (os.cpu_count() or 1)
+    needed = ADDRESS_SPACE.get(verb, OTHER_ADDRESS_SPACE) + CORE_ADDRESS_SPACE * cores()
     if limit is not None and limit < needed * GIB:
         raise MissingPart(
             f"the limit of the address space (ulimit -v) is {limit / GIB:.1f} GiB, and about {needed:.1f} are needed",

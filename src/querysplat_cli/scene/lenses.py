@@ -66,6 +66,14 @@ def same_panorama(one: Photo, other: Photo) -> bool:
     return one.view is not None and other.view is not None and (one.path, one.pts) == (other.path, other.pts)
 
 
+def pinhole_width(camera: PhotoCamera) -> float:
+    """The width of the pinhole view that a photo with this fisheye camera becomes, in the photo's own pixels.
+
+    Raises QuerySplatError as `fisheye_view`.
+    """
+    return camera.width * _view_of(camera).size[1]
+
+
 def _view_of(camera: PhotoCamera) -> PinholeView:
     return fisheye_view((*camera.focal, *camera.principal), camera.distortion, camera.height, camera.width)
 

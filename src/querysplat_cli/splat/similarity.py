@@ -110,7 +110,7 @@ def photometric_value(
     image: Float[Tensor, "views 3 height width"],
     target: Float[Tensor, "views 3 height width"],
     mask: Bool[Tensor, "views height width"],
-    ssim_weight: float = SSIM_WEIGHT,
+    ssim_weight: float,
 ) -> tuple[float, float]:
     """`photometric_loss`, and the mean squared error of the clamped picture over the pixels of `mask`.
 

@@ -86,9 +86,10 @@ def optimise_full_size(
         if target is None or size != stage.max_size:
             target = None  # the smaller pictures make room for the larger ones
             views, cameras = views_at(stage.max_size)
-            target, size = RenderingLoss.for_solid_scenes(views, cameras, generator, refitted), stage.max_size
-        weight = FULL_SIZE_POLICY.ssim_weight
-        target = replace(target, halved=stage.halved, confirmed=facts.confirmed, ssim_weight=weight)
+            solid = RenderingLoss.for_solid_scenes(views, cameras, generator, refitted)
+            target = replace(solid, confirmed=facts.confirmed, ssim_weight=FULL_SIZE_POLICY.ssim_weight)
+            size = stage.max_size
+        target = replace(target, halved=stage.halved)
         start = runs[-1][1].gaussians if runs else gaussians
         result = optimise_gaussians(
             start,

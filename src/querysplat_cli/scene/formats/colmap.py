@@ -13,7 +13,8 @@ from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.json_files import shown
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.drafts import scratch_folder
-from querysplat_cli.scene.formats.colmap_files import check_binary
+from querysplat_cli.scene.formats.colmap_files import check_binary, unreadable
+from querysplat_cli.scene.formats.colmap_text import check_images, damage
 from querysplat_cli.scene.formats.point_cloud import PointCloud
 from querysplat_cli.scene.photo_names import names_a_photo, short_names
 
@@ -33,9 +34,6 @@ FISHEYE_PARAMETERS = {
     "OPENCV_FISHEYE": (0, 1, 2, 3),
 }
 """The same of OpenCV's fisheye (k1, k2, k3, k4)."""
-
-IMAGE_FIELDS = 10
-"""Of a line of images.txt: number, quaternion, translation, camera, name."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +62,7 @@ def read_colmap(folder: Path, *, fisheye: bool = False) -> dict[str, PhotoCamera
     except QuerySplatError:
         raise
     except Exception as error:  # damage can raise anything in COLMAP's classes
-        raise QuerySplatError(f"{folder}: no COLMAP model that can be read: {error}", "Export it again.") from error
+        raise unreadable(folder, str(error)) from error
 
 
 def _cameras(folder: Path, lenses: Collection[str]) -> dict[str, PhotoCamera]:
@@ -180,51 +178,29 @@ def _check_text(folder: Path, names: Iterable[str]) -> None:
         )
 
 
-def _check_lines(folder: Path) -> None:
-    """Raise QuerySplatError where COLMAP would cut a name in images.txt at a space, or miss a photo."""
-    if (folder / "images.bin").is_file() or not (folder / "images.txt").is_file():
-        return
-    with (folder / "images.txt").open(errors="replace") as lines:
-        for line in lines:
-            fields = line.split()
-            if not fields or line.startswith("#"):
-                continue
-            if len(fields) > IMAGE_FIELDS:
-                name = " ".join(fields[IMAGE_FIELDS - 1 :])
-                raise QuerySplatError(
-                    f"{folder}: COLMAP cuts the name {shown(name)} in images.txt at its space",
-                    "Export the model as binary files.",
-                )
-            points = next(lines, None)  # those that the photo shows, three numbers each
-            if points is None:
-                raise QuerySplatError(
-                    f"{folder}: images.txt ends at {shown(fields[-1])}, and COLMAP leaves that photo out",
-                    "Add an empty line at its end: each photo has two lines.",
-                )
-            if len(points.split()) % 3:
-                raise QuerySplatError(
-                    f"{folder}: the line after that of {shown(fields[-1])} in images.txt has no points, and is skipped",
-                    "Add an empty line behind each photo's: each photo has two lines.",
-                )
-
-
 def _opened(folder: Path) -> Any:
+    kind = _kind(folder)
+    if kind and not (folder / f"cameras{kind}").is_file():
+        raise unreadable(folder, f"cameras{kind} is missing")
     check_binary(folder)
-    _check_lines(folder)
+    if kind == ".txt":
+        check_images(folder)
     with scratch_folder() as scratch:
-        whole = _with_points(folder, scratch)
+        whole = _with_points(folder, kind, scratch)
         try:
             return load_pycolmap().Reconstruction(whole)
-        except Exception as error:  # damage can raise anything in COLMAP's parser
-            reason = (str(error).strip() or type(error).__name__).splitlines()[-1].replace(str(whole), str(folder))
-            raise QuerySplatError(
-                f"{folder}: no COLMAP model that can be read: {reason}", "Export it again."
-            ) from error
+        except Exception as error:  # damage can raise anything in COLMAP's parser, in the words of its code
+            reason = damage(folder) if kind == ".txt" else None
+            raise unreadable(folder, reason or "its files do not fit each other") from error
 
 
-def _with_points(folder: Path, scratch: Path) -> Path:
+def _kind(folder: Path) -> str | None:
+    """The suffix of the files of the model in `folder`."""
+    return next((file.suffix for file in _model_files(folder) if file.is_file()), None)
+
+
+def _with_points(folder: Path, kind: str | None, scratch: Path) -> Path:
     """`folder`, or `scratch` with a copy of its model and no points: COLMAP reads no model without points3D."""
-    kind = next((file.suffix for file in _model_files(folder) if file.is_file()), None)
     if kind is None or (folder / f"points3D{kind}").is_file():
         return folder
     for part in ("cameras", "images", "rigs", "frames"):

@@ -8,8 +8,33 @@ from pathlib import Path
 
 from querysplat_cli.runtime.errors import QuerySplatError
 
-PARAMETERS = (3, 4, 4, 5, 8, 8, 12, 5, 4, 5, 12, 16, 4, 5, 3, 4, 6, 2)
-"""How many parameters a camera has, by the number of its lens model."""
+PARAMETERS = {
+    "SIMPLE_PINHOLE": 3,
+    "PINHOLE": 4,
+    "SIMPLE_RADIAL": 4,
+    "RADIAL": 5,
+    "OPENCV": 8,
+    "OPENCV_FISHEYE": 8,
+    "FULL_OPENCV": 12,
+    "FOV": 5,
+    "SIMPLE_RADIAL_FISHEYE": 4,
+    "RADIAL_FISHEYE": 5,
+    "THIN_PRISM_FISHEYE": 12,
+    "RAD_TAN_THIN_PRISM_FISHEYE": 16,
+    "SIMPLE_DIVISION": 4,
+    "DIVISION": 5,
+    "SIMPLE_FISHEYE": 3,
+    "FISHEYE": 4,
+    "EUCM": 6,
+    "EQUIRECTANGULAR": 2,
+}
+"""How many parameters a camera of each lens model has, in the order of COLMAP's numbers."""
+COUNTS = tuple(PARAMETERS.values())
+
+
+def unreadable(folder: Path, reason: str) -> QuerySplatError:
+    """The error for a damaged model in `folder`."""
+    return QuerySplatError(f"{folder}: no COLMAP model that can be read: {reason}", "Export it again.")
 
 
 class _Torn(ValueError):
@@ -54,17 +79,16 @@ def check_binary(folder: Path) -> None:
             for _ in range(reader.number("Q")):
                 record(reader)
         except _Torn:
-            why = f"{folder}: no COLMAP model that can be read: {file.name} is damaged, or cut off"
-            raise QuerySplatError(why, "Export it again.") from None
+            raise unreadable(folder, f"{file.name} is damaged, or cut off") from None
 
 
 def _camera(reader: _Reader) -> None:
     reader.skip(4)
     model = reader.number("i")
     reader.skip(16)
-    if not 0 <= model < len(PARAMETERS):
+    if not 0 <= model < len(COUNTS):
         raise _Torn
-    reader.skip(8 * PARAMETERS[model])
+    reader.skip(8 * COUNTS[model])
 
 
 def _image(reader: _Reader) -> None:

@@ -103,6 +103,11 @@ def read_ply(path: str | Path) -> Gaussians:
         raise QuerySplatError(
             f"{path}: a compressed .ply of PlayCanvas, which is not read", "Convert it with splat-transform."
         )
+    if missing == ["scale_2"]:
+        raise QuerySplatError(
+            f"{path}: a .ply of flat Gaussians (2DGS), which is not read: it has no scale_2",
+            "Give a 3D Gaussian splatting .ply.",
+        )
     if missing:
         raise QuerySplatError(
             f"{path}: a .ply, but not one of Gaussians: it has no {', '.join(missing[:4])}",
