@@ -2,12 +2,10 @@
 
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import suppress
 from pathlib import Path
 
 import psutil
@@ -73,10 +71,6 @@ def scheduler() -> Iterator[list["subprocess.Popen[bytes]"]]:
         subprocess.Popen([*dask, *arguments], env=environment, stderr=subprocess.DEVNULL)
         for arguments in (["scheduler", "--port", ADDRESS.rpartition(":")[2], "--no-dashboard"], worker, worker)
     ]
-    while processes[0].poll() is None:
-        with suppress(OSError), socket.create_connection(("127.0.0.1", int(ADDRESS.rpartition(":")[2]))):
-            break
-        time.sleep(0.05)
     yield processes
     for process in processes:
         process.terminate()

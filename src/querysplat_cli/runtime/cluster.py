@@ -1,15 +1,12 @@
 """Jobs on several processes or machines, by Dask (the extra `cluster`)."""
 
 import logging
-import socket
 import threading
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from importlib.util import find_spec
 from shutil import which
 from typing import Any
-from urllib.parse import urlsplit
 from uuid import uuid4
 
 from querysplat_cli.runtime.engine import Done, Engine, Handler, Heard, InProcess, reporting_to, unheard
@@ -24,8 +21,6 @@ RETRIES = 2
 """How often a job is done again after an error that is not the user's. Dask gives jobs of lost workers to others."""
 ANSWER_SECONDS = 15
 """How long a scheduler may take to answer."""
-REFUSED_SECONDS = 2
-"""How long nothing may listen at its address: a scheduler may just be starting."""
 LEAST_PROGRESS = 0.01
 """Smaller steps of a job are not reported."""
 
@@ -159,30 +154,11 @@ def _scheduler(address: str) -> Any:
     from distributed import Client
 
     try:
-        if address.startswith(("tcp:", "tls:")):
-            _wait_while_refused(address)
         return Client(address, timeout=ANSWER_SECONDS)
     except (OSError, ValueError) as error:
         raise QuerySplatError(
             f"--cluster {address}: no scheduler answers there", "Start one with `dask scheduler`."
         ) from error
-
-
-def _wait_while_refused(address: str) -> None:
-    """Raise ConnectionRefusedError where nothing listens at `address`; Dask would try for `ANSWER_SECONDS`."""
-    place = urlsplit(address)
-    end = time.monotonic() + REFUSED_SECONDS
-    while True:
-        try:
-            socket.create_connection((place.hostname, place.port), timeout=REFUSED_SECONDS).close()
-        except ConnectionRefusedError:
-            if time.monotonic() > end:
-                raise
-            time.sleep(0.1)
-            continue
-        except OSError:  # a slow network, for instance
-            pass
-        return
 
 
 def _local(workers: int) -> Any:
