@@ -15,7 +15,14 @@ LARGE = Photos(20, 1200, 1600, 448)
 def test_the_rate_falls_with_the_square_root_of_many_photos() -> None:
     rates = {count: plan_full_size("max", replace(LARGE, count=count), 10_000) for count in (5, 12, 48)}
     assert [plan.stages[0].settings.lr / FULL_SIZE_POLICY.learning_rate for plan in rates.values()] == [1, 1, 0.5]
-    assert all(plan.round and plan.round.settings.lr == plan.stages[0].settings.lr / 2 for plan in rates.values())
+    assert all(plan.round and plan.round.settings.lr == plan.stages[-1].settings.lr / 2 for plan in rates.values())
+
+
+def test_a_stage_that_goes_on_starts_at_a_lower_rate() -> None:
+    first, second = (stage.settings.lr for stage in plan_full_size("high", LARGE, 10_000).stages)
+    (only,) = plan_full_size("standard", LARGE, 10_000).stages
+    assert second == FULL_SIZE_POLICY.later_rate * first
+    assert only.settings.lr == first
 
 
 @pytest.mark.parametrize("level", ["standard", "high", "max"])
@@ -44,10 +51,17 @@ def test_small_photos_have_one_stage_and_few_photos_have_few_steps() -> None:
     assert not any(each.settings.keep_cover for each in plan_full_size("high", LARGE, 40_000).stages)
 
 
-def test_only_photos_that_are_shown_often_have_dropout() -> None:
-    often, seldom = plan_full_size("high", LARGE, 40_000), plan_full_size("standard", Photos(20, 336, 448, 448), 40_000)
-    assert {each.settings.dropout for each in often.stages} == {FULL_SIZE_POLICY.dropout}
-    assert {each.settings.dropout for each in seldom.stages} == {0.0}
+def test_only_stages_that_show_photos_often_have_dropout() -> None:
+    plans = (
+        plan_full_size("high", LARGE, 40_000),
+        plan_full_size("high", Photos(8, 480, 640, 448), 40_000),
+        plan_full_size("standard", Photos(20, 336, 448, 448), 40_000),
+    )
+    assert [[each.settings.dropout for each in plan.stages] for plan in plans] == [
+        [FULL_SIZE_POLICY.dropout, 0.0],
+        [FULL_SIZE_POLICY.dropout],
+        [0.0],
+    ]
 
 
 @pytest.mark.parametrize(("seconds", "dropout"), [(60.0, 0.0), (4000.0, FULL_SIZE_POLICY.dropout)])

@@ -104,7 +104,7 @@ def plan_full_size(
     halved = limits.halved if photos.enlarged(size) else 0.0
     shares = _stages(photos, size)
     most_steps = max(1, int(_most_passes(photos, size, limits) * photos.count / len(shares)))
-    stages, expected, lasting = [], 0.0, 0
+    stages, expected = [], 0.0
     for number, (share, part) in enumerate(shares, start=1):
         more = round(gaussians * (target / gaussians) ** (number / len(shares)))
         seen = photos.pixels(size) * share**2
@@ -113,17 +113,15 @@ def plan_full_size(
         steps = most_steps if limit else in_time
         settings = TtoSettings(
             steps,
-            policy.rate(photos.count),
+            policy.rate(photos.count) * (policy.later_rate if stages else 1),
             views_per_step=1,
             seconds=limit.seconds * part if limit else None,
             keep_cover=1 < photos.count <= TTO_POLICY.few_views,
             densify_after=policy.splits,
+            dropout=policy.dropout if in_time > policy.dropout_passes * photos.count else 0.0,
         )
         stages.append(FullSizeStage(round(size * share), settings, more, halved))
         expected += steps * cost
-        lasting += in_time
-    if lasting > policy.dropout_passes * photos.count:
-        stages = [replace(stage, settings=replace(stage.settings, dropout=policy.dropout)) for stage in stages]
     if not limits.most_rounds or limit:
         return FullSizePlan(tuple(stages), limit.seconds if limit else expected, level=level)
     last = stages[-1].settings
