@@ -104,7 +104,8 @@ def plan_full_size(
     halved = limits.halved if photos.enlarged(size) else 0.0
     shares = _stages(photos, size)
     most_steps = max(1, int(_most_passes(photos, size, limits) * photos.count / len(shares)))
-    stages, expected = [], 0.0
+    stages: list[FullSizeStage] = []
+    expected = 0.0
     for number, (share, part) in enumerate(shares, start=1):
         more = round(gaussians * (target / gaussians) ** (number / len(shares)))
         seen = photos.pixels(size) * share**2
