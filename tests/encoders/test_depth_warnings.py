@@ -9,8 +9,8 @@ from test_depth import SLANTED, posed
 
 from querysplat_cli.encoders.base import PosedViews
 from querysplat_cli.encoders.classical.depth import estimate_geometry
-from querysplat_cli.encoders.classical.depth_policy import DEPTH_POLICY
 from querysplat_cli.encoders.classical.depth_warnings import agreeing_share, depth_warnings
+from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
 from querysplat_cli.runtime.progress import silent
 
 BESIDE = [(0, 0, 0), (0.3, 0, 0)]
@@ -51,7 +51,7 @@ def test_the_share_is_that_of_the_pixels_that_another_photo_shows() -> None:
 
 
 def test_many_photos_are_not() -> None:
-    places = [(0.1 * i, 0, 0) for i in range(DEPTH_POLICY.doubted_views + 1)]
+    places = [(0.1 * i, 0, 0) for i in range(CAMERA_POLICY.few_photos + 1)]
     many, depth = posed(SLANTED, places)
     nothing = torch.zeros(depth.shape)
     assert not depth_warnings(many, torch.from_numpy(depth).float(), nothing)

@@ -4,6 +4,16 @@
 import numba as nb
 
 
+@nb.njit(error_model="numpy", inline="always")
+def _projected(point, w2c, lens):
+    """Pixels x and y, and camera z, of one point [3] in world coordinates. Behind the camera, pixels mean nothing."""
+    px, py, pz = point[0], point[1], point[2]
+    z = w2c[2, 0] * px + w2c[2, 1] * py + w2c[2, 2] * pz + w2c[2, 3]
+    x = (w2c[0, 0] * px + w2c[0, 1] * py + w2c[0, 2] * pz + w2c[0, 3]) / z * lens[0] + lens[2]
+    y = (w2c[1, 0] * px + w2c[1, 1] * py + w2c[1, 2] * pz + w2c[1, 3]) / z * lens[1] + lens[3]
+    return x, y, z
+
+
 @nb.njit(cache=True, error_model="numpy", parallel=True)
 def compare_cells(points, others, w2c, lenses, limits, depth, confidence, masks, images, counts, colours):
     """Add what other views say of each cell to counts [views, cells, 2] and colours [views, cells, 4].
@@ -21,17 +31,11 @@ def compare_cells(points, others, w2c, lenses, limits, depth, confidence, masks,
     one = points.dtype.type(1)
     for place in nb.prange(views * cells):
         own, cell = place // cells, place % cells
-        px, py, pz = points[own, cell, 0], points[own, cell, 1], points[own, cell, 2]
         for other in others[own]:
             if other == own:
                 continue
-            to, lens = w2c[other], lenses[other]
-            z = to[2, 0] * px + to[2, 1] * py + to[2, 2] * pz + to[2, 3]
-            if not z > nearest:
-                continue
-            x = (to[0, 0] * px + to[0, 1] * py + to[0, 2] * pz + to[0, 3]) / z * lens[0] + lens[2]
-            y = (to[1, 0] * px + to[1, 1] * py + to[1, 2] * pz + to[1, 3]) / z * lens[1] + lens[3]
-            if not (0 <= x < width and 0 <= y < height):
+            x, y, z = _projected(points[own, cell], w2c[other], lenses[other])
+            if not (z > nearest and 0 <= x < width and 0 <= y < height):
                 continue
             row, column = int(y), int(x)
             if not masks[other, row, column]:
@@ -61,13 +65,9 @@ def mark_covered(points, footprint, keep, w2c, lens, limits, cell, depth, size, 
         if not keep[block]:
             continue
         for part in range(points.shape[1]):
-            px, py, pz = points[block, part, 0], points[block, part, 1], points[block, part, 2]
-            z = w2c[2, 0] * px + w2c[2, 1] * py + w2c[2, 2] * pz + w2c[2, 3]
-            if not z > nearest:
-                continue
-            x = ((w2c[0, 0] * px + w2c[0, 1] * py + w2c[0, 2] * pz + w2c[0, 3]) / z * lens[0] + lens[2]) / cell
-            y = ((w2c[1, 0] * px + w2c[1, 1] * py + w2c[1, 2] * pz + w2c[1, 3]) / z * lens[1] + lens[3]) / cell
-            if not (0 <= x < columns and 0 <= y < rows):
+            x, y, z = _projected(points[block, part], w2c, lens)
+            x, y = x / cell, y / cell
+            if not (z > nearest and 0 <= x < columns and 0 <= y < rows):
                 continue
             row, column = int(y), int(x)
             same = abs(z / depth[row, column] - one) < agreement

@@ -6,6 +6,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import torch
+from torch import Tensor
 
 from querysplat_cli.encoders.base import Geometry, PosedViews
 from querysplat_cli.encoders.classical.consistency import DepthMaps, blurred, carve, confirm, lent
@@ -36,9 +37,9 @@ def estimate_geometry(posed: PosedViews, *, seed: int, progress: Progress) -> Ge
     sources = choose_sources(posed)
     ranges = [inverse_range(posed, v) for v in range(len(views))]
     if not any(sources):
-        depth = np.stack([np.full(masks.shape[1:], 1 / limits.middle, np.float32) for limits in ranges])
-        guess = _geometry(posed, depth, np.zeros_like(depth))
-        return replace(guess, warnings=("depth is a guess: there is no parallax to measure it by",))
+        depth = torch.stack([torch.full(masks.shape[1:], 1 / limits.middle) for limits in ranges])
+        warning = "depth is a guess: there is no parallax to measure it by"
+        return _geometry(posed, depth, torch.zeros_like(depth), (warning,))
     pictures = views.images.permute(0, 2, 3, 1).contiguous().numpy()
     each = [_stretched(picture, mask) for picture, mask in zip(pictures, masks, strict=True)]
     photos = _as_sources(posed, each)
@@ -68,12 +69,12 @@ def estimate_geometry(posed: PosedViews, *, seed: int, progress: Progress) -> Ge
     progress("clearing free space", 0.95)
     least = [limits.far for limits in ranges]
     inverse = carve(replace(maps, inverse=inverse), K, w2c, nearest, least)
-    return _geometry(posed, 1 / inverse, confidence)
+    depth, sure = torch.from_numpy(1 / inverse), torch.from_numpy(confidence)
+    return _geometry(posed, depth, sure, depth_warnings(posed, depth, sure))
 
 
-def _geometry(posed: PosedViews, depth: np.ndarray, confidence: np.ndarray) -> Geometry:
-    z, sure = torch.from_numpy(depth), torch.from_numpy(confidence)
-    return Geometry(z, sure, (patch_features(posed, z, sure),), PATCH, depth_warnings(posed, z, sure))
+def _geometry(posed: PosedViews, depth: Tensor, confidence: Tensor, warnings: tuple[str, ...]) -> Geometry:
+    return Geometry(depth, confidence, (patch_features(posed, depth, confidence),), PATCH, warnings)
 
 
 def _stretched(pictures: np.ndarray, masks: np.ndarray) -> np.ndarray:

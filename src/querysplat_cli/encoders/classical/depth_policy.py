@@ -121,8 +121,6 @@ class DepthPolicy:
     """What another view measured, seen from a view that measured nothing there, weighs so much."""
 
     # A warning (depth_warnings.py).
-    doubted_views: int = 4
-    """So few photos may have cameras that fit their matches and nothing else."""
     agreeing_share: float = 0.3
     """Photos that agree on the depth of less of what they share are warned of. Of 90 pairs of the sets that are tuned
     on, the cameras of the 26 below are wrong by 8.7° in the median, and those of the others by 1.8° (docs/tried.md)."""

@@ -7,13 +7,17 @@ from torch import Tensor
 from querysplat_cli.encoders.base import PosedViews
 from querysplat_cli.encoders.classical.depth_policy import DEPTH_POLICY
 from querysplat_cli.encoders.classical.patch_features import PATCH
+from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
 
 
 def depth_warnings(
     posed: PosedViews, depth: Float[Tensor, "views height width"], confidence: Float[Tensor, "views height width"]
 ) -> tuple[str, ...]:
-    """A sentence where two to `doubted_views` photos agree on the depth of little of what they share."""
-    if not 2 <= len(posed.views) <= DEPTH_POLICY.doubted_views:
+    """A sentence where two to `few_photos` photos agree on the depth of little of what they share.
+
+    So few may have cameras that fit their matches and nothing else.
+    """
+    if not 2 <= len(posed.views) <= CAMERA_POLICY.few_photos:
         return ()
     share = agreeing_share(posed, depth, confidence)
     if share >= DEPTH_POLICY.agreeing_share:
