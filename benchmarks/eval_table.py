@@ -1,10 +1,11 @@
-"""The tables of docs/benchmarks.md on the paper's protocol, one for each set, from what `querysplat eval` wrote.
+"""The tables on the paper's protocol, one for each set, from what `querysplat eval` wrote.
 
     python benchmarks/eval_table.py evaluation/ [--rows NAME ...] [--csv DIR]
 
 Figures are PSNR in dB / SSIM, as `querysplat eval` summarises them, of the cases of one set alone. Targets *apart*
 share nothing with the inputs: they have no verified matches with any of them. The paper's figures stand in the last
 table; they are its means over small, medium and large splits. --csv writes every split of every set.
+docs/benchmarks.md has the rows of all sets in two tables: between the inputs, and the default's beyond them.
 """
 
 import argparse
