@@ -9,25 +9,25 @@ import torch
 from torch import Tensor
 
 from querysplat_cli.encoders.base import Geometry, PosedViews
-from querysplat_cli.encoders.classical.consistency import DepthMaps, blurred, carve, confirm, lent
+from querysplat_cli.encoders.classical.consistency import DepthMaps, blurred, carve, lent
 from querysplat_cli.encoders.classical.contrast import stretch
 from querysplat_cli.encoders.classical.depth_policy import DEPTH_POLICY
 from querysplat_cli.encoders.classical.depth_warnings import depth_warnings
 from querysplat_cli.encoders.classical.fill_depth import fill_depth
-from querysplat_cli.encoders.classical.neighbours import InverseRange, choose_sources, inverse_range, nearest_views
+from querysplat_cli.encoders.classical.neighbours import choose_sources, inverse_range, nearest_views
 from querysplat_cli.encoders.classical.patch_features import PATCH, patch_features
-from querysplat_cli.encoders.classical.patchmatch import Planes, Source, refine_planes
-from querysplat_cli.encoders.classical.semiglobal import aggregate_costs, best_planes
-from querysplat_cli.encoders.classical.sweep import cost_volume
+from querysplat_cli.encoders.classical.patchmatch import Source
+from querysplat_cli.encoders.classical.stereo import measure
+from querysplat_cli.encoders.classical.wide_windows import measure_wide
 from querysplat_cli.runtime.progress import Progress
 
 
 def estimate_geometry(posed: PosedViews, *, seed: int, progress: Progress) -> Geometry:
     """Depth, confidence and patch features of every view.
 
-    A sweep at half size finds the surfaces. Two rounds of plane refinement sharpen them; the second one also compares
-    with the depths of the other views. Confidence is near 1 where two other views confirm a depth, about 1/2 where
-    one does, and 0 where the depth was filled in. A filled depth never stands in front of what other views measured.
+    Stereo measures it (`stereo.py`). Confidence is near 1 where two other views confirm a depth, about 1/2 where one
+    does, and 0 where the depth was filled in: from what other views measured, from wider windows (`wide_windows.py`),
+    and from the surroundings. A filled depth never stands in front of what other views measured.
     Without parallax, the depth is constant with confidence 0. `warnings` says so, and where a few photos hardly agree.
     `seed` is unused: nothing is random here.
     """
@@ -43,30 +43,22 @@ def estimate_geometry(posed: PosedViews, *, seed: int, progress: Progress) -> Ge
     pictures = views.images.permute(0, 2, 3, 1).contiguous().numpy()
     each = [_stretched(picture, mask) for picture, mask in zip(pictures, masks, strict=True)]
     photos = _as_sources(posed, each)
-    planes = []
-    for v, chosen in enumerate(sources):
-        planes.append(_first_planes(photos, v, chosen, ranges[v]))
-        progress(views.names[v], 0.6 * (v + 1) / len(views))
-    measured = [replace(photo, inverse=found.inverse) for photo, found in zip(photos, planes, strict=True)]
-    inverse, match = np.empty(masks.shape, np.float32), np.ones(masks.shape, np.float32)
-    for v, chosen in enumerate(sources):
-        inverse[v] = planes[v].inverse
-        if chosen:
-            found, match[v] = refine_planes(measured[v], [measured[s] for s in chosen], planes[v], ranges[v])
-            inverse[v] = found.inverse
-        progress(f"refining {views.names[v]}", 0.6 + 0.3 * (v + 1) / len(views))
+    found = measure(photos, sources, ranges, lambda what, share: progress(what, 0.85 * share))
+    wide = measure_wide(photos, sources, ranges, found)
+    progress("clearing free space", 0.9)
+    inverse, confidence = found.inverse, found.confidence
     K, w2c = (part.double().numpy() for part in (posed.cameras.K, posed.cameras.w2c))
-    confidence = confirm(inverse, masks, match, K, w2c, sources)
     # Colours of different views are compared, so that all are stretched alike, or none is.
     nearest, maps = nearest_views(posed), DepthMaps(inverse, confidence, blurred(_stretched(pictures, masks)), masks)
     others = lent(maps, K, w2c, nearest)
     for v in range(len(views)):
-        borrowed = (others[v] > 0) & (confidence[v] < DEPTH_POLICY.guess_confidence) & masks[v]
-        start = np.where(borrowed, others[v], inverse[v])
-        weight = np.where(borrowed, np.float32(DEPTH_POLICY.lent_confidence), confidence[v])
+        guess = (confidence[v] < DEPTH_POLICY.guess_confidence) & masks[v]
+        borrowed, wider = guess & (others[v] > 0), guess & (wide.inverse[v] > 0)
+        start = np.select([borrowed, wider], [others[v], wide.inverse[v]], inverse[v])
+        lent_confidence = np.float32(DEPTH_POLICY.lent_confidence)
+        weight = np.select([borrowed, wider], [lent_confidence, wide.confidence[v]], confidence[v])
         inverse[v] = fill_depth(start, weight, each[v], masks[v])
         inverse[v] = np.clip(inverse[v], ranges[v].far, ranges[v].near)
-    progress("clearing free space", 0.95)
     least = [limits.far for limits in ranges]
     inverse = carve(replace(maps, inverse=inverse), K, w2c, nearest, least)
     depth, sure = torch.from_numpy(1 / inverse), torch.from_numpy(confidence)
@@ -95,39 +87,3 @@ def _as_sources(posed: PosedViews, pictures: Sequence[np.ndarray]) -> list[Sourc
         grey[~mask.numpy()] = -1
         photos.append(Source(grey, K.double().numpy(), w2c.double().numpy(), np.zeros_like(grey)))
     return photos
-
-
-def _first_planes(photos: list[Source], view: int, sources: list[int], limits: InverseRange) -> Planes:
-    """The surfaces of one view from its own sources; constant where it has none."""
-    grey = photos[view].grey
-    if not sources:
-        flat = np.zeros_like(grey)
-        return Planes(np.full_like(grey, limits.middle), flat, flat)
-    others = [photos[s] for s in sources]
-    start = _swept(_halved(photos[view]), [_halved(other) for other in others], limits)
-    found, _ = refine_planes(photos[view], others, start, limits)
-    return found
-
-
-def _halved(photo: Source) -> Source:
-    """The same view at half the size. A pixel has no picture where one of its four pixels has none."""
-    height, width = photo.grey.shape
-    blocks = photo.grey.reshape(height // 2, 2, width // 2, 2)
-    grey = np.where(blocks.min((1, 3)) < 0, np.float32(-1), blocks.mean((1, 3)))
-    return replace(photo, grey=grey, K=np.diag([0.5, 0.5, 1.0]) @ photo.K)
-
-
-def _swept(view: Source, others: list[Source], limits: InverseRange) -> Planes:
-    """Surfaces by a sweep at the size of `view`, enlarged to twice that size."""
-    relative = [other.seen_from(view) for other in others]
-    # About one pixel of disparity from plane to plane in the source with the longest baseline.
-    shift = max(np.linalg.norm(T[:3, 3]) * other.K[0, 0] for other, T in zip(others, relative, strict=True))
-    planes = int(np.clip(shift * (limits.near - limits.far), *DEPTH_POLICY.planes))
-    steps = np.linspace(limits.far, limits.near, planes)
-    costs = cost_volume(view.grey, view.K, [(o.grey, o.K, T) for o, T in zip(others, relative, strict=True)], steps)
-    inverse = np.interp(best_planes(aggregate_costs(costs, view.grey)), np.arange(planes), steps).astype(np.float32)
-    smooth = cv2.medianBlur(inverse, 5)
-    slope_y, slope_x = (slope / 2 for slope in np.gradient(smooth))
-    edge = np.abs(slope_x) + np.abs(slope_y) > DEPTH_POLICY.edge_slope * smooth
-    slope_x[edge] = slope_y[edge] = 0
-    return Planes(*(part.repeat(2, 0).repeat(2, 1) for part in (inverse, slope_x, slope_y)))

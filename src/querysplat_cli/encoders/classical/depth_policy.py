@@ -89,6 +89,16 @@ class DepthPolicy:
     guess_confidence: float = 0.25
     """A depth of less confidence is a guess."""
 
+    # Wider windows (wide_windows.py).
+    wider: tuple[int, ...] = (4, 8)
+    """Windows are so many times as wide as usual where the usual ones find nothing, the narrowest ones first."""
+    wide_side: int = 16
+    """Pictures whose shorter side would have fewer pixels are not measured so."""
+    wide_known: float = 0.5
+    """A wide window says nothing where this share of it and more is confirmed already."""
+    wide_confidence: float = 0.3
+    """A depth that wider windows confirm has so much of its confidence in the filling."""
+
     # Free space: guesses that hide what other views see move back (consistency.py).
     measured_confidence: float = 0.5
     """From this confidence on, a depth means that the space in front of it is empty."""
