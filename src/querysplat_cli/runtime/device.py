@@ -1,5 +1,6 @@
 """Where the network and the splatter run."""
 
+import ctypes
 import resource
 import sys
 from contextlib import suppress
@@ -39,6 +40,15 @@ def free_bytes(device: torch.device) -> int:
     return torch.cuda.mem_get_info(device)[0] if device.type == "cuda" else free_memory()
 
 
+def tensor_bytes(part: Any) -> int:
+    """The bytes of every tensor of `part`, which is as in `to_device`."""
+    if isinstance(part, torch.Tensor):
+        return part.nbytes
+    if is_dataclass(part):
+        part = tuple(getattr(part, field.name) for field in fields(part))
+    return sum(tensor_bytes(item) for item in part) if isinstance(part, tuple) else 0
+
+
 def peak_gib(device: torch.device | None = None) -> float:
     """The most memory, in GiB, that this process has held so far, or that torch has held on the GPU `device`."""
     if device and device.type == "cuda":
@@ -49,6 +59,16 @@ def peak_gib(device: torch.device | None = None) -> float:
         return int(next(line.split()[1] for line in lines if line.startswith("VmHWM"))) / 2**20
     unit = 1 if sys.platform == "darwin" else 1024
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit / 2**30
+
+
+def return_freed_memory() -> None:
+    """Give memory that is free again back to the system.
+
+    glibc keeps it for blocks that fit. What samples of ever other sizes leave behind fits less and less, so a process
+    grows to several times of what it uses. With another C library nothing happens.
+    """
+    with suppress(OSError, AttributeError):
+        ctypes.CDLL("libc.so.6").malloc_trim(0)
 
 
 def reset_peak_memory() -> bool:

@@ -8,9 +8,10 @@ from typing import Any, TypeVar
 
 import torch
 
+from querysplat_cli.model.anchors import Anchors
 from querysplat_cli.model.config import ModelConfig
 from querysplat_cli.model.querysplat import QuerySplat
-from querysplat_cli.runtime.device import find_device, peak_gib, to_device
+from querysplat_cli.runtime.device import find_device, peak_gib, tensor_bytes, to_device
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.drafts import scratch_folder
@@ -32,7 +33,7 @@ from querysplat_cli.training.schedule import trained, weights
 from querysplat_cli.training.sources import open_source
 from querysplat_cli.training.start import freeze, starting_model
 from querysplat_cli.training.step import StepSettings, add_gradient, anchored
-from querysplat_cli.training.trainer import samples_in_turn
+from querysplat_cli.training.trainer import ANCHORS_KEPT, samples_in_turn
 
 Result = TypeVar("Result")
 PICTURE_BYTES = 3 + 1
@@ -108,6 +109,7 @@ def plan(request: TrainRequest, stages: Stages) -> TrainPlan:
     ready = sum(_ready(config.data, source) for source in cached)
     sample_bytes = [_sample_bytes(source, config.model, config.data.max_size) for source in cached]
     measured = _measured(config, device, cached=0 < ready == sum(held), stages=stages)
+    others = max(0, min(ANCHORS_KEPT, sum(held)) - 1) * measured.anchors / 2**30 if device.type == "cpu" else 0.0
     hours = None
     if measured.step is not None:
         made = sum(held) - ready if cached else config.steps * config.optimiser.batch
@@ -129,7 +131,7 @@ def plan(request: TrainRequest, stages: Stages) -> TrainPlan:
         disk_gib=sum(count * each for count, each in zip(held, sample_bytes, strict=True)) / 2**30,
         # Weights, and for those that learn gradient, two moments and the average, in float32.
         state_gib=4 * (whole + 4 * learning) / 2**30,
-        peak_memory_gib=peak_gib(device) if measured.step is not None else None,
+        peak_memory_gib=peak_gib(device) + others if measured.step is not None else None,
         seconds_per_sample=measured.sample,
         seconds_per_step=None if measured.step is None else measured.step * in_turn,
         hours=hours,
@@ -189,10 +191,12 @@ def _sample_bytes(source: SourceSettings, model: ModelConfig, max_size: int) -> 
 
 @dataclass(frozen=True)
 class _Measured:
-    """Seconds to make a sample (None where all are in the cache) and to step on one; or the reason for no figure."""
+    """Seconds to make a sample (None where all are in the cache) and to step on one, and the bytes of its anchors; or
+    the reason for no figure."""
 
     sample: float | None = None
     step: float | None = None
+    anchors: int = 0
     reason: str = ""
 
 
@@ -204,9 +208,10 @@ def _measured(config: TrainConfig, device: torch.device, *, cached: bool, stages
             return _Measured(reason=f"{error.message}: {error.hint}")
         model = starting_model(config)
         freeze(model, config)
-        return _Measured(
-            seconds, _seconds_of_step(config, model.to(device), to_device(sample.in_frame(config.model.frame), device))
-        )
+        sample = sample.in_frame(config.model.frame)
+        anchors = anchored(sample) if model.config.queries == "anchored" else None
+        moved = to_device((sample, anchors), device)
+        return _Measured(seconds, _seconds_of_step(config, model.to(device), *moved), tensor_bytes(anchors))
 
 
 def _one_sample(config: TrainConfig, device: torch.device, *, cached: bool) -> tuple[Sample, float | None]:
@@ -232,9 +237,8 @@ def _one_sample(config: TrainConfig, device: torch.device, *, cached: bool) -> t
         return read_sample(wanted[0].path), seconds
 
 
-def _seconds_of_step(config: TrainConfig, model: QuerySplat, sample: Sample) -> float:
+def _seconds_of_step(config: TrainConfig, model: QuerySplat, sample: Sample, anchors: Anchors | None) -> float:
     """Seconds of a step on one sample."""
-    anchors = anchored(sample) if model.config.queries == "anchored" else None
 
     def step() -> None:
         generator = torch.Generator().manual_seed(0)

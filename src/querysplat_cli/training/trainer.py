@@ -13,7 +13,7 @@ from torch import nn
 from querysplat_cli.model.anchors import Anchors
 from querysplat_cli.model.checkpoints import save
 from querysplat_cli.model.querysplat import QuerySplat
-from querysplat_cli.runtime.device import peak_gib, to_device
+from querysplat_cli.runtime.device import peak_gib, return_freed_memory, to_device
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.splat.lpips import Perceptual
@@ -128,6 +128,7 @@ class Trainer:
             last = self.step == self.config.steps
             if self.step % self.config.log_every == 0 or last:
                 row, window = self._row(window), _Window(self.step)
+                return_freed_memory()
                 if journal:
                     journal.add(row)
             if self.step % self.config.save_every == 0 or last:

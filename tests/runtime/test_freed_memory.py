@@ -1,0 +1,32 @@
+"""Memory that nothing uses any more goes back to the system."""
+
+import os
+import platform
+import subprocess
+import sys
+
+import pytest
+
+PROGRAM = """
+from pathlib import Path
+from querysplat_cli.runtime.device import return_freed_memory
+
+def held() -> int:
+    return int(Path("/proc/self/statm").read_text().split()[1]) * 4096 // 2**20
+
+blocks = [bytes([1]) * 100_000 for _ in range(2_000)]
+kept = blocks[::100]
+del blocks
+before = held()
+return_freed_memory()
+print(before - held())
+"""
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="another C library has other ways")
+def test_blocks_between_others_that_are_kept_go_back() -> None:
+    """A training of 133 scenes held 7 GiB, where one of a single scene holds 2.5."""
+    # glibc gives blocks of more than this back by itself.
+    own = os.environ | {"MALLOC_MMAP_THRESHOLD_": "1000000", "MALLOC_TRIM_THRESHOLD_": "1000000000"}
+    done = subprocess.run([sys.executable, "-c", PROGRAM], env=own, capture_output=True, text=True, check=True)
+    assert int(done.stdout) > 150  # MiB, of 190
