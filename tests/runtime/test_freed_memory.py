@@ -1,4 +1,4 @@
-"""Memory that nothing uses any more goes back to the system."""
+"""Memory that is used is counted, and what nothing uses any more goes back to the system."""
 
 import os
 import platform
@@ -6,6 +6,10 @@ import subprocess
 import sys
 
 import pytest
+import torch
+
+from querysplat_cli.model.anchors import Neighbours
+from querysplat_cli.runtime.device import tensor_bytes
 
 PROGRAM = """
 from pathlib import Path
@@ -30,3 +34,8 @@ def test_blocks_between_others_that_are_kept_go_back() -> None:
     own = os.environ | {"MALLOC_MMAP_THRESHOLD_": "1000000", "MALLOC_TRIM_THRESHOLD_": "1000000000"}
     done = subprocess.run([sys.executable, "-c", PROGRAM], env=own, capture_output=True, text=True, check=True)
     assert int(done.stdout) > 150  # MiB, of 190
+
+
+def test_the_bytes_of_tensors_in_tuples_and_dataclasses() -> None:
+    near = Neighbours(torch.zeros(2, 4, dtype=torch.long), torch.zeros(2, 4))
+    assert tensor_bytes((torch.zeros(3), near, None)) == 12 + 64 + 32
