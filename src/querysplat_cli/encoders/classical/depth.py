@@ -44,21 +44,21 @@ def estimate_geometry(posed: PosedViews, *, seed: int, progress: Progress) -> Ge
     each = [_stretched(picture, mask) for picture, mask in zip(pictures, masks, strict=True)]
     photos = _as_sources(posed, each)
     found = measure(photos, sources, ranges, lambda what, share: progress(what, 0.85 * share))
+    progress("wide windows", 0.85)
     wide = measure_wide(photos, sources, ranges, found)
-    progress("clearing free space", 0.9)
     inverse, confidence = found.inverse, found.confidence
     K, w2c = (part.double().numpy() for part in (posed.cameras.K, posed.cameras.w2c))
     # Colours of different views are compared, so that all are stretched alike, or none is.
     nearest, maps = nearest_views(posed), DepthMaps(inverse, confidence, blurred(_stretched(pictures, masks)), masks)
-    others = lent(maps, K, w2c, nearest)
+    others, lent_confidence = lent(maps, K, w2c, nearest), np.float32(DEPTH_POLICY.lent_confidence)
     for v in range(len(views)):
         guess = (confidence[v] < DEPTH_POLICY.guess_confidence) & masks[v]
         borrowed, wider = guess & (others[v] > 0), guess & (wide.inverse[v] > 0)
         start = np.select([borrowed, wider], [others[v], wide.inverse[v]], inverse[v])
-        lent_confidence = np.float32(DEPTH_POLICY.lent_confidence)
         weight = np.select([borrowed, wider], [lent_confidence, wide.confidence[v]], confidence[v])
         inverse[v] = fill_depth(start, weight, each[v], masks[v])
         inverse[v] = np.clip(inverse[v], ranges[v].far, ranges[v].near)
+    progress("clearing free space", 0.95)
     least = [limits.far for limits in ranges]
     inverse = carve(replace(maps, inverse=inverse), K, w2c, nearest, least)
     depth, sure = torch.from_numpy(1 / inverse), torch.from_numpy(confidence)
