@@ -4,7 +4,7 @@ PANELS = {
     "Scene": ("scene", "scenes", "source", "target", "first", "second"),
     "Photos": (
         *("inputs", "film_frames", "holdout_every", "max_size", "max_views", "regions"),
-        *("fit", "lens", "exposure", "overlays"),
+        *("fit", "lens", "exposure", "overlays", "transients"),
         *("photos", "pictures"),
     ),
     "Quality": (

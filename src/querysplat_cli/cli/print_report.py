@@ -8,7 +8,7 @@ from typing import Any
 from querysplat_cli.cli.terminal import say
 from querysplat_cli.cli.verb import Printing
 from querysplat_cli.cli.words import decibels, left_out
-from querysplat_cli.reporting.omissions import OVERLAYS, PRECISION
+from querysplat_cli.reporting.omissions import OVERLAYS, PRECISION, TRANSIENTS
 from querysplat_cli.reporting.report import Report
 from querysplat_cli.runtime import current_folder, signals
 from querysplat_cli.runtime.errors import QuerySplatError
@@ -38,8 +38,8 @@ def lines(report: Report) -> Iterator[str]:
     """Five lines, and more for photos that were left out, what a network matched, warnings and steps not kept."""
     yield f"{report.gaussians:,} Gaussians from {counted(len(report.views['used']), 'photo')}"
     yield from left_out(report.views["left_out"])
-    overlays = (entry for entry in report.left_out if entry["what"] == OVERLAYS)
-    yield from (f"left out: {entry['saved']}, where {entry['why']}" for entry in overlays)
+    hidden = (entry for entry in report.left_out if entry["what"] in (OVERLAYS, TRANSIENTS))
+    yield from (f"left out: {entry['saved']}, where {entry['why']}" for entry in hidden)
     if report.matching and not report.quality.get("before"):
         yield _matching(report.matching)
     yield from report.resumed

@@ -16,10 +16,11 @@ from querysplat_cli.pipeline.optimise import optimise_start
 from querysplat_cli.pipeline.perceptual import optimisation_lpips
 from querysplat_cli.pipeline.policy import PIPELINE_POLICY
 from querysplat_cli.pipeline.settings import ReconstructSettings
+from querysplat_cli.pipeline.start import SceneStart, make_start
 from querysplat_cli.prune.gaussians import target_count
 from querysplat_cli.queries.backdrop import shows_background
-from querysplat_cli.queries.prepare import PreparedQueries, prepare
-from querysplat_cli.runtime.compiler import SCENE_KERNELS, wait_until_compiled
+from querysplat_cli.queries.prepare import PreparedQueries
+from querysplat_cli.queries.transients import TransientShare
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.exposures import Exposures
@@ -28,7 +29,7 @@ from querysplat_cli.scene.photo_files import PhotoFile, photo_files
 from querysplat_cli.scene.views import LeftOut, PhotoSource, Views
 from querysplat_cli.tto.adapt import Adapted
 from querysplat_cli.tto.cameras import refinable, with_refined_focal
-from querysplat_cli.tto.exposure_fit import PhotoColours, compare_photos
+from querysplat_cli.tto.exposure_fit import PhotoColours
 from querysplat_cli.tto.features import Start
 from querysplat_cli.tto.full_size_plan import TimeLimit, plan_full_size
 from querysplat_cli.tto.options import OptimiseOptions
@@ -40,14 +41,15 @@ from querysplat_cli.tto.policy import TTO_POLICY
 class BuiltScene:
     """A scene and what it was made of.
 
-    posed: the input views that the scene was made from, with their cameras before optimisation, which may have
-        corrected them.
+    posed: the input views that the scene was made from, without transients, and with their cameras before optimisation,
+        which may have corrected them.
     adapted: after the runs on the working pictures.
     files: the photos of the input views, where they can be found again.
     full_size: after those on the photos; None where there were none.
     backdrop: Gaussians behind everything (`queries/backdrop.py`); None where there are none.
     duplicates: views that were left out of the scene.
     colours: how far the photos agree in colour; None where that was not measured.
+    transients: how much was gone for other photos; None where there is nothing, or nothing was looked for.
     stopped: whether Ctrl-C came after the runs on the working pictures, before the first step on the photos.
     """
 
@@ -60,6 +62,7 @@ class BuiltScene:
     backdrop: Gaussians | None = None
     duplicates: tuple[LeftOut, ...] = ()
     colours: PhotoColours | None = None
+    transients: TransientShare | None = None
     stopped: bool = False
 
     @property
@@ -132,9 +135,9 @@ def encode_and_build_all(
     with stages("depth") as progress:
         geometry = encoder.estimate_geometry(posed, seed=settings.seed, progress=progress)
     encoder.free()
-    prepared, colours = _prepared(posed, geometry, model, settings, stages)
+    start = make_start(posed, geometry, model, settings, stages)
     geometry = replace(geometry, features=())  # they are large, and optimisation needs the memory
-    return _finished(posed, geometry, prepared, colours, model, settings, stages, allowance)
+    return _finished(start, geometry, model, settings, stages, allowance)
 
 
 def build_scene(
@@ -146,64 +149,27 @@ def build_scene(
 ) -> BuiltScene:
     """Queries, memories and test-time optimisation: a scene from given cameras and geometry."""
     stages = stages or Stages()
-    prepared, colours = _prepared(posed, geometry, model, settings, stages)
-    geometry = replace(geometry, features=())
-    return _finished(posed, geometry, prepared, colours, model, settings, stages, Allowance())
-
-
-def _prepared(
-    posed: PosedViews, geometry: Geometry, model: QuerySplat, settings: ReconstructSettings, stages: Stages
-) -> tuple[PreparedQueries, PhotoColours | None]:
-    """Where photos disagree in colour, queries are made of their colours without the differences."""
-    with stages("queries") as progress:
-        wait_until_compiled(*SCENE_KERNELS, progress=progress)
-        colours = _compared(posed, geometry, model, settings)
-        exposures = _transforms(colours)
-        alike = replace(posed, views=exposures.removed_from(posed.views)) if exposures else posed
-        prepared = prepare(
-            model,
-            alike,
-            geometry,
-            queries=settings.queries,
-            soft_query_limit=None if settings.keep_everything or settings.tto == 0 else TTO_POLICY.queries,
-            target=settings.tto_target,
-            keep_all=settings.keep_everything,
-        )
-    return prepared, colours
+    start = make_start(posed, geometry, model, settings, stages)
+    return _finished(start, replace(geometry, features=()), model, settings, stages, Allowance())
 
 
 def _finished(
-    posed: PosedViews,
+    start: SceneStart,
     geometry: Geometry,
-    prepared: PreparedQueries,
-    colours: PhotoColours | None,
     model: QuerySplat,
     settings: ReconstructSettings,
     stages: Stages,
     allowance: Allowance,
 ) -> BuiltScene:
     """The scene after its optimisation."""
-    adapted, time = _optimised(posed, prepared, model, settings, stages, allowance.budget, _transforms(colours))
+    posed, prepared, exposures = start.posed, start.queries, start.exposures
+    adapted, time = _optimised(posed, prepared, model, settings, stages, allowance.budget, exposures)
     files = photo_files(posed.views.names, posed.photo_cameras, allowance.sources) if allowance.sources else ()
-    scene = BuiltScene(posed, geometry, prepared, adapted, files, colours=colours)
+    scene = BuiltScene(posed, geometry, prepared, adapted, files, colours=start.colours, transients=start.transients)
     scene = _taken_further(scene, next(model.parameters()).device, settings, stages, time)
     if not settings.backdrop or prepared.anchors is None or not shows_background(posed.views):
         return scene
     return replace(scene, backdrop=scene.inputs.backdrop(scene.gaussians))
-
-
-def _compared(
-    posed: PosedViews, geometry: Geometry, model: QuerySplat, settings: ReconstructSettings
-) -> PhotoColours | None:
-    """How far the photos agree in colour. Official models are optimised as in the release, without transforms."""
-    if settings.exposure == "off" or model.config.queries == "learned" or geometry.depth is None:
-        return None
-    return compare_photos(posed.views, posed.cameras, geometry) if len(posed.views) > 1 else None
-
-
-def _transforms(colours: PhotoColours | None) -> Exposures | None:
-    """The colour transforms of photos that disagree."""
-    return colours.exposures if colours and not colours.agree else None
 
 
 def _optimised(

@@ -27,6 +27,8 @@ def omissions_of(
         found.append(omissions.resolution(finest))
     if overlaid:
         found.append(omissions.overlays(overlaid))
+    if scene.transients:
+        found.append(omissions.transients(scene.transients))
     if scene.posed.chance_pairs:
         found.append(omissions.chance_pairs(scene.posed.chance_pairs))
     if settings.poses:

@@ -18,6 +18,7 @@ from querysplat_cli.runtime.choices import (
     Quality,
     Space,
     Target,
+    TransientThings,
 )
 from querysplat_cli.runtime.lengths import read_scale
 from querysplat_cli.runtime.options import (
@@ -247,6 +248,13 @@ class ReconstructSettings:
         Option(
             "Leave out what stays where it is in all photos of one size: text, logos, date stamps, frames, bars, and "
             "the surroundings of a turntable. off: it takes part."
+        ),
+    ] = "auto"
+    transients: Annotated[
+        TransientThings,
+        Option(
+            "Leave out what stood before the camera for one photo and was gone for the others, such as people walking "
+            "by. off: it takes part."
         ),
     ] = "auto"
 

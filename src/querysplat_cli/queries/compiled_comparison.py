@@ -5,7 +5,7 @@ import numba as nb
 
 
 @nb.njit(error_model="numpy", inline="always")
-def _projected(point, w2c, lens):
+def projected(point, w2c, lens):
     """Pixels x and y, and camera z, of one point [3] in world coordinates. Behind the camera, pixels mean nothing."""
     px, py, pz = point[0], point[1], point[2]
     z = w2c[2, 0] * px + w2c[2, 1] * py + w2c[2, 2] * pz + w2c[2, 3]
@@ -34,7 +34,7 @@ def compare_cells(points, others, w2c, lenses, limits, depth, confidence, masks,
         for other in others[own]:
             if other == own:
                 continue
-            x, y, z = _projected(points[own, cell], w2c[other], lenses[other])
+            x, y, z = projected(points[own, cell], w2c[other], lenses[other])
             if not (z > nearest and 0 <= x < width and 0 <= y < height):
                 continue
             row, column = int(y), int(x)
@@ -65,7 +65,7 @@ def mark_covered(points, footprint, keep, w2c, lens, limits, cell, depth, size, 
         if not keep[block]:
             continue
         for part in range(points.shape[1]):
-            x, y, z = _projected(points[block, part], w2c, lens)
+            x, y, z = projected(points[block, part], w2c, lens)
             x, y = x / cell, y / cell
             if not (z > nearest and 0 <= x < columns and 0 <= y < rows):
                 continue

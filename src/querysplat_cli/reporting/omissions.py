@@ -9,6 +9,7 @@ from typing import Any
 from querysplat_cli.prune.resolution import Blurred
 from querysplat_cli.queries.cells import CELLS
 from querysplat_cli.queries.coverage import AnchorReport
+from querysplat_cli.queries.transients import TransientShare
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.overlays import Overlaid
 from querysplat_cli.tto.adapt import Adapted
@@ -34,7 +35,7 @@ class Omission:
 
 
 PRUNED_GAUSSIANS, IDLE_BANDS = "Gaussians", "SH bands"
-LPIPS, PRECISION, OVERLAYS = "LPIPS loss", "precision", "overlays"
+LPIPS, PRECISION, OVERLAYS, TRANSIENTS = "LPIPS loss", "precision", "overlays", "transients"
 UNUSED_DEPTH = Omission("depth", "learned queries do not need it", "the depth head")
 
 
@@ -65,6 +66,11 @@ def chance_pairs(count: int) -> Omission:
 def overlays(found: Overlaid) -> Omission:
     why = f"text, a frame, or the surroundings of a turntable stay where they are in {found.photos} photos"
     return Omission(OVERLAYS, why, f"{found.share:.1%} of the pixels")
+
+
+def transients(found: TransientShare) -> Omission:
+    why = f"{found.photos} photos show what was gone for the others, such as people walking by"
+    return Omission(TRANSIENTS, why, f"{found.share:.1%} of the pixels")
 
 
 def resolution(finest: Blurred) -> Omission:

@@ -27,6 +27,7 @@ ExposureCorrection = Literal["auto", "off"]
 """Whether each photo has a colour transform. auto: where photos show the same surfaces in different colours."""
 
 Overlays = Literal["auto", "off"]
+TransientThings = Literal["auto", "off"]
 """Whether what lies over all photos takes part. auto: it does not. off: it is looked at as a part of the scene."""
 
 FileFrame = Literal["upright", "vgm"]

@@ -44,8 +44,12 @@ class FiledViews(Views):
     @property
     def masks(self) -> Bool[Tensor, "views height width"]:
         """All masks."""
-        before = 4 * 3 * len(self) * int(np.prod(self._canvas))
-        return self._mapped(np.bool_, before, (len(self), *self._canvas))
+        return self._mapped(np.bool_, self._masks_start, (len(self), *self._canvas))
+
+    @property
+    def _masks_start(self) -> int:
+        """Bytes before the masks in the file."""
+        return 4 * 3 * len(self) * int(np.prod(self._canvas))
 
     def picture(self, view: int) -> Float[Tensor, "3 height width"]:
         """One image in [0, 1]."""
@@ -56,6 +60,13 @@ class FiledViews(Views):
         rows = torch.as_tensor(index, dtype=torch.long)
         names, sizes = tuple(self.names[row] for row in index), tuple(self.sizes[row] for row in index)
         return Views(self.images[rows], self.masks[rows], names, sizes)
+
+    def hide(self, view: int, pixels: Bool[Tensor, "height width"]) -> None:
+        """These pixels of a view take no part from now on; the file holds that."""
+        shown = self.masks[view] & ~pixels
+        with self._file.open("r+b") as opened:
+            opened.seek(self._masks_start + view * shown.numel())
+            np.asarray(shown).tofile(opened)
 
     def _mapped(self, kind: type, start: int, shape: tuple[int, ...]) -> Tensor:
         # Copy on write: torch warns of arrays that cannot be written.

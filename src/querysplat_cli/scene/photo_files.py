@@ -21,7 +21,7 @@ from querysplat_cli.scene.cameras import Cameras, PhotoCamera, same_shape
 from querysplat_cli.scene.decoding import longer_side, orientation_of, reduced
 from querysplat_cli.scene.films import film_size, frame_pixels
 from querysplat_cli.scene.lenses import shown_part
-from querysplat_cli.scene.masks import Overlay, resized_mask
+from querysplat_cli.scene.masks import Overlay
 from querysplat_cli.scene.photos import load_photo
 from querysplat_cli.scene.resample import PinholeView
 from querysplat_cli.scene.undistort import on_canvas, undistorted
@@ -39,10 +39,6 @@ SAME_DETAIL = 0.4
 most 0.37, and photos that were made brighter, saved again or smoothed at least 0.55."""
 LEAST_DETAIL = 1.0
 """Grey levels. Pictures with less detail, such as those of a white wall, are not compared."""
-
-MASK_EDGE, UNMASKED = 5, 0.005
-"""What took no part in the working picture, and now does, counts where it is at least so many pixels wide. It may be
-this share of the picture. Edges of masks differ a little between two sizes."""
 
 
 @dataclass(frozen=True)
@@ -183,24 +179,19 @@ def check_photo_files(files: Sequence[PhotoFile]) -> None:
 def large_views(files: Sequence[PhotoFile], views: Views, cameras: Cameras, max_size: int) -> tuple[Views, Cameras]:
     """The pictures of `views` at a longer side of at most `max_size`, as uint8, and `cameras` for them.
 
-    The cameras keep their pose and focal length, which optimisation may have corrected. Photos are read and
-    straightened one at a time. Raises QuerySplatError when a file holds another photo than that of its view, and when
-    its mask is gone.
+    The cameras keep their pose and focal length, which optimisation may have corrected. What takes no part in `views`
+    takes none here. Photos are read and straightened one at a time. Raises QuerySplatError when a file holds another
+    photo than that of its view.
     """
     pictures, masks, scales = [], [], []
     for view, (file, (height, width)) in enumerate(zip(files, views.sizes, strict=True)):
         one, _ = undistorted([file.load(OVERSAMPLING * max_size)], [file.lens], max_size=max_size)
         ((rows, columns),) = one.sizes
-        picture, mask = one.images[0, :, :rows, :columns], one.masks[0, :rows, :columns]
-        if not _alike(picture, views.picture(view)[:, :height, :width], views.masks[view, :height, :width]):
+        picture, shown = one.images[0, :, :rows, :columns], views.masks[view, :height, :width]
+        if not _alike(picture, views.picture(view)[:, :height, :width], shown):
             raise QuerySplatError(f"{file.path} shows something else than when the scene was made", PUT_BACK)
-        if _unmasked(mask, views.masks[view, :height, :width]):
-            raise QuerySplatError(
-                f"the mask of {file.path} hides less than when the scene was made",
-                "Put the mask back, or make the scene again.",
-            )
         pictures.append((picture * 255).round().clamp(0, 255).to(torch.uint8))
-        masks.append(mask)
+        masks.append(one.masks[0, :rows, :columns] & ~_hidden(shown, rows, columns))
         scales.append(torch.tensor([columns / width, rows / height, 1.0]))
     K = torch.stack(scales)[:, :, None] * cameras.K
     sizes = tuple((mask.shape[0], mask.shape[1]) for mask in masks)
@@ -226,9 +217,7 @@ def _alike(
     return float((one * other).mean()) > SAME_DETAIL * float(one.std() * other.std())
 
 
-def _unmasked(large: Bool[Tensor, "rows columns"], small: Bool[Tensor, "height width"]) -> bool:
-    """Whether a mask shows parts of the photo that it hid in the working picture."""
-    height, width = small.shape
-    more = resized_mask(large.numpy(), height, width) & ~small.numpy()
-    wide = cv2.erode(more.astype(np.uint8), np.ones((MASK_EDGE, MASK_EDGE), np.uint8))
-    return float(wide.mean()) > UNMASKED
+def _hidden(shown: Bool[Tensor, "height width"], rows: int, columns: int) -> Bool[Tensor, "rows columns"]:
+    """What a working picture does not show, at a larger size; without an edge of one pixel, which large masks know."""
+    inner = cv2.erode((~shown).numpy().astype(np.uint8), np.ones((3, 3), np.uint8))
+    return torch.from_numpy(cv2.resize(inner, (columns, rows), interpolation=cv2.INTER_NEAREST) > 0)

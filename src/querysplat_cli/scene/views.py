@@ -101,6 +101,10 @@ class Views:
         image = self.images[view]
         return image.float() / 255 if image.dtype == torch.uint8 else image
 
+    def hide(self, view: int, pixels: Bool[Tensor, "height width"]) -> None:
+        """These pixels of a view take no part from now on, in place."""
+        self.masks[view] &= ~pixels
+
     def __getitem__(self, index: Sequence[int]) -> "Views":
         rows = torch.as_tensor(index, dtype=torch.long)
         return replace(

@@ -19,13 +19,14 @@ from querysplat_cli.pipeline.regions.scene import KeptRegions, RegionScene
 from querysplat_cli.pipeline.regions.seams import Seam, disagreement, find_seams, parts_needed, smoothed, verdict
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.queries.backdrop import shows_background
+from querysplat_cli.queries.transients import TransientShare
 from querysplat_cli.reporting.report import Report, tto_entries
 from querysplat_cli.reporting.view_scores import Quality
 from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.exposures import Exposures
 from querysplat_cli.scene.gaussians import Gaussians, joined
 from querysplat_cli.scene.photo_files import photo_files
-from querysplat_cli.scene.views import PhotoSource
+from querysplat_cli.scene.views import PhotoSource, Views
 from querysplat_cli.tto.adapt import Adapted
 from querysplat_cli.tto.exposure_fit import PhotoColours
 
@@ -93,6 +94,7 @@ def join(
     ended that optimisation.
     """
     joint = _Joint.of(posed, groups, kept)
+    transients = _hidden(posed.views, groups, joint.scenes)
     scenes, seams = joint.scenes, find_seams(groups)
     files = photo_files(posed.views.names, posed.photo_cameras, sources)
     photos = LargePhotos(posed.views, posed.cameras, files, joint.exposures)
@@ -103,7 +105,7 @@ def join(
     runs = [*(entry for scene in scenes for entry in scene.entries["tto"]), *smoothing]
     scene = _scene(posed, joint)
     further = FullSize(gaussians, size, runs, _summary(scenes, len(gaussians)), False, joint.exposures)
-    scene = replace(scene, files=files, full_size=further)
+    scene = replace(scene, files=files, full_size=further, transients=transients)
     if settings.backdrop and scene.prepared.anchors is not None and shows_background(posed.views):
         scene = replace(scene, backdrop=photos.backdrop(gaussians))
     peak = max(each.entries.pop("process_peak_gib") for each in scenes)
@@ -118,6 +120,18 @@ def join(
     ]
     names = [tuple(posed.views.names[row] for row in group.core) for group in groups]
     return BuiltRegions(scene, regions, names, entries, warnings, peak)
+
+
+def _hidden(views: Views, groups: Sequence[Group], scenes: Sequence[RegionScene]) -> TransientShare | None:
+    """Hide in `views` the transients of all regions. Returns how much they are."""
+    found: dict[int, int] = {}
+    for group, scene in zip(groups, scenes, strict=True):
+        for row, shown in zip(group.rows, scene.masks, strict=True):
+            gone = views.masks[row] & ~shown
+            if gone.any():
+                found[row] = found.get(row, 0) + int(gone.sum())
+                views.hide(row, gone)
+    return TransientShare.of(found, views.sizes)
 
 
 @dataclass(frozen=True)

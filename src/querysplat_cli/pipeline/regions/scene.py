@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from querysplat_cli.encoders.base import PosedViews
@@ -36,6 +36,7 @@ class RegionScene:
     """One region after its reconstruction, in the frame and order of its task.
 
     gaussians: without a backdrop.
+    masks: where its photos take part, without transients.
     depth: what its core photos see, as `owners.depth_maps` has it.
     prepared: its queries, without any row: the last optimisation undoes what they decode to. What is left is
         the shape of their tensors, which the files of a scene have.
@@ -46,6 +47,7 @@ class RegionScene:
     """
 
     gaussians: Gaussians
+    masks: Bool[Tensor, "views height width"]
     depth: Float[Tensor, "core height width"]
     prepared: PreparedQueries
     exposures: Exposures | None
