@@ -15,8 +15,9 @@ from querysplat_cli.commands.samples import drawn_points, quantiles
 from querysplat_cli.model.attention_maps import attention_of, valueless
 from querysplat_cli.pipeline.gaussian_files import refuse_replacing_scene
 from querysplat_cli.pipeline.read_scene import read_scene
-from querysplat_cli.pipeline.resume import joined_of_regions, load_again, own_gaussians
+from querysplat_cli.pipeline.resume import joined_of_regions, load_again
 from querysplat_cli.pipeline.scene_folder import StoredScene
+from querysplat_cli.pipeline.stored_gaussians import stored_gaussians
 from querysplat_cli.queries.prepare import MemoryMap
 from querysplat_cli.runtime.errors import MAKE_AGAIN, QuerySplatError
 from querysplat_cli.runtime.figures import new_figure, save_figure
@@ -94,7 +95,7 @@ def inspect_scene(request: InspectRequest, stages: Stages) -> Inspected:
         rounds = _rounds(scene, own, chosen, patches)
         # Memories do not know what became of Gaussians that were optimised themselves.
         apart = any(run["space"] == "gaussians" and run["steps"] for run in report["tto"])
-        gaussians = own_gaussians(request.scene, scene, report) if apart else gaussians[kept]
+        gaussians = stored_gaussians(request.scene, scene, report).own if apart else gaussians[kept]
     with stages("draw"), atomic_folder(output) as draft:
         _queries(draft, scene, maps, rounds, own)
         _histograms(draft / "histograms.png", gaussians)

@@ -9,13 +9,14 @@ import torch
 
 from querysplat_cli.model.checkpoints import load
 from querysplat_cli.model.querysplat import QuerySplat
-from querysplat_cli.pipeline.full_size import LargePhotos, full_size_quality, stored_photos, take_to_full_size
+from querysplat_cli.pipeline.full_size import full_size_quality, stored_photos, take_to_full_size
 from querysplat_cli.pipeline.gaussian_files import check_target, file_of_scene, folder_of_scene
 from querysplat_cli.pipeline.optimise import optimise_start
 from querysplat_cli.pipeline.perceptual import optimisation_lpips
-from querysplat_cli.pipeline.read_scene import check_model, read_scene, read_scene_gaussians, require_scene
+from querysplat_cli.pipeline.read_scene import check_model, read_scene, require_scene
 from querysplat_cli.pipeline.resume_settings import COARSE, ResumeSettings, against_quality
 from querysplat_cli.pipeline.scene_folder import StoredScene, scores_of, write_scene
+from querysplat_cli.pipeline.stored_gaussians import as_stored, before_new_backdrop, stored_gaussians
 from querysplat_cli.prune.gaussians import target_count
 from querysplat_cli.reporting import omissions
 from querysplat_cli.reporting.report import Report, machine, rescored, seconds_entry, tto_entries
@@ -27,7 +28,7 @@ from querysplat_cli.runtime.precision import check_precision
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.drafts import claimed
 from querysplat_cli.scene.files import check_writable, with_name, without_steps
-from querysplat_cli.scene.gaussians import Gaussians, joined
+from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.tto.adapt import Adapted
 from querysplat_cli.tto.cameras import with_refined_focal
 from querysplat_cli.tto.features import Start
@@ -76,8 +77,8 @@ def _optimised(settings: ResumeSettings, stages: Stages) -> Report:
         if scene.joined and space != "gaussians":
             raise joined_of_regions(path, "Use --space gaussians, or make the scene again with --regions 1.")
         _check(path, options, space, count, apart=apart)
-        beside = own_gaussians(path, scene, before) if apart or file_of_scene(path).is_file() else None
-        gaussians = beside if apart else None
+        beside = stored_gaussians(path, scene, before) if apart or file_of_scene(path).is_file() else None
+        gaussians = beside.own if beside and apart else None
     with stages("tto") as progress:
         perceptual = optimisation_lpips(settings.lpips, official=scene.anchors is None)
         options = replace(
@@ -87,12 +88,19 @@ def _optimised(settings: ResumeSettings, stages: Stages) -> Report:
             smooth=bool(spaces) and "backdrop" in before,  # scenes of earlier versions were not smoothed
         )
         plan = _plan(scene, count, options, space, resumed=spaces)
+        stays = beside if _changes_nothing(plan, options) else None
+        options = replace(options, keep_all=stays is not None)
         start = Start(scene.memories, scene.anchors, gaussians, None if apart else scene.kept)
         photos = scene.views, scene.cameras
         adapted = optimise_start(model, start, photos, plan, options, progress, scene.exposures)
-        stored, gaussians = _behind(_with(scene, adapted), adapted.gaussians)
+        stored = _with(scene, adapted)
+        if stays:
+            gaussians = as_stored(adapted.gaussians, stays, stored.cameras)
+        else:
+            stored, gaussians = before_new_backdrop(stored, adapted.gaussians)
     runs = tto_entries(adapted.runs)
-    left_out = omissions.taken_further(before["left_out"], adapted, with_lpips=perceptual is not None)
+    bands_stay, with_lpips = stays is not None, perceptual is not None
+    left_out = omissions.taken_further(before["left_out"], adapted, bands_stay=bands_stay, with_lpips=with_lpips)
     coarse = [COARSE] if options.finest_size and any(run["steps"] for run in runs) else []
     return _write_back(path, stored, gaussians, before, stages, tto=runs, left_out=left_out, warnings=coarse)
 
@@ -114,13 +122,13 @@ def _at_full_size(
     """Optimise the Gaussians of the stored scene on its large photos, and write it back."""
     path, device = settings.scene, find_device(settings.device)
     with stages("read"):
-        gaussians = own_gaussians(path, scene, before)
+        gaussians = stored_gaussians(path, scene, before).own
     inputs, heldout = stored_photos(scene)
     with stages("full size") as progress:
         photos = replace(inputs.summary(), reached=_finest_size(scene, before) or 0)
         plan = plan_full_size(level, photos, len(gaussians))
         found = take_to_full_size(inputs, gaussians, plan, seed=settings.seed, device=device, progress=progress)
-    stored, gaussians = _behind(replace(scene, exposures=found.exposures), found.gaussians)
+    stored, gaussians = before_new_backdrop(replace(scene, exposures=found.exposures), found.gaussians)
     with stages("full size score"):
         quality = full_size_quality(gaussians, found.size, inputs, heldout)
     return _write_back(
@@ -133,14 +141,6 @@ def _at_full_size(
         tto=found.runs,
         full_size=found.summary,
     )
-
-
-def _behind(scene: StoredScene, gaussians: Gaussians) -> tuple[StoredScene, Gaussians]:
-    """The scene and its Gaussians, with a new backdrop if it had one."""
-    if not scene.backdrop:
-        return scene, gaussians
-    behind = LargePhotos(scene.views, scene.cameras, exposures=scene.exposures).backdrop(gaussians)
-    return replace(scene, backdrop=len(behind)), joined(gaussians, behind)
 
 
 def _write_back(
@@ -195,20 +195,6 @@ def _read(settings: ResumeSettings) -> tuple[StoredScene, dict[str, Any]]:
         corrected = {**measured, "corrected": False} if measured else None
         return replace(scene, exposures=None), {**before, "exposure": corrected}
     return scene, before
-
-
-def own_gaussians(path: Path, scene: StoredScene, report: dict[str, Any]) -> Gaussians:
-    """The Gaussians beside the scene folder without their backdrop. Raises QuerySplatError where they are other ones.
-
-    Without this check, a file that was copied over the scene's own would lose Gaussians as a backdrop, or be replaced.
-    """
-    whole, reported = read_scene_gaussians(path, scene), report["gaussians"]
-    if len(whole) != reported:
-        raise QuerySplatError(
-            f"{file_of_scene(path)} has {len(whole):,} Gaussians, and {folder_of_scene(path)} is of {reported:,}",
-            "Put the scene's own file back, or take a copy that `convert` cut, with the folder beside it.",
-        )
-    return whole[: len(whole) - scene.backdrop]
 
 
 def _psnr(quality: dict[str, Any]) -> dict[str, float | None]:
@@ -281,6 +267,12 @@ def _plan(
         resumed=resumed,
     )
     return with_learning_rate(plan, options.lr)
+
+
+def _changes_nothing(plan: Collection[TtoRun], options: OptimiseOptions) -> bool:
+    """Whether a plan takes no step, and nothing is pruned ahead of it (see `adapt`)."""
+    pruned = isinstance(options.prune, int) or (options.prune == "auto" and options.densify_to is not None)
+    return not pruned and not any(run.settings.steps for run in plan)
 
 
 def _with(scene: StoredScene, adapted: Adapted) -> StoredScene:

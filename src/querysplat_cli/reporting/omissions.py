@@ -138,13 +138,18 @@ def of_kind(file: Path, gaussians: Gaussians, psnr_lost: float) -> list[Omission
     return [Omission(PRECISION, why, f"{1 - size / plain:.0%} of the bytes", plain - size, psnr_lost=psnr_lost)]
 
 
-def taken_further(before: list[dict[str, Any]], adapted: Adapted, *, with_lpips: bool) -> list[dict[str, Any]]:
-    """The omissions of a scene that was optimised further: bands are chosen again, pruned Gaussians stay removed.
+def taken_further(
+    before: list[dict[str, Any]], adapted: Adapted, *, bands_stay: bool, with_lpips: bool
+) -> list[dict[str, Any]]:
+    """The omissions of a scene that was optimised further: pruned Gaussians stay removed.
 
-    LPIPS is left out where the last optimisation was without it.
+    Bands were chosen again unless `bands_stay`. LPIPS is left out where the last optimisation was without it.
     """
     again = [*lpips(adapted, used=with_lpips, further=False), *of_adapted(adapted)]
-    gone = {IDLE_BANDS, *([LPIPS] if with_lpips or any(line.what == LPIPS for line in again) else [])}
+    gone = {
+        *([] if bands_stay else [IDLE_BANDS]),
+        *([LPIPS] if with_lpips or any(line.what == LPIPS for line in again) else []),
+    }
     return [*(line for line in before if line["what"] not in gone), *map(asdict, again)]
 
 

@@ -1,0 +1,69 @@
+"""The Gaussians of a stored scene: its own, and the backdrop behind them."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from querysplat_cli.pipeline.full_size import LargePhotos
+from querysplat_cli.pipeline.gaussian_files import file_of_scene, folder_of_scene
+from querysplat_cli.pipeline.policy import PIPELINE_POLICY
+from querysplat_cli.pipeline.read_scene import read_scene_gaussians
+from querysplat_cli.pipeline.scene_folder import StoredScene
+from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.gaussians import Gaussians, joined
+
+
+@dataclass(frozen=True)
+class StoredGaussians:
+    """The Gaussians in a scene's file, in the frame in which the scene was made. `backdrop` has none in many scenes."""
+
+    own: Gaussians
+    backdrop: Gaussians
+
+
+def stored_gaussians(path: Path, scene: StoredScene, report: dict[str, Any]) -> StoredGaussians:
+    """The Gaussians beside the scene folder. Raises QuerySplatError where they are other ones.
+
+    Without this check, a file that was copied over the scene's own would lose Gaussians as a backdrop, or be replaced.
+    """
+    whole, reported = read_scene_gaussians(path, scene), report["gaussians"]
+    if len(whole) != reported:
+        raise QuerySplatError(
+            f"{file_of_scene(path)} has {len(whole):,} Gaussians, and {folder_of_scene(path)} is of {reported:,}",
+            "Put the scene's own file back, or take a copy that `convert` cut, with the folder beside it.",
+        )
+    own = len(whole) - scene.backdrop
+    return StoredGaussians(whole[:own], whole[own:])
+
+
+def before_new_backdrop(scene: StoredScene, gaussians: Gaussians) -> tuple[StoredScene, Gaussians]:
+    """The scene and its Gaussians, with a new backdrop if it had one."""
+    if not scene.backdrop:
+        return scene, gaussians
+    behind = LargePhotos(scene.views, scene.cameras, exposures=scene.exposures).backdrop(gaussians)
+    return replace(scene, backdrop=len(behind)), joined(gaussians, behind)
+
+
+def as_stored(gaussians: Gaussians, before: StoredGaussians, cameras: Cameras) -> Gaussians:
+    """The decoded `gaussians` of a scene that nothing changes, with the SH bands and the backdrop of its file.
+
+    A Gaussian that is farther away or larger than in the file is the file's. How far Gaussians were drawn in
+    (`prune/far.py`) depended on others, which `convert` may have cut since, and the backdrop could hide it now.
+    """
+    alike = replace(gaussians, sh=gaussians.sh[:, : before.own.sh.shape[1]])
+    if len(alike) == len(before.own):  # those that are not finite are not in the file
+        here, there = (_extent(each, cameras) for each in (alike, before.own))
+        drawn_in = (here > PIPELINE_POLICY.drawn_in * there).any(1)
+        alike = joined(alike, before.own)[torch.arange(len(alike)) + len(alike) * drawn_in]
+    return joined(alike, before.backdrop)
+
+
+def _extent(gaussians: Gaussians, cameras: Cameras) -> Float[Tensor, "n 4"]:
+    """The distance of each Gaussian from the middle of the cameras, and its scales."""
+    distance = (gaussians.means - cameras.centres.mean(0)).norm(dim=1, keepdim=True)
+    return torch.cat([distance, gaussians.scales], 1)
