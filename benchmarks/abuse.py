@@ -3,13 +3,17 @@
     python benchmarks/abuse.py [--write docs/reliability.md] [--json benchmarks/results/abuse.json] [--family NAME ...]
 
 Every case runs in an empty folder of its own. Afterwards the message, the exit code, the time and the files are
-compared with what they should be. A case is clean if there is no traceback, the exit code is one of those that are
-right, a failure is one line with a hint, a failure left nothing new, nothing of the user's was lost, no temporary file
-was left, and nothing outside the folder was touched. Caches of compiled code serve all runs and are no temporary files:
-torch's `torchinductor_USER`, and `querysplat-cache-USER` of a user without a home directory. Places and kills are
-commands in a process of their own; every other case runs in one process whose kernels are loaded, and may compute for
-10 seconds there. The slowest place is a user without a home directory, for whom every kernel is compiled anew. The exit
-code is 1 if a case is not clean.
+compared with what they should be. A case is clean if
+
+- there is no traceback, and the exit code is one of those that are right;
+- a failure is one line with a hint, and left nothing new;
+- nothing of the user's was lost, no temporary file was left, and nothing outside the folder was touched.
+
+Caches of compiled code serve all runs and are no temporary files: torch's `torchinductor_USER`, and
+`querysplat-cache-USER` of a user without a home directory. Places and kills are commands in a process of their own;
+every other case runs in one process whose kernels are loaded, and may compute for 10 seconds there. The slowest place
+is a user without a home directory, for whom every kernel is compiled anew. The program's exit code is 1 if a case is
+not clean.
 """
 
 import argparse

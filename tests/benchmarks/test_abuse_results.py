@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from hostile.attempt import Outcome
-from hostile.report import kill_table, page
+from hostile.report import kill_table, page, table
 from hostile.results import Made, Results, read, write
 
 
@@ -74,9 +74,24 @@ def test_kills_that_reached_a_command_are_counted_by_command() -> None:
         outcome("kills", "info: SIGTERM at 99.0%", 0, (2.0, 1.0, 0.5)),
     ]
     rows = kill_table(kills).splitlines()[2:]
-    assert rows[0] == "| `doctor` | 2 | 2 | 1 | 0 | 0 | 1 | 1 | 0.5 to 1.0 |"
-    assert rows[1] == "| `info` | 1 | 0 | 0 | 0 | 0 | 0 | 2 | – |"
+    assert rows[0] == "| `doctor` | 2 | 1, 0, 0, 1 | 0.5 to 1.0 |"
+    assert rows[1] == "| `info` | 1 | 0 each | – |"
     made = {"kills": Made("abc", "2026-11-23", "a machine")}
     shown = page(Results({("kills", each.what): each for each in kills}, made), "make", "What is clean.")
+    shown = " ".join(shown.split())
     assert "2 of 3 kills ended a command that was running" in shown
     assert "at commit abc, on a machine, other work beside, on 2026-11-23" in shown
+    assert "an earlier instant was drawn: 3 times" in shown
+
+
+def test_families_stand_with_what_a_reader_asks_for_and_name_a_commit_of_their_own() -> None:
+    found = {(family, "a"): outcome(family, "a", 2) for family in ("GPS", "PLY", "new", "films")}
+    made = {family: Made("1", "2026-11-23", "a machine") for family in ("GPS", "PLY", "new")}
+    rows = table(Results(found, {**made, "films": Made("2", "2026-11-24", "a machine")})).splitlines()[2:]
+    assert [row.split(" | ")[0].strip("| *") for row in rows] == [
+        "Gaussians in files", "PLY", "Photos", "films", "GPS", "Others", "new", "all",
+    ]  # fmt: skip
+    assert [row.rsplit(" | ", 1)[1].strip(" |") for row in rows if "films" in row or "GPS" in row] == [
+        "2, 2026-11-24",
+        "",
+    ]
