@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import Any
 
 from querysplat_cli.evaluation.metrics import METRICS
-from querysplat_cli.evaluation.results import RowFolder, row_folders, write_json
+from querysplat_cli.evaluation.results import RowFolder, row_folders
 from querysplat_cli.evaluation.stored_results import Metrics, RunConfig, Timing, read_checked
 from querysplat_cli.evaluation.summary import not_none, spread, write_table
 from querysplat_cli.evaluation.summary_page import TITLES
 from querysplat_cli.runtime.figures import new_figure, save_figure
-from querysplat_cli.scene.files import atomic_path
+from querysplat_cli.scene.files import atomic_path, write_json
 
 COSTS = {"seconds": "seconds", "gaussians": "Gaussians", "peak_memory_gib": "peak memory, GiB"}
 NAMES = {"psnr": "PSNR, dB", "ssim": "SSIM", "lpips": "LPIPS"}
