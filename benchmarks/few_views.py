@@ -37,6 +37,7 @@ from querysplat_cli.runtime.progress import silent
 from querysplat_cli.scene.formats.known import read_known_cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.photos import find_photos, load_photos
+from querysplat_cli.training.captures import Capture
 from querysplat_cli.training.passes import Sample, make_sample
 from querysplat_cli.tto.features import gaussians_of
 from querysplat_cli.tto.policy import TTO_POLICY
@@ -87,7 +88,7 @@ def case_sample(data: Path, case: str, size: int, *, free: bool) -> Sample:
     encoder = find_encoder("classical")
     if free or name == "fox":
         known = None if free else read_known_cameras(files[0].parents[1])
-        return make_sample(photos, names, encoder, known=known, max_size=size, seed=SEED)
+        return make_sample(Capture(tuple(photos), tuple(names), known), encoder, max_size=size, seed=SEED)
     everything = encoder.estimate_cameras(photos, CameraRequest(size, SEED), silent)
     rows = [row for row, each in enumerate(everything.views.names) if each in names]
     others = [row for row in range(len(everything.views)) if row not in rows]

@@ -1,7 +1,7 @@
 """Small samples with true depth, in the cache folder of a training."""
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import torch
@@ -80,9 +80,7 @@ def run(config: TrainConfig, folder: Path, *, resume: bool = False) -> TrainRepo
 
 def toml(config: TrainConfig) -> str:
     """The same training as the text of a TOML file."""
-    from querysplat_cli.training.config import as_table
-
-    table = as_table(config)
+    table = asdict(config)
     lines = [f"{name} = {_value(value)}" for name, value in table.items() if not isinstance(value, dict | tuple)]
     for name in ("model", "losses", "optimiser"):
         lines += [f"[{name}]", *(f"{key} = {_value(value)}" for key, value in table[name].items())]

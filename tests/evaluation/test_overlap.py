@@ -10,14 +10,13 @@ from evaluation_scenes import write_room
 
 from querysplat_cli.evaluation.case import Row
 from querysplat_cli.evaluation.judge import Judge
-from querysplat_cli.evaluation.keeping import Keeping
 from querysplat_cli.evaluation.metrics import Meter
 from querysplat_cli.evaluation.overlap import unmatched_targets
 from querysplat_cli.evaluation.plan import Job
 from querysplat_cli.evaluation.protocol import Protocol
+from querysplat_cli.evaluation.request import EvalRequest
 from querysplat_cli.evaluation.run import Setup, handler
 from querysplat_cli.evaluation.splits import Case
-from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.scene.formats.dataset import Frame, find_scenes
 from querysplat_cli.scene.photos import WHOLE, load_photo
 from querysplat_cli.scene.pictures import write_picture
@@ -60,10 +59,9 @@ def test_a_target_is_apart_with_and_without_a_picture(groups: dict[str, list[Fra
 
 def test_a_case_that_fails_names_its_targets_apart(groups: dict[str, list[Frame]], tmp_path: Path) -> None:
     (tmp_path / "rival").mkdir()
-    settings = ReconstructSettings(inputs=())
-    setup = Setup(tmp_path / "out", Protocol("text"), settings, None, (), False, Keeping(), tmp_path / "rival")
+    request = EvalRequest((), tmp_path / "out", protocol="text", predictions=tmp_path / "rival")
     case = Case("room_000", "room", {})
-    handler(setup)(Job("small", case, groups, {}, (Row("rival", "querysplat", "free"),)))
+    handler(Setup(request, None))(Job("small", case, groups, {}, (Row("rival", "querysplat", "free"),)))
     failure = json.loads((tmp_path / "out" / "rival" / "small" / "room_000" / "failure.json").read_text())
     assert "nothing for small, room_000" in failure["error"]
     assert failure["asked"] == {"input": 2, "interp": 1, "extrap": 1}

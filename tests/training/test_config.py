@@ -2,7 +2,7 @@
 
 import json
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
@@ -14,13 +14,13 @@ from querysplat_cli.model.config import ModelConfig, preset
 from querysplat_cli.model.initialise import initial_model
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.runtime.errors import QuerySplatError
-from querysplat_cli.training.config import as_table, from_table, load_config, training_presets
+from querysplat_cli.training.config import from_table, load_config, training_presets
 
 
 @pytest.mark.parametrize("name", training_presets())
 def test_presets_load_and_survive_json(name: str) -> None:
     config = load_config(name)
-    assert from_table(json.loads(json.dumps(as_table(config)))) == config
+    assert from_table(json.loads(json.dumps(asdict(config)))) == config
 
 
 def test_the_compact_training_is_of_the_compact_model_and_trains_something() -> None:

@@ -15,6 +15,7 @@ from querysplat_cli.runtime.workers import Workers
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.sim3 import Sim3
 from querysplat_cli.scene.views import Photo, Views
+from querysplat_cli.training.captures import Capture
 from querysplat_cli.training.config import DataSettings, SourceSettings, StageSettings, load_config
 from querysplat_cli.training.data import (
     CachedSamples,
@@ -84,7 +85,7 @@ INPUTS = ("0.png", "2.png", "3.png")
 
 
 def prepared(encoder: Surveyor, given: list[Photo]):  # type: ignore[no-untyped-def]
-    return make_sample(given, INPUTS, encoder, known=None, max_size=64, seed=0)
+    return make_sample(Capture(tuple(given), INPUTS, None), encoder, max_size=64, seed=0)
 
 
 def test_targets_come_to_the_frame_of_the_inputs() -> None:

@@ -1,7 +1,7 @@
 """`querysplat doctor`: what this machine and this installation can do."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from querysplat_cli.cli.verb import Printing
@@ -19,10 +19,10 @@ def doctor(request: DoctorRequest, printing: Printing) -> None:
     Nothing is written or fetched. The exit code is 4 where something needed is missing.
     """
     from querysplat_cli.cli.terminal import print_json, rows_table, say
-    from querysplat_cli.commands.doctor import as_dict, diagnose
+    from querysplat_cli.commands.doctor import diagnose
 
     found = diagnose()
-    print_json(as_dict(found), printing)
+    print_json(asdict(found), printing)
     say(rows_table(f"querysplat {found.querysplat}", list(_rows(found))), printing)
     say(rows_table("optional parts", [(part.extra, _part(part)) for part in found.optional]), printing)
     if found.problems:

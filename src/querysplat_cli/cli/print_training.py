@@ -11,7 +11,7 @@ from querysplat_cli.training.trainer import TrainReport
 
 def print_training_plan(plan: TrainPlan, printing: Printing) -> None:
     """What a training would take."""
-    print_json(plan.as_dict(), printing)
+    print_json(asdict(plan), printing)
     rows = [
         ("parameters", f"{plan.parameters:,}, of which {plan.trained:,} are trained"),
         ("steps", f"{plan.steps:,}"),

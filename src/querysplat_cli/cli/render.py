@@ -11,6 +11,6 @@ def render(request: RenderRequest, printing: Printing) -> None:
 
     with showing_stages(printing) as stages:
         done = render_file(request, stages)
-    print_json(done.as_dict(), printing)
+    print_json(vars(done), printing)
     seconds = sum(done.seconds.values())
     say(f"{done.frames} frames of {done.gaussians:,} Gaussians in {seconds:.1f} s: {done.output}", printing)

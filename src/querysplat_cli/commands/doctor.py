@@ -4,7 +4,7 @@ import os
 import platform
 import shutil
 import tempfile
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
@@ -91,11 +91,6 @@ def diagnose() -> Diagnosis:
         optional=tuple(_optional(part) for part in OPTIONAL_PARTS),
         problems=(*(f"{name} cannot be loaded: {why}" for name, why in broken.items()), *_problems(free, disk)),
     )
-
-
-def as_dict(found: Diagnosis) -> dict[str, object]:
-    """The object that --json prints."""
-    return asdict(found)
 
 
 def _broken_modules() -> dict[str, str]:

@@ -73,9 +73,6 @@ class Rendered:
     gaussians: int
     seconds: dict[str, float]
 
-    def as_dict(self) -> dict[str, Any]:
-        return vars(self)
-
 
 def render_file(request: RenderRequest, stages: Stages) -> Rendered:
     """Render `request.scene` to a folder of PNG frames, or to a film if the target ends in .mp4."""

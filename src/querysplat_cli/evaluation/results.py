@@ -32,7 +32,7 @@ from querysplat_cli.model.checkpoints import weights_file
 from querysplat_cli.reporting.report import machine
 from querysplat_cli.runtime import json_files
 from querysplat_cli.runtime.errors import QuerySplatError
-from querysplat_cli.scene.files import atomic_folder, atomic_path
+from querysplat_cli.scene.files import atomic_folder, write_json
 from querysplat_cli.splat.conventions import MID_GREY, RELEASE
 
 REMOVE = "Remove its folder and run the command again."
@@ -171,12 +171,6 @@ def has_results(out: Path) -> bool:
 def read_json(path: Path) -> Any:
     """Raises QuerySplatError when the file cannot be read."""
     return json_files.read_json(path, REMOVE)
-
-
-def write_json(path: Path, content: Any) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_path(path) as draft:
-        draft.write_text(json.dumps(content, indent=1) + "\n")
 
 
 def _mean(views: Sequence[ViewScore]) -> dict[str, float | None]:

@@ -20,8 +20,6 @@ from querysplat_cli.evaluation.request import EvalRequest
 from querysplat_cli.evaluation.results import RowFolder, write_case, write_failure
 from querysplat_cli.evaluation.splits import Split, spacing, write_index, write_split
 from querysplat_cli.evaluation.summary import summarise
-from querysplat_cli.pipeline.settings import ReconstructSettings
-from querysplat_cli.runtime.choices import FurtherMetric
 from querysplat_cli.runtime.cluster import find_engine
 from querysplat_cli.runtime.compiler import DEPTH_KERNELS, SCENE_KERNELS, start_compiling, wait_until_compiled
 from querysplat_cli.runtime.device import find_device
@@ -39,15 +37,8 @@ from querysplat_cli.splat.lpips import LpipsFiles, find_lpips, load_lpips
 class Setup:
     """What every case of a run has in common."""
 
-    out: Path
-    protocol: Protocol
-    settings: ReconstructSettings
+    request: EvalRequest
     lpips: LpipsFiles | None
-    metrics: tuple[FurtherMetric, ...]
-    fitted: bool
-    keeping: Keeping
-    predictions: Path | None
-    lpips_folder: Path | None = None
 
 
 def evaluate(request: EvalRequest, stages: Stages, say: Callable[[str], None]) -> dict[str, Any]:
@@ -87,17 +78,7 @@ def _evaluated(request: EvalRequest, stages: Stages, say: Callable[[str], None])
     folders = [RowFolder(request.out, row.name, split.name) for split in splits for row, _ in table]
     if lacking := keeping.lacking(folders):
         say(f"{counted(lacking, 'finished scene')} without the pictures asked for: only --force makes them again")
-    setup = Setup(
-        request.out,
-        Protocol(request.protocol),
-        request.settings,
-        lpips if isinstance(lpips, LpipsFiles) else None,
-        request.metrics,
-        request.fitted,
-        keeping,
-        request.predictions,
-        request.lpips,
-    )
+    setup = Setup(request, lpips if isinstance(lpips, LpipsFiles) else None)
     with stages("cases") as progress:
         counter = Counter(jobs, progress)
 
@@ -118,30 +99,31 @@ def _evaluated(request: EvalRequest, stages: Stages, say: Callable[[str], None])
 
 def handler(setup: Setup) -> Callable[[Job], None]:
     """The function that runs one job in a worker."""
-    meter = Meter(load_lpips(setup.lpips) if setup.lpips else None, setup.metrics)
-    if find_device(setup.settings.device).type == "cpu" and not setup.predictions:
+    meter = Meter(load_lpips(setup.lpips) if setup.lpips else None, setup.request.metrics)
+    if find_device(setup.request.settings.device).type == "cpu" and not setup.request.predictions:
         start_compiling(*DEPTH_KERNELS, *SCENE_KERNELS)  # otherwise the first case's seconds would include it
         wait_until_compiled(*DEPTH_KERNELS, *SCENE_KERNELS)
-    return partial(_work, setup, meter)
+    return partial(_work, setup.request, meter)
 
 
-def _work(setup: Setup, meter: Meter, job: Job) -> None:
+def _work(request: EvalRequest, meter: Meter, job: Job) -> None:
+    keeping = Keeping(request.save_pictures, request.nerfbaselines)
     judge: Judge | None = None
     runner: CaseRunner | None = None
     apart: dict[str, list[str]] = {}
     for number, row in enumerate(job.rows):
         report_progress(row.name, number / len(job.rows))
-        folder = RowFolder(setup.out, row.name, job.split).case(job.case.name)
+        folder = RowFolder(request.out, row.name, job.split).case(job.case.name)
         try:
-            judge = judge or Judge(job.groups, job.cameras, setup.protocol, meter, fitted=setup.fitted)
+            judge = judge or Judge(job.groups, job.cameras, Protocol(request.protocol), meter, fitted=request.fitted)
             apart = judge.apart
-            if setup.predictions:
-                result = score_prediction(judge, setup.predictions, job.split, job.case.name)
+            if request.predictions:
+                result = score_prediction(judge, request.predictions, job.split, job.case.name)
             else:
-                runner = runner or CaseRunner(judge, setup.settings, setup.lpips_folder)
+                runner = runner or CaseRunner(judge, request.settings, request.lpips)
                 result = runner.run(row)
-            about = {"row": row.name, "split": job.split, "case": job.case.name, "protocol": setup.protocol.name}
-            write_case(folder, job.case.scene, result, setup.keeping.writer(about, judge.truth, meter))
+            about = {"row": row.name, "split": job.split, "case": job.case.name, "protocol": request.protocol}
+            write_case(folder, job.case.scene, result, keeping.writer(about, judge.truth, meter))
         except QuerySplatError as error:
             write_failure(folder, job.case.scene, error.message, error.hint, asked=job.asked, apart=apart)
         except Exception as error:

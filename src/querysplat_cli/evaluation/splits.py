@@ -15,7 +15,7 @@ from typing import Any
 
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.json_files import read_json
-from querysplat_cli.scene.files import atomic_path
+from querysplat_cli.scene.files import atomic_path, write_json
 from querysplat_cli.scene.formats.dataset import CapturedScene, Frame
 
 GROUPS = ("input", "interp", "extrap")
@@ -89,8 +89,7 @@ def write_split(path: Path, split: Split) -> None:
             for case in split.cases
         ],
     }
-    with atomic_path(path) as draft:
-        draft.write_text(json.dumps(content, indent=1) + "\n")
+    write_json(path, content)
 
 
 def write_index(path: Path, split: Split) -> None:

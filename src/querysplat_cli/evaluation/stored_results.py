@@ -18,8 +18,6 @@ Scores = dict[str, float | None]
 
 @dataclass(frozen=True)
 class _Split:
-    __pydantic_config__ = STRICT_TYPES
-
     num_input_views: Count
     scale: str
 
@@ -38,8 +36,6 @@ class RunConfig:
 
 @dataclass(frozen=True)
 class _Frame:
-    __pydantic_config__ = STRICT_TYPES
-
     name: str
 
 

@@ -9,12 +9,12 @@ from typing import Any
 from querysplat_cli.evaluation import published
 from querysplat_cli.evaluation.generate import SCALES
 from querysplat_cli.evaluation.metrics import ALL_METRICS, METRICS
-from querysplat_cli.evaluation.results import RowFolder, mean, row_folders, write_json
+from querysplat_cli.evaluation.results import RowFolder, mean, row_folders
 from querysplat_cli.evaluation.splits import GROUPS
 from querysplat_cli.evaluation.stored_results import Failure, Metrics, RunConfig, Timing, read_checked
 from querysplat_cli.evaluation.summary_page import markdown
 from querysplat_cli.runtime.errors import QuerySplatError
-from querysplat_cli.scene.files import atomic_path
+from querysplat_cli.scene.files import atomic_path, write_json
 
 SHARED = tuple(f"{metric}_shared" for metric in METRICS)
 """Means without the targets that are `apart`, because they have no verified matches with any input."""

@@ -1,17 +1,17 @@
 """Quality against cost of each row of a run, and the rows that no other row beats."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from querysplat_cli.evaluation.metrics import METRICS
-from querysplat_cli.evaluation.results import RowFolder, row_folders, write_json
+from querysplat_cli.evaluation.results import RowFolder, row_folders
 from querysplat_cli.evaluation.stored_results import Metrics, RunConfig, Timing, read_checked
 from querysplat_cli.evaluation.summary import not_none, spread, write_table
 from querysplat_cli.evaluation.summary_page import TITLES
 from querysplat_cli.runtime.figures import new_figure, save_figure
-from querysplat_cli.scene.files import atomic_path
+from querysplat_cli.scene.files import atomic_path, write_json
 
 COSTS = {"seconds": "seconds", "gaussians": "Gaussians", "peak_memory_gib": "peak memory, GiB"}
 NAMES = {"psnr": "PSNR, dB", "ssim": "SSIM", "lpips": "LPIPS"}
@@ -47,8 +47,8 @@ class Point:
 def write_curves(out: Path) -> list[Point]:
     """Write sweep.json, .csv, .md, .png and .svg of all results below `out`, and return the points."""
     points = frontier(collect(row_folders(out), "interp"))
-    write_json(out / "sweep.json", [_flat(point) for point in points])
     flat = [_flat(point) for point in points]
+    write_json(out / "sweep.json", flat)
     write_table(out / "sweep.csv", list(flat[0]) if flat else ["row"], flat)
     with atomic_path(out / "sweep.md") as draft:
         draft.write_text(markdown(points))
@@ -89,7 +89,7 @@ def frontier(points: Sequence[Point]) -> list[Point]:
         rivals = [other for other in points if other.views == point.views and other is not point]
         pairs = [(metric, cost) for metric in METRICS for cost in COSTS]
         best = tuple(f"{m} for {c}" for m, c in pairs if _unbeaten(point, rivals, m, c))
-        marked.append(Point(point.row, point.views, point.group, point.cases, point.figures, best))
+        marked.append(replace(point, best=best))
     return marked
 
 

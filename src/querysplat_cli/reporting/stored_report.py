@@ -18,8 +18,6 @@ Count = Annotated[int, Ge(0), Le(1_000_000_000)]
 class _Moved:
     """How far refinement moved the cameras."""
 
-    __pydantic_config__ = STRICT_TYPES
-
     degrees: float
     shift: float
     focal: float
@@ -28,8 +26,6 @@ class _Moved:
 
 @dataclass(frozen=True)
 class _FullSize:
-    __pydantic_config__ = STRICT_TYPES
-
     level: str
     ended: str
     not_kept: list[int] = field(default_factory=list)
@@ -37,8 +33,6 @@ class _FullSize:
 
 @dataclass(frozen=True)
 class _Exposure:
-    __pydantic_config__ = STRICT_TYPES
-
     disagreement: float
     corrected: bool
 
@@ -46,8 +40,6 @@ class _Exposure:
 @dataclass(frozen=True)
 class _Scale:
     """Where metres come from."""
-
-    __pydantic_config__ = STRICT_TYPES
 
     source: str
     count: Count
@@ -57,8 +49,6 @@ class _Scale:
 
 @dataclass(frozen=True)
 class _Matching:
-    __pydantic_config__ = STRICT_TYPES
-
     matcher: str
     pairs: Count
 
@@ -67,8 +57,6 @@ class _Matching:
 class _Region:
     """One of several regions."""
 
-    __pydantic_config__ = STRICT_TYPES
-
     photos: Count
     overlap: Count
     gaussians: Count
@@ -76,8 +64,6 @@ class _Region:
 
 @dataclass(frozen=True)
 class _Seam:
-    __pydantic_config__ = STRICT_TYPES
-
     regions: tuple[Count, Count]
     photos: Count
     psnr: float
@@ -86,8 +72,6 @@ class _Seam:
 @dataclass(frozen=True)
 class _Run:
     """One run of test-time optimisation. The curve has [step, seconds, loss, PSNR, Gaussians] of each step."""
-
-    __pydantic_config__ = STRICT_TYPES
 
     space: Space
     steps: Count
@@ -104,24 +88,18 @@ class _Run:
 
 @dataclass(frozen=True)
 class _LeftOut:
-    __pydantic_config__ = STRICT_TYPES
-
     name: str
     why: str
 
 
 @dataclass(frozen=True)
 class _Used:
-    __pydantic_config__ = STRICT_TYPES
-
     used: tuple[str, ...]
     left_out: tuple[_LeftOut, ...]
 
 
 @dataclass(frozen=True)
 class _Omission:
-    __pydantic_config__ = STRICT_TYPES
-
     what: str
     why: str
     saved: str

@@ -10,7 +10,7 @@ from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.json_files import shown
 
 STRICT_TYPES = {"extra": "ignore", "strict": True}
-"""The `__pydantic_config__` of such content: entries that it does not name are kept, and not looked at."""
+"""The `__pydantic_config__` of such content and the dataclasses in it: other entries are kept, and not looked at."""
 
 
 def check_types(path: Path, content: Any, kind: type, hint: str) -> None:

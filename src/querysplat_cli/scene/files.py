@@ -1,6 +1,7 @@
 """Files that appear whole or not at all."""
 
 import errno
+import json
 import os
 import shutil
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -8,6 +9,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path, PurePosixPath
+from typing import Any
 
 from querysplat_cli.runtime import signals
 from querysplat_cli.runtime.errors import QuerySplatError
@@ -181,6 +183,12 @@ def atomic_together(*paths: Path) -> Iterator[tuple[Path, ...]]:
             for draft, place in pairs:
                 _exchange(draft, place, undo)
             undo.pop_all()
+
+
+def write_json(path: Path, content: Any) -> None:
+    """Write `content` as a .json that people can read, whole or not at all. Fails as `atomic_path` does."""
+    with atomic_path(path) as draft:
+        draft.write_text(json.dumps(content, indent=1) + "\n")
 
 
 def with_name(path: Path) -> Path:

@@ -15,7 +15,6 @@ from querysplat_cli.training.config import SourceSettings
 class Capture:
     """Photos of one scene in the order in which they were taken, the names of the inputs, and cameras where known."""
 
-    name: str
     photos: tuple[Photo, ...]
     inputs: tuple[str, ...]
     known: Mapping[str, PhotoCamera] | None

@@ -2,7 +2,7 @@
 
 import tomllib
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from importlib import resources
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -169,7 +169,7 @@ def load_config(source: str, changes: Sequence[str] = ()) -> TrainConfig:
         if not equals:
             raise QuerySplatError(f"--set {change}: not NAME=VALUE", "For instance --set optimiser.clip=0.5.")
         _put(values, name.strip(), _value(text.strip()))
-    config = _typed(values)
+    config = from_table(values)
     _check(config)
     return config
 
@@ -179,14 +179,9 @@ def training_presets() -> list[str]:
     return sorted(entry.name.removesuffix(".toml") for entry in _presets().iterdir() if entry.name.endswith(".toml"))
 
 
-def as_table(config: TrainConfig) -> dict[str, Any]:
-    """What a checkpoint keeps of it; `from_table` is the way back."""
-    return asdict(config)
-
-
 def from_table(values: Mapping[str, Any]) -> TrainConfig:
-    """The way back from `as_table`, after JSON."""
-    return _typed(values)
+    """The training of the tables that `asdict` makes of one. Raises QuerySplatError as `load_config` does."""
+    return from_tables(TrainConfig, values, what="training", docs="docs/training.md")
 
 
 def _presets() -> Any:
@@ -259,10 +254,6 @@ def _entry(place: Any, part: str, name: str) -> Any:
     if isinstance(place, list) and part.isdecimal() and int(part) < len(place):
         return place[int(part)]
     raise QuerySplatError(f"--set {name}: there is no '{part}'", "See docs/training.md for the names.")
-
-
-def _typed(values: Mapping[str, Any]) -> TrainConfig:
-    return from_tables(TrainConfig, values, what="training", docs="docs/training.md")
 
 
 def _check(config: TrainConfig) -> None:

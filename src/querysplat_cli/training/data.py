@@ -111,9 +111,7 @@ def sample_maker(setup: tuple[DataSettings, Callable[[], Encoder]]) -> Callable[
         settings = data.sources[job.source]
         try:
             shot = sources[job.source].capture(job.scene, job.draw)
-            sample = make_sample(
-                shot.photos, shot.inputs, encoder, known=shot.known, max_size=data.max_size, seed=settings.seed
-            )
+            sample = make_sample(shot, encoder, max_size=data.max_size, seed=settings.seed)
         except MissingPart:  # no fault of the sample
             raise
         except QuerySplatError as error:

@@ -13,7 +13,6 @@ from querysplat_cli.training.palettes import (
     STONES,
     WALLS,
     WOODS,
-    draw_colour,
     draw_paint,
     draw_pair,
 )
@@ -96,13 +95,13 @@ def make_pictures(chance: np.random.Generator, side: float, wide: float, deep: f
         if abs(x) + w > wide - 0.1:
             break
         z = 1.62 + float(chance.uniform(-0.08, 0.12))
-        yield Solid(BOX, (x, deep - 0.015, z), (w, 0.015, h), "poster", (0.9, 0.9, 0.9), draw_colour(chance, WOODS))
+        yield Solid(BOX, (x, deep - 0.015, z), (w, 0.015, h), "poster", (0.9, 0.9, 0.9), draw_pair(chance, WOODS)[1])
         x += side * (2 * w + chance.uniform(0.1, 0.2))
     for wall in (-1, 1):
         for y in (deep - 1.3, deep - 2.6, deep - 3.9):
             w, h = float(chance.uniform(0.35, 0.5)), float(chance.uniform(0.3, 0.5))
             centre = (wall * (wide - 0.015), y, 1.55 + float(chance.uniform(-0.1, 0.1)))
-            yield Solid(BOX, centre, (0.015, w, h), "poster", (0.9, 0.9, 0.9), draw_colour(chance, WOODS))
+            yield Solid(BOX, centre, (0.015, w, h), "poster", (0.9, 0.9, 0.9), draw_pair(chance, WOODS)[1])
 
 
 def make_table(chance: np.random.Generator, x: float, y: float) -> Iterator[Solid]:

@@ -44,14 +44,7 @@ class OnlineSamples:
         for attempt in range(TRAINING_POLICY.sample_tries):
             try:
                 shot = waiting.result() if waiting and not attempt else self._capture(sources, draw, attempt)
-                sample = make_sample(
-                    shot.photos,
-                    shot.inputs,
-                    self._encoder,
-                    known=shot.known,
-                    max_size=self._data.max_size,
-                    seed=self._seed,
-                )
+                sample = make_sample(shot, self._encoder, max_size=self._data.max_size, seed=self._seed)
             except QuerySplatError as error:
                 self.redrawn += 1
                 reason = error.message

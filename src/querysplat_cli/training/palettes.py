@@ -53,11 +53,6 @@ def draw_pair(chance: np.random.Generator, pairs: Pairs) -> tuple[Colour, Colour
     return pairs[int(chance.integers(len(pairs)))]
 
 
-def draw_colour(chance: np.random.Generator, pairs: Pairs) -> Colour:
-    """The second colour of one pair."""
-    return draw_pair(chance, pairs)[1]
-
-
 def draw_paint(chance: np.random.Generator, *choices: tuple[str, Pairs]) -> tuple[str, Colour, Colour]:
     """One of the paints, with a pair of the colours that stand beside it."""
     paint, pairs = choices[int(chance.integers(len(choices)))]

@@ -1,7 +1,7 @@
 """One training sample and its file: the frozen VGM's output for the inputs alone, and targets in the same frame."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -17,10 +17,11 @@ from querysplat_cli.encoders.holdout import isolated_split
 from querysplat_cli.runtime.choices import Frame
 from querysplat_cli.runtime.errors import ImpossibleScene, QuerySplatError
 from querysplat_cli.runtime.progress import silent
-from querysplat_cli.scene.cameras import Cameras, PhotoCamera
+from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.files import atomic_path
 from querysplat_cli.scene.sim3 import rigid
-from querysplat_cli.scene.views import Photo, Views
+from querysplat_cli.scene.views import Views
+from querysplat_cli.training.captures import Capture
 
 LARGE_FEATURES = 64
 """Channels above which a sample's file has features in 16 bits."""
@@ -45,29 +46,21 @@ class Sample:
         return replace(self, cameras=cameras, target_cameras=targets)
 
 
-def make_sample(
-    photos: Sequence[Photo],
-    inputs: Sequence[str],
-    encoder: Encoder,
-    *,
-    known: Mapping[str, PhotoCamera] | None,
-    max_size: int,
-    seed: int,
-) -> Sample:
-    """A sample from two separate passes, over all photos and over the photos named `inputs`.
+def make_sample(shot: Capture, encoder: Encoder, *, max_size: int, seed: int) -> Sample:
+    """A sample from two separate passes, over all photos of a capture and over its inputs.
 
     The similarity between the inputs' cameras of both passes brings the targets' cameras to the inputs' frame.
 
     Raises ImpossibleScene when an input or every target is left without a camera.
     """
     # The inputs come last: some encoders keep the pass that they made last for their depth and features.
-    request = CameraRequest(max_size, seed, known)
-    everything = encoder.estimate_cameras(photos, request, silent)
-    chosen = [photo for photo in photos if photo.name in inputs]
+    request = CameraRequest(max_size, seed, shot.known)
+    everything = encoder.estimate_cameras(shot.photos, request, silent)
+    chosen = [photo for photo in shot.photos if photo.name in shot.inputs]
     own = encoder.estimate_cameras(chosen, request, silent)
     if len(own.views) < len(chosen):
         raise ImpossibleScene(f"{len(chosen) - len(own.views)} of {len(chosen)} inputs have no camera")
-    heldout = isolated_split(own, everything, inputs)[0].heldout
+    heldout = isolated_split(own, everything, shot.inputs)[0].heldout
     if heldout is None:
         raise ImpossibleScene("no target can be brought to the inputs' frame")
     return Sample(own.views, own.cameras, encoder.estimate_geometry(own, seed=seed, progress=silent), *heldout)

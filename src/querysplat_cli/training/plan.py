@@ -3,8 +3,8 @@
 import os
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
-from typing import Any, TypeVar
+from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import torch
 
@@ -84,9 +84,6 @@ class TrainPlan:
     seconds_per_step: float | None
     hours: float | None
     unmeasured: str
-
-    def as_dict(self) -> dict[str, Any]:
-        return asdict(self)
 
 
 def plan(request: TrainRequest, stages: Stages) -> TrainPlan:

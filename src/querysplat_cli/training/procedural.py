@@ -56,7 +56,7 @@ class Procedural:
             w2c, K = cameras.w2c[frame].double().numpy(), cameras.K[frame].double().numpy()
             known[name] = PhotoCamera.pinhole(w2c, K, height, width)
         names = tuple(f"{frame:03d}.jpg" for frame in inputs)
-        return Capture(f"procedural {scene}", tuple(photos), names, known if settings.cameras == "posed" else None)
+        return Capture(tuple(photos), names, known if settings.cameras == "posed" else None)
 
     def _scene(self, chance: np.random.Generator, frames: int, height: int, width: int) -> tuple[Scene, Cameras]:
         """A scene with free space for a camera path, and the cameras on that path."""

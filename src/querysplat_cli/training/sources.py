@@ -97,7 +97,7 @@ class Captured:
             film = _film(place)
             inputs, targets = drawn_views(chance, settings, len(film))
             photos = {frame: film[frame] for frame in sorted({*inputs, *targets})}
-            return Capture(place.name, tuple(photos.values()), tuple(photos[frame].name for frame in inputs), None)
+            return Capture(tuple(photos.values()), tuple(photos[frame].name for frame in inputs), None)
         if place.fault:
             raise QuerySplatError(place.fault, "Download the scene again.")
         inputs, targets = drawn_views(chance, settings, len(place.frames))
@@ -117,7 +117,7 @@ class Captured:
         if settings.cameras == "posed":
             pairs = ((frame.name, photo) for frame, photo in zip(frames, loaded, strict=True))
             known = {name: upright_camera(place.cameras[name], photo) for name, photo in pairs if name in place.cameras}
-        return Capture(place.name, tuple(named), tuple(place.frames[i].name for i in inputs), known)
+        return Capture(tuple(named), tuple(place.frames[i].name for i in inputs), known)
 
 
 @lru_cache(maxsize=1)

@@ -2,7 +2,7 @@
 
 import math
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from querysplat_cli.runtime.device import peak_gib, return_freed_memory, to_devi
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.splat.lpips import Perceptual
-from querysplat_cli.training.config import TrainConfig, as_table, from_table
+from querysplat_cli.training.config import TrainConfig, from_table
 from querysplat_cli.training.data import Draw, RecentResults, Samples
 from querysplat_cli.training.journal import Journal
 from querysplat_cli.training.passes import Sample
@@ -233,7 +233,7 @@ class Trainer:
         tensors |= {f"average.{name}": tensor for name, tensor in self._average.values.items()}
         tensors |= {f"moments.{name}": tensor for name, tensor in moments(self._optimiser, named).items()}
         facts = {
-            "config": as_table(self.config),
+            "config": asdict(self.config),
             "window": self._filter.window,
             "skipped": self.skipped,
             "seconds": self._seconds + seconds,

@@ -15,7 +15,7 @@ import torch
 from querysplat_cli.runtime.errors import MissingPart
 from querysplat_cli.runtime.optional_parts import install_command
 from querysplat_cli.scene.files import atomic_path
-from querysplat_cli.scene.formats.ply import HIGHEST_OPACITY, NoGaussian, damage_named, export_rows, finite_gaussians
+from querysplat_cli.scene.formats.ply import HIGHEST_OPACITY, damage_named, finite_gaussians, finite_rows
 from querysplat_cli.scene.gaussians import Gaussians
 
 SPZ_BITS = 24
@@ -40,9 +40,7 @@ def write_spz(path: Path, gaussians: Gaussians, version: int = 3) -> int:
     These are the finite ones.
     """
     gsply = _gsply()
-    rows = _finite_rows(gaussians)
-    if not len(rows):
-        raise NoGaussian(path)
+    rows = finite_rows(path, gaussians).numpy()
     reach = float(np.abs(rows[:, :3]).max(initial=1e-30))
     bits = SPZ_BITS - 1 - max(0, math.ceil(math.log2(reach + 1e-30)))
     bands = (rows.shape[1] - 14) // 3
@@ -69,16 +67,7 @@ def _gsply() -> Any:
     try:
         return import_module("gsply")
     except ImportError:
-        raise _missing("gsply") from None
-
-
-def _missing(part: str) -> MissingPart:
-    return MissingPart(f"this format needs {part}", install_command("formats"))
-
-
-def _finite_rows(gaussians: Gaussians) -> np.ndarray:
-    rows = export_rows(gaussians).numpy()
-    return np.ascontiguousarray(rows[np.isfinite(rows).all(1)])
+        raise MissingPart("this format needs gsply", install_command("formats")) from None
 
 
 def _gaussians(data: Any) -> Gaussians:

@@ -98,7 +98,7 @@ def fetch(frames: Sequence[Frame], scratch: Path) -> list[Path]:
         copy = scratch / f"{frame.index:06d}" / Path(frame.file.member).name
         copy.parent.mkdir(parents=True, exist_ok=True)
         with (
-            _damage_named(frame.file.archive),
+            _unpacking(frame.file.archive),
             zipfile.ZipFile(frame.file.archive) as archive,
             archive.open(frame.file.member) as source,
             copy.open("wb") as target,
@@ -109,8 +109,8 @@ def fetch(frames: Sequence[Frame], scratch: Path) -> list[Path]:
 
 
 @contextmanager
-def _damage_named(file: object) -> Iterator[None]:
-    """Inside, what is wrong with the bytes of a zip becomes an error that names `file`."""
+def _unpacking(file: object) -> Iterator[None]:
+    """Inside, what is wrong with the bytes of a zip becomes an error that names `file`, the zip or a part of it."""
     try:
         yield
     except (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, RuntimeError) as error:
@@ -235,7 +235,7 @@ def _listed(listing: Path) -> tuple[dict[str, PhotoCamera], list[str]]:
 
 def _copied(file: Traversable, folder: Path) -> Path:
     copy = folder / file.name
-    with _damage_named(file):
+    with _unpacking(file):
         copy.write_bytes(file.read_bytes())
     return copy
 

@@ -30,15 +30,17 @@ def find_known_cameras(path: Path) -> Path:
     """What `read_known_cameras` reads: a .json file, or the folder of a COLMAP model. Raises like it."""
     if not path.exists():
         raise QuerySplatError(f"{path}: no such file or folder", "Give a transforms.json or a COLMAP folder.")
-    if path.is_file() and path.suffix.lower() in GAUSSIAN_KINDS:
+    kind = path.suffix.lower()
+    if path.is_file() and kind in GAUSSIAN_KINDS:
         raise QuerySplatError(f"{path} has Gaussians, and no cameras", "Give the folder of its scene.")
-    if path.is_file() and path.suffix.lower() not in (".json", *MODEL_KINDS):
+    if path.is_file() and kind not in (".json", *MODEL_KINDS):
+        *kinds, last = GAUSSIAN_KINDS
         raise QuerySplatError(
             f"{path}: not a kind of file for cameras or Gaussians that is read",
-            "Cameras are a transforms.json or a COLMAP model, Gaussians a .ply, .spz, .sog or .glb.",
+            f"Cameras are a transforms.json or a COLMAP model, Gaussians a {', '.join(kinds)} or {last}.",
         )
     if path.is_file():
-        return path if path.suffix.lower() == ".json" else find_known_cameras(path.parent)
+        return path if kind == ".json" else find_known_cameras(path.parent)
     listing = next((path / name for name in JSON_NAMES if (path / name).is_file()), None)
     found = listing or find_model(path)
     if found is None:

@@ -1,13 +1,12 @@
 """A file of cameras in another frame."""
 
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from querysplat_cli.runtime.json_files import read_json
-from querysplat_cli.scene.files import atomic_path
+from querysplat_cli.scene.files import write_json
 from querysplat_cli.scene.formats.transforms import as_entry, read_cameras, working_frame
 from querysplat_cli.scene.sim3 import Sim3
 
@@ -23,8 +22,7 @@ def move_cameras(source: Path, target: Path, place: Sim3) -> None:
     for key in ("frames", "heldout_frames"):
         if content.get(key):
             content[key] = [_moved(entry, place) for entry in content[key]]
-    with atomic_path(target) as draft:
-        draft.write_text(json.dumps({**content, "working_frame": as_entry(frame)}, indent=1) + "\n")
+    write_json(target, {**content, "working_frame": as_entry(frame)})
 
 
 def _moved(entry: dict[str, Any], place: Sim3) -> dict[str, Any]:

@@ -73,10 +73,7 @@ def write_ply(path: str | Path, gaussians: Gaussians, comments: Sequence[str] = 
     path = Path(path)
     if path.suffix.lower() != ".ply":
         raise QuerySplatError(f"{path}: not the name of a .ply", "`querysplat convert` makes other kinds of a .ply.")
-    rows = export_rows(gaussians)
-    finite = rows[torch.isfinite(rows).all(1)]
-    if not len(finite):
-        raise NoGaussian(path)
+    finite = finite_rows(path, gaussians)
     names = columns(gaussians.sh_degree)
     vertices = np.zeros(len(finite), [(name, "<f4") for name in names[:3] + NORMALS + names[3:]])
     for name, column in zip(names, finite.numpy().T, strict=True):
@@ -155,6 +152,15 @@ def export_rows(gaussians: Gaussians, opacity_threshold: float = 0.0) -> Float[T
         torch.where(length == 0, identity, kept.quats / length),
     ]
     return torch.cat(parts, 1).float()
+
+
+def finite_rows(path: Path, gaussians: Gaussians) -> Float[Tensor, "rows columns"]:
+    """Those of `export_rows` that are finite, for the file at `path`. Raises NoGaussian where there is none."""
+    rows = export_rows(gaussians)
+    finite = rows[torch.isfinite(rows).all(1)]
+    if not len(finite):
+        raise NoGaussian(path)
+    return finite
 
 
 def _gaussians(rows: Float[Tensor, "rows columns"]) -> Gaussians:

@@ -6,14 +6,13 @@ stands at the first of its cameras. Without one it stands outside of the box of 
 Gaussians, turned by 180° around z. Its camera is upright, with y up, and looks at `target` in the middle of the window.
 """
 
-import json
 import math
 from pathlib import Path
 
 import torch
 
 from querysplat_cli.scene.cameras import Cameras
-from querysplat_cli.scene.files import atomic_path
+from querysplat_cli.scene.files import write_json
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.paths import first_shown, scene_middle
 from querysplat_cli.scene.sim3 import Sim3
@@ -62,5 +61,4 @@ def write_supersplat(
         "annotations": [],
         "startMode": "default",
     }
-    with atomic_path(path) as draft:
-        draft.write_text(json.dumps(settings, indent=1) + "\n")
+    write_json(path, settings)

@@ -4,7 +4,6 @@ Files hold OpenGL camera-to-world matrices (x right, y up, z backward); everythi
 world-to-camera. Principal points count from the picture's corner: pixel centres at +0.5.
 """
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
@@ -16,7 +15,7 @@ import torch
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.json_files import read_json, shown
 from querysplat_cli.scene.cameras import FARTHEST_CENTRE, LONGEST_SIDE, Cameras, PhotoCamera
-from querysplat_cli.scene.files import atomic_path
+from querysplat_cli.scene.files import write_json
 from querysplat_cli.scene.formats.transforms_frame import frame_camera, is_rigid, opengl_from_opencv
 from querysplat_cli.scene.photo_names import names_a_photo, short_names, stated_parts
 from querysplat_cli.scene.pictures import stored_name
@@ -96,8 +95,7 @@ def write_cameras(
         "frames": _frames(cameras, views, frame),
         **({"heldout_frames": _frames(heldout[1], heldout[0], frame)} if heldout else {}),
     }
-    with atomic_path(path) as draft:
-        draft.write_text(json.dumps(content, indent=1) + "\n")
+    write_json(path, content)
 
 
 def write_transforms(
@@ -116,8 +114,7 @@ def write_transforms(
         matrix = opengl_from_opencv(camera.w2c).tolist()
         stored = {"as_stored": True} if camera.as_stored else {}
         frames.append({**_picture(name, file_of(name)), **intrinsics, **stored, "transform_matrix": matrix})
-    with atomic_path(path) as draft:
-        draft.write_text(json.dumps({"camera_model": "OPENCV", "frames": frames}, indent=1) + "\n")
+    write_json(path, {"camera_model": "OPENCV", "frames": frames})
 
 
 def read_cameras(path: Path) -> tuple[NamedCameras, NamedCameras | None]:
