@@ -83,7 +83,7 @@ class _Blend(torch.autograd.Function):
         width: int,
         settings: RenderSettings,
     ) -> tuple[Tensor, Tensor, Tensor]:
-        arrays = [tensor.detach().numpy() for tensor in (means, quats, scales, opacities, sh)]
+        arrays = tuple(tensor.detach().numpy() for tensor in (means, quats, scales, opacities, sh))
         planes = np.empty((len(w2c), BLENDED_PLANES, height, width), np.float32)
         rows = _camera_rows(Cameras(w2c.detach().double(), K.detach().double(), height, width))
         views = [_dealt(arrays, camera, settings, (height, width)) for camera in rows]
@@ -100,8 +100,8 @@ class _Blend(torch.autograd.Function):
         ctx: Any, of_colour: Tensor | None, of_alpha: Tensor | None, of_depth: Tensor | None
     ) -> tuple[Tensor | None, ...]:
         *tensors, w2c = ctx.saved_tensors
-        arrays = [tensor.detach().numpy() for tensor in tensors]
-        gradients = [np.zeros_like(array) for array in arrays]
+        arrays = tuple(tensor.detach().numpy() for tensor in tensors)
+        gradients = tuple(np.zeros_like(array) for array in arrays)
         parts = _parts(len(arrays[0]))
         of_views = np.zeros((len(ctx.views), *_of_view_shape(len(arrays[0]))))
         slopes = np.zeros_like(ctx.planes)
@@ -111,7 +111,7 @@ class _Blend(torch.autograd.Function):
         for v, view in enumerate(ctx.views):
             _blend_backward(view, ctx.settings, ctx.planes[v], slopes[v], parts)
             limits = _projection_limits(ctx.settings)
-            project_view_backward(*arrays, view.camera, limits, view.rows, parts, *gradients, of_views[v])
+            project_view_backward(arrays, view.camera, limits, view.rows, parts, gradients, of_views[v])
         of_cameras = _camera_gradients(w2c, torch.from_numpy(of_views).sum(1))
         return (*(torch.from_numpy(gradient) for gradient in gradients), *of_cameras, None, None, None)
 
@@ -121,7 +121,7 @@ class Drawn:
     """One view that is drawn, on black: planes of red, green, blue, alpha and Σ w·z, to be pulled back once."""
 
     planes: Float[Tensor, "5 height width"]
-    _arrays: list[np.ndarray]
+    _arrays: tuple[np.ndarray, ...]
     _view: _View
     _settings: RenderSettings
 
@@ -147,10 +147,10 @@ class Drawn:
         _blend_backward(self._view, self._settings, planes, slopes.numpy(), parts)
         weights = parts[:, :, DEPTH].sum(0)
         parts[:, :, DEPTH] = 0
-        gradients = [np.zeros_like(array) for array in self._arrays]
+        gradients = tuple(np.zeros_like(array) for array in self._arrays)
         limits, view = _projection_limits(self._settings), self._view
         of_view = np.zeros(_of_view_shape(count))
-        project_view_backward(*self._arrays, view.camera, limits, view.rows, parts, *gradients, of_view)
+        project_view_backward(self._arrays, view.camera, limits, view.rows, parts, gradients, of_view)
         return Gaussians(*map(torch.from_numpy, gradients)), torch.from_numpy(weights)
 
 
@@ -168,11 +168,11 @@ def weigh(
     return torch.from_numpy(parts.sum(0)[:, [RED, GREEN, BLUE]].T)
 
 
-def _arrays(gaussians: Gaussians) -> list[np.ndarray]:
-    return [field.detach().float().contiguous().numpy() for field in gaussians.tensors()]
+def _arrays(gaussians: Gaussians) -> tuple[np.ndarray, ...]:
+    return tuple(field.detach().float().contiguous().numpy() for field in gaussians.tensors())
 
 
-def _one_dealt(arrays: list[np.ndarray], camera: Cameras, settings: RenderSettings) -> _View:
+def _one_dealt(arrays: tuple[np.ndarray, ...], camera: Cameras, settings: RenderSettings) -> _View:
     fixed = Cameras(camera.w2c.detach().double(), camera.K.detach().double(), camera.height, camera.width)
     return _dealt(arrays, _camera_rows(fixed)[0], settings, (fixed.height, fixed.width))
 
@@ -196,7 +196,9 @@ def _blend_backward(
     blend_backward(view.rows, view.starts, view.lists, shares, tiles_x, limits, planes, slopes, parts)
 
 
-def _dealt(arrays: list[np.ndarray], camera: np.ndarray, settings: RenderSettings, size: tuple[int, int]) -> _View:
+def _dealt(
+    arrays: tuple[np.ndarray, ...], camera: np.ndarray, settings: RenderSettings, size: tuple[int, int]
+) -> _View:
     """The Gaussians projected into a picture of that height and width, and listed for each of its tiles."""
     if settings.alpha_min < LOWEST_ALPHA_MIN:
         raise QuerySplatError(
@@ -207,7 +209,7 @@ def _dealt(arrays: list[np.ndarray], camera: np.ndarray, settings: RenderSetting
     tiles_x, tiles_y = -(-width // WIDE), -(-height // HIGH)
     rows = np.empty((len(arrays[0]), ROW_COLUMNS), np.float32)
     depths = np.empty(len(arrays[0]), np.float32)
-    project_view(*arrays, camera, _projection_limits(settings), rows, depths)
+    project_view(arrays, camera, _projection_limits(settings), rows, depths)
     order = by_depth(depths.view(np.uint32))
     tasks = 2 * numba.get_num_threads()
     first, spans_of = (np.empty(len(rows), np.int32) for _ in range(2))
