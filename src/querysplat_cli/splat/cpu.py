@@ -85,8 +85,8 @@ class _Blend(torch.autograd.Function):
     ) -> tuple[Tensor, Tensor, Tensor]:
         arrays = tuple(tensor.detach().numpy() for tensor in (means, quats, scales, opacities, sh))
         planes = np.empty((len(w2c), BLENDED_PLANES, height, width), np.float32)
-        rows = _camera_rows(Cameras(w2c.detach().double(), K.detach().double(), height, width))
-        views = [_dealt(arrays, camera, settings, (height, width)) for camera in rows]
+        cameras = Cameras(w2c, K, height, width)
+        views = [_dealt(arrays, cameras[[view]], settings) for view in range(len(w2c))]
         for view, picture in zip(views, planes, strict=True):
             _fill_planes(view, settings, picture)
         result = torch.from_numpy(planes)
@@ -129,7 +129,7 @@ class Drawn:
     def of(gaussians: Gaussians, camera: Cameras, settings: RenderSettings) -> "Drawn":
         arrays = _arrays(gaussians)
         planes = np.empty((BLENDED_PLANES, camera.height, camera.width), np.float32)
-        view = _one_dealt(arrays, camera, settings)
+        view = _dealt(arrays, camera, settings)
         _fill_planes(view, settings, planes)
         return Drawn(torch.from_numpy(planes), arrays, view, settings)
 
@@ -161,7 +161,7 @@ def weigh(
 
     Each is the gradient of a colour of the Gaussian, for which nothing needs to be blended.
     """
-    view = _one_dealt(_arrays(gaussians), camera, settings)
+    view = _dealt(_arrays(gaussians), camera, settings)
     slopes = torch.cat([pixel_weights, torch.zeros_like(pixel_weights[:2])]).float().numpy()
     parts = _parts(len(gaussians))
     _blend_backward(view, settings, np.zeros_like(slopes), slopes, parts)
@@ -170,11 +170,6 @@ def weigh(
 
 def _arrays(gaussians: Gaussians) -> tuple[np.ndarray, ...]:
     return tuple(field.detach().float().contiguous().numpy() for field in gaussians.tensors())
-
-
-def _one_dealt(arrays: tuple[np.ndarray, ...], camera: Cameras, settings: RenderSettings) -> _View:
-    fixed = Cameras(camera.w2c.detach().double(), camera.K.detach().double(), camera.height, camera.width)
-    return _dealt(arrays, _camera_rows(fixed)[0], settings, (fixed.height, fixed.width))
 
 
 def _parts(count: int) -> np.ndarray:
@@ -196,20 +191,17 @@ def _blend_backward(
     blend_backward(view.rows, view.starts, view.lists, shares, tiles_x, limits, planes, slopes, parts)
 
 
-def _dealt(
-    arrays: tuple[np.ndarray, ...], camera: np.ndarray, settings: RenderSettings, size: tuple[int, int]
-) -> _View:
-    """The Gaussians projected into a picture of that height and width, and listed for each of its tiles."""
+def _dealt(arrays: tuple[np.ndarray, ...], camera: Cameras, settings: RenderSettings) -> _View:
+    """The Gaussians projected into the picture of one camera, and listed for each of its tiles."""
     if settings.alpha_min < LOWEST_ALPHA_MIN:
         raise QuerySplatError(
             f"the CPU splatter cannot follow alpha down to {settings.alpha_min:.2g}",
             f'Take alpha_min ≥ {LOWEST_ALPHA_MIN}, or backend="reference".',
         )
-    height, width = size
-    tiles_x, tiles_y = -(-width // WIDE), -(-height // HIGH)
+    row, tiles_x, tiles_y = _camera_row(camera), -(-camera.width // WIDE), -(-camera.height // HIGH)
     rows = np.empty((len(arrays[0]), ROW_COLUMNS), np.float32)
     depths = np.empty(len(arrays[0]), np.float32)
-    project_view(arrays, camera, _projection_limits(settings), rows, depths)
+    project_view(arrays, row, _projection_limits(settings), rows, depths)
     order = by_depth(depths.view(np.uint32))
     tasks = 2 * numba.get_num_threads()
     first, spans_of = (np.empty(len(rows), np.int32) for _ in range(2))
@@ -226,7 +218,7 @@ def _dealt(
         )
     lists = np.empty(starts[-1], np.int32)
     deal(order, first, offsets, spans, tiles_x, tiles_y, min(tiles_y, tasks), starts, lists)
-    return _View(camera, rows, starts, lists)
+    return _View(row, rows, starts, lists)
 
 
 def _fill_planes(view: _View, settings: RenderSettings, planes: np.ndarray) -> None:
@@ -241,14 +233,12 @@ def _fair_shares(starts: np.ndarray, tasks: int) -> np.ndarray:
     return cuts.astype(np.int64)
 
 
-def _camera_rows(cameras: Cameras) -> np.ndarray:
-    """[views, 18] float64: rotation, centre, fx, fy, cx, cy, width, height."""
-    w2c = cameras.w2c.numpy()
-    rotation = w2c[:, :3, :3]
-    centres = -np.einsum("vji,vj->vi", rotation, w2c[:, :3, 3])
-    intrinsics = torch.stack(cameras.intrinsics, 1).numpy()
-    size = np.broadcast_to([float(cameras.width), float(cameras.height)], (len(w2c), 2))
-    return np.concatenate([rotation.reshape(-1, 9), centres, intrinsics, size], 1)
+def _camera_row(camera: Cameras) -> np.ndarray:
+    """[18] float64: rotation, centre, fx, fy, cx, cy, width, height."""
+    w2c = camera.w2c[0].detach().double().numpy()
+    centre = -np.einsum("ji,j->i", w2c[:3, :3], w2c[:3, 3])
+    intrinsics = torch.cat(camera.intrinsics).detach().double().numpy()
+    return np.concatenate([w2c[:3, :3].ravel(), centre, intrinsics, [camera.width, camera.height]])
 
 
 def _camera_gradients(w2c: Tensor, of_views: Float[Tensor, "views 16"]) -> tuple[Tensor, Tensor]:
