@@ -11,20 +11,15 @@ from querysplat_cli.splat.conventions import RenderSettings
 from querysplat_cli.splat.render import refuse_broken, render, usual_splatter
 
 
-def blending_weights(
-    gaussians: Gaussians,
-    cameras: Cameras,
-    pixel_weight: Float[Tensor, "views height width"] | None = None,
-    settings: RenderSettings | None = None,
-) -> Float[Tensor, "n"]:
-    """The blending weight of each Gaussian, times `pixel_weight` (None: 1), summed over all pixels of all views.
+def blending_weights(gaussians: Gaussians, cameras: Cameras) -> Float[Tensor, "n"]:
+    """The blending weight of each Gaussian, summed over all pixels of all views.
 
     Views are looked at one after another, so that memory does not grow with their number.
     """
     total = torch.zeros_like(gaussians.opacities).detach()
+    one = total.new_ones(1, cameras.height, cameras.width).expand(3, -1, -1)
     for view in range(len(cameras)):
-        one = total.new_ones(cameras.height, cameras.width) if pixel_weight is None else pixel_weight[view]
-        total += three_blending_weights(gaussians, cameras[[view]], one.expand(3, -1, -1), settings)[0]
+        total += three_blending_weights(gaussians, cameras[[view]], one)[0]
     return total
 
 
@@ -34,7 +29,7 @@ def three_blending_weights(
     pixel_weights: Float[Tensor, "3 height width"],
     settings: RenderSettings | None = None,
 ) -> Float[Tensor, "3 n"]:
-    """`blending_weights` of one view with each of three pixel weights, in one pass."""
+    """`blending_weights` of one view, times each of three weights of the pixels, in one pass."""
     flat = _flat(gaussians)
     if usual_splatter(flat) == "cpu":
         refuse_broken(flat, camera)
