@@ -80,7 +80,8 @@ def appearance_memory(fixture: Fixture, model: QuerySplat, scene: Tensors) -> Te
 
 def querysplat(fixture: Fixture, model: QuerySplat, scene: Tensors) -> Tensors:
     images = scene["images"]
-    memories = model.encode(_layers(fixture, scene), images, pinholes(scene, *images.shape[-2:]))
+    cameras = pinholes(scene, *images.shape[-2:])
+    memories = model.keys_and_values(model.embed(_layers(fixture, scene), images, cameras))
     tokens = model.geometry_tokens(memories)
     return {"geometry_tokens": tokens, **querysplat_outputs(model.decode(memories))}
 

@@ -28,7 +28,7 @@ def test_initial_model_gives_the_prior() -> None:
     config = compact()
     model = initial_model(config, seed=3).requires_grad_(False)
     scene = anchors(config)
-    seen = model.encode(*photos(config))
+    seen = model.keys_and_values(model.embed(*photos(config)))
     assert len(seen.geometry_keys) == len(seen.appearance_keys) == VIEWS * PATCHES
     assert not seen.geometry_values.any()
     assert not seen.appearance_values.any()
@@ -45,7 +45,7 @@ def test_values_drive_every_property_of_every_gaussian_from_the_start() -> None:
     config = compact()
     model = initial_model(config, seed=0).requires_grad_(False)
     scene = anchors(config)
-    start = model.encode(*photos(config))
+    start = model.keys_and_values(model.embed(*photos(config)))
     for name, field in (("means", "geometry_values"), ("scales", "geometry_values"), ("quats", "geometry_values"),
                         ("opacities", "appearance_values"), ("sh", "appearance_values")):  # fmt: skip
         variables = start.map(lambda tensor: tensor.detach().clone().requires_grad_())
