@@ -97,7 +97,7 @@ class QuerySplat(nn.Module):
         # Features, their norm, and keys and values with a copy of each while they are joined; photos alike.
         memory = (2 + 4 * share) * 4 * config.width * (tokens + patches)
         # Residual stream, a branch's input, its widened result twice, and the raw numbers of both heads.
-        raw = config.gaussians_per_query * (GEOMETRY_CHANNELS + config.appearance_channels)
+        raw = config.gaussians_per_query * config.raw_channels
         queries = config.query_count * 4 * (config.width * (3 + 2 * config.mlp_ratio * share) + 3 * raw)
         if optimising:
             memory += 4 * 2 * 4 * config.width * (tokens + patches)
