@@ -80,7 +80,7 @@ def map_photos(matches: Matches, photos: Sequence[Photo], *, seed: int) -> Mappe
             candidates = read_candidates(store, 0, 1)
         agreement = partial(dense_agreement, photos)
         two = map_two_photos(candidates, matches.sizes, matches.focals, matches.usual_focals, agreement)
-        return Mapped(two.model, (two.pair,)) if two else None
+        return Mapped(two[0], (two[1],)) if two else None
     connected = len(matches.largest_group())
     best: tuple[tuple[int, float], pycolmap.Reconstruction, bool] | None = None
     for attempt in _attempts(matches):
