@@ -1,5 +1,7 @@
 """How much each Gaussian counts in the pictures."""
 
+from dataclasses import replace
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -30,7 +32,8 @@ def three_blending_weights(
     settings: RenderSettings | None = None,
 ) -> Float[Tensor, "3 n"]:
     """`blending_weights` of one view, times each of three weights of the pixels, in one pass."""
-    flat = _flat(gaussians)
+    # In one colour: a picture's derivative by the flat colour of a Gaussian is that Gaussian's blending weight.
+    flat = replace(gaussians.detach(), sh=torch.zeros_like(gaussians.sh[:, :1]).requires_grad_())
     if usual_splatter(flat) == "cpu":
         refuse_broken(flat, camera)
         return cpu.weigh(flat, camera, pixel_weights, settings or RenderSettings())
@@ -38,14 +41,3 @@ def three_blending_weights(
         weighted = render(flat, camera, settings=settings).colour[0] * pixel_weights
         (gradient,) = torch.autograd.grad(weighted.sum(), flat.sh)
     return gradient[:, 0].T / SH_0
-
-
-def _flat(gaussians: Gaussians) -> Gaussians:
-    """In one colour: a picture's derivative by the flat colour of a Gaussian is that Gaussian's blending weight."""
-    return Gaussians(
-        gaussians.means.detach(),
-        gaussians.quats.detach(),
-        gaussians.scales.detach(),
-        gaussians.opacities.detach(),
-        torch.zeros_like(gaussians.sh[:, :1]).requires_grad_(),
-    )

@@ -46,9 +46,8 @@ def blend(
     Raises QuerySplatError when the Gaussians of one view would fill more than 1 GiB of tile lists, and when
     `settings.alpha_min` is below 0.0025, where the kernel's exponential ends.
     """
-    fields = (gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.sh)
     colour, alpha, depth = _Blend.apply(
-        *(field.float().contiguous() for field in fields),
+        *(field.float().contiguous() for field in gaussians.tensors()),
         cameras.w2c,
         cameras.K,
         cameras.height,
