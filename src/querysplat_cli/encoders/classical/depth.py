@@ -1,7 +1,6 @@
 """Depth of every view by classical multi-view stereo, from photos with cameras."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -59,7 +58,7 @@ def estimate_geometry(posed: PosedViews, *, seed: int, progress: Progress) -> Ge
         inverse[v] = np.clip(inverse[v], ranges[v].far, ranges[v].near)
     progress("clearing free space", 0.95)
     least = [limits.far for limits in ranges]
-    inverse = carve(replace(maps, inverse=inverse), photos, nearest, least)
+    inverse = carve(maps, photos, nearest, least)
     depth, sure = torch.from_numpy(1 / inverse), torch.from_numpy(confidence)
     return _geometry(posed, depth, sure, depth_warnings(posed, depth, sure))
 
