@@ -1,6 +1,7 @@
 """The derivatives of projection.py's equations, compiled, one Gaussian at a time on every core.
 
-`view` and `limits` are those of compiled_projection.py.
+`view` and `limits` are those of compiled_projection.py. Numba's cache depends on this file only: after a change of a
+function that is imported here, touch it.
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
