@@ -69,7 +69,7 @@ def measure(
             for count in sorted(queries, reverse=True):
                 decoder.keep_queries(count)
                 row[f"decoder_{count}"] = mean_seconds(
-                    lambda: decoder.decode(decoder.encode(features, images, cameras)), device, runs
+                    lambda: decoder.decode(decoder.embed(features, images, cameras)), device, runs
                 )
     if encoder is not None and PAPER_QUERIES in queries and decoder is not None:
         row["total"] = row["encoder"] + row[f"decoder_{PAPER_QUERIES}"]

@@ -177,7 +177,7 @@ def pipeline(fixture: Fixture) -> Tensors:
         encoding = camera_head(found[-1][:, : config.special_tokens])
         cameras = decode_pose(encoding, *images.shape[-2:])
         depth, confidence = depth_head([each[:, config.special_tokens :] for each in found], _grid(settings))
-        memories = model.encode(found, images, cameras)
+        memories = model.keys_and_values(model.embed(found, images, cameras))
         lens = [cameras.K[:, i, j] for i, j in ((0, 0), (1, 1), (0, 2), (1, 2))]
         rows.append(
             {

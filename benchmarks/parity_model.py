@@ -7,6 +7,7 @@ from torch import Tensor
 
 from golden import Fixture, Tensors
 from querysplat_cli.model.config import GEOMETRY_CHANNELS
+from querysplat_cli.model.decoders import Decoder
 from querysplat_cli.model.heads import activate_appearance, activate_geometry, assemble
 from querysplat_cli.model.memories import Memories, Memory, plucker_rays
 from querysplat_cli.model.querysplat import QuerySplat
@@ -19,26 +20,35 @@ from querysplat_cli.training.visibility import outside, projected
 
 
 def decoder_block(fixture: Fixture, model: QuerySplat, scene: Tensors) -> Tensors:
-    steps = model.geometry_decoder.blocks[0].steps(scene["tokens"], Memory(*_memory(scene)))
-    return dict(zip(("after_cross", "after_self", "out"), steps, strict=True))
+    block, found = model.geometry_decoder.blocks[0], Tensors()
+    block.self_attention.register_forward_pre_hook(lambda _, given: found.update(after_cross=given[0]))
+    block.mlp.register_forward_pre_hook(lambda _, given: found.update(after_self=given[0]))
+    out = block(scene["tokens"], Memory(*_memory(scene)))
+    return {**found, "out": out}
+
+
+def _after_blocks(decoder: Decoder, tokens: Tensor, memory: Memory) -> Tensors:
+    found = {}
+    for i, block in enumerate(decoder.blocks):
+        tokens = found[f"after_block_{i}"] = block(tokens, memory)
+    return found
 
 
 def geometry_decoder(fixture: Fixture, model: QuerySplat, scene: Tensors) -> Tensors:
     keys, values = _memory(scene)
     start = torch.cat([model.eye_token, model.geometry_queries])
-    after = list(model.geometry_decoder.steps(start, Memory(keys, values)))
+    after = _after_blocks(model.geometry_decoder, start, Memory(keys, values))
     tokens = model.geometry_tokens(Memories(keys, values, keys, values))
-    return {f"after_block_{i}": block for i, block in enumerate(after)} | {"geometry_tokens": tokens}
+    return {**after, "geometry_tokens": tokens}
 
 
 def appearance_decoder(fixture: Fixture, model: QuerySplat, scene: Tensors) -> Tensors:
     keys, values = _memory(scene)
     start = scene["geometry_tokens"] + model.appearance_queries
-    after = list(model.appearance_decoder.steps(start, Memory(keys, values)))
+    blocks = _after_blocks(model.appearance_decoder, start, Memory(keys, values))
     tokens = model.appearance_tokens(scene["geometry_tokens"], Memories(keys, values, keys, values))
     raw = model.appearance_head(tokens).reshape(-1, model.config.appearance_channels)
     sh, opacity = activate_appearance(raw, model.config)
-    blocks = {f"after_block_{i}": block for i, block in enumerate(after)}
     return {"start_tokens": start, **blocks, "raw": raw, "sh": sh.flatten(1), "opacity": opacity[:, None]}
 
 
@@ -80,7 +90,8 @@ def appearance_memory(fixture: Fixture, model: QuerySplat, scene: Tensors) -> Te
 
 def querysplat(fixture: Fixture, model: QuerySplat, scene: Tensors) -> Tensors:
     images = scene["images"]
-    memories = model.encode(_layers(fixture, scene), images, pinholes(scene, *images.shape[-2:]))
+    cameras = pinholes(scene, *images.shape[-2:])
+    memories = model.keys_and_values(model.embed(_layers(fixture, scene), images, cameras))
     tokens = model.geometry_tokens(memories)
     return {"geometry_tokens": tokens, **querysplat_outputs(model.decode(memories))}
 

@@ -47,7 +47,7 @@ def outputs(precision: str, views: int, queries: int, device: torch.device) -> d
         decoder = full_size.querysplat(exact, device)
         decoder.keep_queries(queries)
         start = time.perf_counter()
-        made = decoder.decode(decoder.encode(found.features, images, cameras))
+        made = decoder.decode(decoder.embed(found.features, images, cameras))
         _wait(device)
         seconds.append(time.perf_counter() - start)
         picture = render(made, cameras[[0]]).colour

@@ -10,6 +10,7 @@ from querysplat_cli.encoders.classical.consistency import DepthMaps, carve, conf
 from querysplat_cli.encoders.classical.depth import estimate_geometry
 from querysplat_cli.encoders.classical.depth_policy import DEPTH_POLICY
 from querysplat_cli.encoders.classical.neighbours import choose_sources, inverse_range
+from querysplat_cli.encoders.classical.patchmatch import Source
 from querysplat_cli.encoders.classical.semiglobal import aggregate_costs, best_planes
 from querysplat_cli.encoders.classical.sweep import WORST_COST, cost_volume, plane_homography
 from querysplat_cli.scene.cameras import Cameras
@@ -236,13 +237,18 @@ def test_pixels_without_a_best_plane_take_that_of_their_neighbours():
     np.testing.assert_array_equal(plane, 3)
 
 
+def two_cameras() -> list[Source]:
+    """Of 24 × 24 pixels. The second one stands half a unit further right."""
+    beside, nothing = np.eye(4), np.zeros((24, 24), np.float32)
+    beside[0, 3] = -0.5
+    K = np.array([[24, 0, 12], [0, 24, 12], [0, 0, 1.0]])
+    return [Source(nothing, K, w2c, nothing) for w2c in (np.eye(4), beside)]
+
+
 def test_confirmation_counts_views_and_carving_clears_free_space():
-    K = np.repeat(np.array([[[24, 0, 12], [0, 24, 12], [0, 0, 1.0]]]), 2, 0)
-    w2c = np.repeat(np.eye(4)[None], 2, 0)
-    w2c[1, 0, 3] = -0.5
     inverse = np.full((2, 24, 24), 0.5, np.float32)
     inverse[0, 8:16, 14:22] = 1.0
-    confidence = confirm(inverse, everywhere(inverse), np.zeros_like(inverse), K, w2c, [[1], [0]])
+    confidence = confirm(inverse, everywhere(inverse), np.zeros_like(inverse), two_cameras(), [[1], [0]])
     # A pixel at depth 2 falls 6 pixels further left in the other view, one at depth 1 falls 12: on depth 2.
     assert confidence[0, 2:6, 8:].min() == 1
     assert confidence[0, 8:16, 14:22].max() == 0
@@ -251,8 +257,7 @@ def test_confirmation_counts_views_and_carving_clears_free_space():
     sure[0, 8:16, 14:22] = 0
     carved = carve(
         DepthMaps(inverse, sure, np.zeros((2, 24, 24, 3), np.float32), everywhere(inverse)),
-        K,
-        w2c,
+        two_cameras(),
         [[1], [0]],
         [0.01, 0.01],
     )
@@ -262,14 +267,11 @@ def test_confirmation_counts_views_and_carving_clears_free_space():
 
 @pytest.mark.parametrize(("own", "expected"), [(0.5, 0.5), (0.9, 0.0)])
 def test_a_view_borrows_what_another_measured_in_the_same_colour(own: float, expected: float):
-    K = np.repeat(np.array([[[24, 0, 12], [0, 24, 12], [0, 0, 1.0]]]), 2, 0)
-    w2c = np.repeat(np.eye(4)[None], 2, 0)
-    w2c[1, 0, 3] = -0.5
     inverse = np.full((2, 24, 24), 0.5, np.float32)
     confidence = np.stack([np.zeros((24, 24)), np.ones((24, 24))]).astype(np.float32)
     pictures = np.full((2, 24, 24, 3), 0.5, np.float32)
     pictures[0] = own
-    borrowed = lent(DepthMaps(inverse, confidence, pictures, everywhere(inverse)), K, w2c, [[1], [0]])
+    borrowed = lent(DepthMaps(inverse, confidence, pictures, everywhere(inverse)), two_cameras(), [[1], [0]])
     # A pixel at depth 2 lies 6 pixels further right in the first view; the second measured nothing for the left ones.
     np.testing.assert_allclose(borrowed[0, :, 6:], expected)
     assert not borrowed[0, :, :6].any()
@@ -278,15 +280,15 @@ def test_a_view_borrows_what_another_measured_in_the_same_colour(own: float, exp
 
 @pytest.mark.parametrize(("own", "other", "cleared"), [(0.0, 0.5, True), (0.3, 0.3, False)])
 def test_a_guess_moves_back_behind_guesses_of_another_colour(own: float, other: float, cleared: bool):
-    K = np.repeat(np.array([[[24, 0, 12], [0, 24, 12], [0, 0, 1.0]]]), 2, 0)
-    w2c = np.repeat(np.eye(4)[None], 2, 0)
-    w2c[1, 0, 3] = -0.5
     inverse = np.full((2, 24, 24), 0.5, np.float32)
     inverse[0, 8:16, 14:22] = 1.0
     pictures = np.full((2, 24, 24, 3), other, np.float32)
     pictures[0] = own
     carved = carve(
-        DepthMaps(inverse, np.zeros_like(inverse), pictures, everywhere(inverse)), K, w2c, [[1], [0]], [0.01, 0.01]
+        DepthMaps(inverse, np.zeros_like(inverse), pictures, everywhere(inverse)),
+        two_cameras(),
+        [[1], [0]],
+        [0.01, 0.01],
     )
     inside = carved[0, 10:14, 16:20]
     assert (inside.max() < 0.6) if cleared else (inside.min() == 1.0)

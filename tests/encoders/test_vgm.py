@@ -158,7 +158,7 @@ def test_encoders_are_exchanged_without_touching_the_decoders(tmp_path: Path) ->
         assert isinstance(encoder, Encoder)
         found = encoder._model.predict(images, mixture=model.layer_weights, depth=False)
         model.check_features(found.features, 112, 112)
-        made.append(model.decode(model.encode(found.features, images, found.cameras)))
+        made.append(model.decode(model.embed(found.features, images, found.cameras)))
         assert len(made[-1]) == MODEL.query_count * MODEL.gaussians_per_query
     assert not torch.allclose(made[0].means, made[1].means)
 

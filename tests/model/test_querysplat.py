@@ -28,7 +28,7 @@ def test_initial_model_gives_the_prior() -> None:
     config = compact()
     model = initial_model(config, seed=3).requires_grad_(False)
     scene = anchors(config)
-    seen = model.encode(*photos(config))
+    seen = model.keys_and_values(model.embed(*photos(config)))
     assert len(seen.geometry_keys) == len(seen.appearance_keys) == VIEWS * PATCHES
     assert not seen.geometry_values.any()
     assert not seen.appearance_values.any()
@@ -45,7 +45,7 @@ def test_values_drive_every_property_of_every_gaussian_from_the_start() -> None:
     config = compact()
     model = initial_model(config, seed=0).requires_grad_(False)
     scene = anchors(config)
-    start = model.encode(*photos(config))
+    start = model.keys_and_values(model.embed(*photos(config)))
     for name, field in (("means", "geometry_values"), ("scales", "geometry_values"), ("quats", "geometry_values"),
                         ("opacities", "appearance_values"), ("sh", "appearance_values")):  # fmt: skip
         variables = start.map(lambda tensor: tensor.detach().clone().requires_grad_())
@@ -71,9 +71,11 @@ def test_rows_that_no_query_attends_to_can_be_left_out() -> None:
     model = initial_model(config, seed=0).requires_grad_(False)
     scene = anchors(config, queries=7)
     everything = model.embed(*photos(config))
-    fewer, renumbered = attended_rows(everything, scene)
-    assert len(fewer.geometry) == len(scene.geometry.index.unique())
-    assert len(fewer.appearance) == len(scene.appearance.index.unique())
+    fewer, renumbered, (geometry, appearance) = attended_rows(everything, scene)
+    assert geometry.equal(scene.geometry.index.unique())
+    assert appearance.equal(scene.appearance.index.unique())
+    assert fewer.geometry.equal(everything.geometry[geometry])
+    assert fewer.appearance.equal(everything.appearance[appearance])
     before, after = model.decode(everything, scene), model.decode(fewer, renumbered)
     for name, part in before.named().items():
         torch.testing.assert_close(after.named()[name], part)

@@ -226,7 +226,7 @@ def test_blocks_outside_the_photos_keep_about_the_size_of_their_prior() -> None:
     model = load("compact")
     features = torch.zeros(2, BLOCKS, 12)
     with torch.no_grad():
-        scales = model.decode(model.encode((features,), views.images, cameras), anchors).scales
+        scales = model.decode(model.embed((features,), views.images, cameras), anchors).scales
     grown = (scales / prior(anchors).scales)[9 * report.kept :, :2]
     assert report.beyond > 0
     assert float(grown.median()) < 2

@@ -150,7 +150,7 @@ def test_three_weights_of_pixels_at_once_are_those_of_one_after_another() -> Non
     cameras = camera(24, 31)
     scene = cloud(3, 80, cameras).to(torch.float32)
     pixels = torch.rand(3, 24, 31, generator=torch.Generator().manual_seed(0))
-    alone = torch.stack([blending_weights(scene, cameras, each[None]) for each in pixels])
+    alone = torch.stack([three_blending_weights(scene, cameras, each.expand(3, -1, -1))[0] for each in pixels])
     assert three_blending_weights(scene, cameras, pixels).equal(alone)
 
 

@@ -52,7 +52,7 @@ def scene(wall: tuple[Views, Cameras]) -> tuple[QuerySplat, Memories, Anchors]:
     model = initial_model(preset("compact"), seed=0).requires_grad_(False)
     features = torch.randn(len(views), (SIZE // 6) ** 2, 12, generator=torch.Generator().manual_seed(0))
     with torch.no_grad():
-        return model, model.encode((features,), views.images, cameras), anchors
+        return model, model.keys_and_values(model.embed((features,), views.images, cameras)), anchors
 
 
 def test_the_gradient_summed_view_by_view_is_that_of_all_views_at_once(

@@ -155,35 +155,28 @@ def isolated_split(
         return PosedSplit("isolated", own, None), None, (warning,)
     cameras = everything.cameras.transformed(similarity)
     difference = _pose_difference(own, mine, cameras[theirs])
-    split = PosedSplit("isolated", own, _heldout(everything, cameras, names), _heldout_lenses(everything, names))
-    return split, difference, ()
+    return _split("isolated", own, everything, cameras, names), difference, ()
 
 
 def _joint_split(everything: PosedViews, names: Sequence[str]) -> PosedSplit:
-    rows = _rows(everything, names, inside=True)
+    inputs = set(names)
+    rows = [row for row, name in enumerate(everything.views.names) if name in inputs]
     if not rows:
         raise ImpossibleScene(
             "only held-out photos have a camera, so nothing is left to make a scene of",
             "Leave out --holdout-every, or choose another number.",
         )
-    heldout = _heldout(everything, everything.cameras, names)
-    return PosedSplit("joint", select_views(everything, rows), heldout, _heldout_lenses(everything, names))
+    return _split("joint", select_views(everything, rows), everything, everything.cameras, names)
 
 
-def _heldout(everything: PosedViews, cameras: Cameras, names: Sequence[str]) -> tuple[Views, Cameras] | None:
-    rows = _rows(everything, names, inside=False)
-    return (everything.views[rows], cameras[rows]) if rows else None
-
-
-def _heldout_lenses(everything: PosedViews, names: Sequence[str]) -> tuple[PhotoCamera, ...] | None:
-    rows = _rows(everything, names, inside=False)
-    return everything.photo_cameras and tuple(everything.photo_cameras[row] for row in rows)
-
-
-def _rows(posed: PosedViews, names: Sequence[str], *, inside: bool) -> list[int]:
-    """Row numbers of the views whose names are among `names`, or of those whose names are not."""
-    wanted = set(names)
-    return [row for row, name in enumerate(posed.views.names) if (name in wanted) == inside]
+def _split(
+    protocol: HoldoutProtocol, inputs: PosedViews, everything: PosedViews, cameras: Cameras, names: Sequence[str]
+) -> PosedSplit:
+    """`inputs`, and those views of `everything` whose names are not among `names`, with these `cameras`."""
+    others = set(everything.views.names) - set(names)
+    rows = [row for row, name in enumerate(everything.views.names) if name in others]
+    lenses = everything.photo_cameras and tuple(everything.photo_cameras[row] for row in rows)
+    return PosedSplit(protocol, inputs, (everything.views[rows], cameras[rows]) if rows else None, lenses)
 
 
 def _pose_difference(own: PosedViews, rows: Sequence[int], others: Cameras) -> PoseDifference:

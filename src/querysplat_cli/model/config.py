@@ -75,17 +75,10 @@ class ModelConfig:
             raise QuerySplatError("one branch has no appearance_blocks", "Give them to geometry_blocks.")
         if self.refinement_rounds and self.queries != "anchored":
             raise QuerySplatError("refinement_rounds need anchored queries", 'Set queries = "anchored".')
-        choices = {
-            "queries": ("learned", "anchored"),
-            "branches": ("two", "one"),
-            "frame": ("predicted", "first_view"),
-            "refinement": get_args(Refinement),
-        }
-        for name, allowed in choices.items():
-            if getattr(self, name) not in allowed:
-                raise QuerySplatError(
-                    f"{name} cannot be '{getattr(self, name)}'", f"Choose one of: {', '.join(allowed)}."
-                )
+        for field in fields(self):
+            value, allowed = getattr(self, field.name), get_args(field.type)
+            if allowed and value not in allowed:
+                raise QuerySplatError(f"{field.name} cannot be '{value}'", f"Choose one of: {', '.join(allowed)}.")
 
     @property
     def sh_bands(self) -> int:

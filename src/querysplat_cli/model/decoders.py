@@ -1,7 +1,5 @@
 """The decoder that both branches use: queries read a memory, then one another, then pass an MLP."""
 
-from collections.abc import Iterator
-
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -45,24 +43,15 @@ class DecoderBlock(nn.Module):
         self.mlp = Mlp(width, mlp_ratio)
         self.mlp_scale = LayerScale(width)
 
-    def steps(
-        self, tokens: Float[Tensor, "queries width"], memory: Memory, near_queries: Neighbours | None = None
-    ) -> Iterator[Float[Tensor, "queries width"]]:
-        """The tokens after each of the three steps."""
-        if not self.cross_scale.is_inactive:
-            tokens = tokens + self.cross_scale(self.cross(tokens, memory))
-        yield tokens
-        if not self.self_attention_scale.is_inactive:
-            tokens = tokens + self.self_attention_scale(self.self_attention(tokens, near_queries))
-        yield tokens
-        if not self.mlp_scale.is_inactive:
-            tokens = tokens + self.mlp_scale(self.mlp(tokens))
-        yield tokens
-
     def forward(
         self, tokens: Float[Tensor, "queries width"], memory: Memory, near_queries: Neighbours | None = None
     ) -> Float[Tensor, "queries width"]:
-        *_, tokens = self.steps(tokens, memory, near_queries)
+        if not self.cross_scale.is_inactive:
+            tokens = tokens + self.cross_scale(self.cross(tokens, memory))
+        if not self.self_attention_scale.is_inactive:
+            tokens = tokens + self.self_attention_scale(self.self_attention(tokens, near_queries))
+        if not self.mlp_scale.is_inactive:
+            tokens = tokens + self.mlp_scale(self.mlp(tokens))
         return tokens
 
 
@@ -73,10 +62,10 @@ class Decoder(nn.Module):
         super().__init__()
         self.blocks = nn.ModuleList(DecoderBlock(width, heads, mlp_ratio) for _ in range(blocks))
 
-    def steps(
+    def forward(
         self, tokens: Float[Tensor, "queries width"], memory: Memory, near_queries: Neighbours | None = None
-    ) -> Iterator[Float[Tensor, "queries width"]]:
-        """The tokens after each block.
+    ) -> Float[Tensor, "queries width"]:
+        """The tokens after all blocks.
 
         For a gradient, a block whose queries read the whole memory is run a second time in the backward pass. To
         store its intermediate results for thousands of queries would take gigabytes a block.
@@ -86,11 +75,4 @@ class Decoder(nn.Module):
                 tokens = checkpoint(block, tokens, memory, use_reentrant=False)
             else:
                 tokens = block(tokens, memory, near_queries)
-            yield tokens
-
-    def forward(
-        self, tokens: Float[Tensor, "queries width"], memory: Memory, near_queries: Neighbours | None = None
-    ) -> Float[Tensor, "queries width"]:
-        for after in self.steps(tokens, memory, near_queries):
-            tokens = after
         return tokens

@@ -53,22 +53,21 @@ class Features(TensorDataclass):
     appearance: Float[Tensor, "appearance width"]
 
 
-def attended_rows(features: Features, anchors: Anchors) -> tuple[Features, Anchors]:
-    """Only the rows that some anchor attends to, and the anchors with these rows renumbered.
+def attended_rows(
+    features: Features, anchors: Anchors
+) -> tuple[Features, Anchors, tuple[Int[Tensor, "geometry"], Int[Tensor, "appearance"]]]:
+    """Only the rows that some anchor attends to, the anchors with these rows renumbered, and their numbers before.
 
     Decoding gives the same scene. The rows left out would never receive a gradient.
     """
-    geometry, near_geometry = _renumbered(anchors.geometry, len(features.geometry))
-    appearance, near_appearance = _renumbered(anchors.appearance, len(features.appearance))
-    fewer = Features(features.geometry[geometry], features.appearance[appearance])
-    return fewer, replace(anchors, geometry=near_geometry, appearance=near_appearance)
-
-
-def _renumbered(near: Neighbours, rows: int) -> tuple[Int[Tensor, "attended"], Neighbours]:
-    """The rows that are attended to, ascending, and the same neighbours as indices into these rows."""
-    attended = torch.zeros(rows, dtype=torch.bool, device=near.index.device)
-    attended[near.index.flatten()] = True
-    return attended.nonzero()[:, 0], Neighbours((attended.cumsum(0) - 1)[near.index], near.bias)
+    geometry, near_geometry = anchors.geometry.index.unique(return_inverse=True)
+    appearance, near_appearance = anchors.appearance.index.unique(return_inverse=True)
+    renumbered = replace(
+        anchors,
+        geometry=replace(anchors.geometry, index=near_geometry),
+        appearance=replace(anchors.appearance, index=near_appearance),
+    )
+    return Features(features.geometry[geometry], features.appearance[appearance]), renumbered, (geometry, appearance)
 
 
 TOKENS_AT_ONCE = 65536

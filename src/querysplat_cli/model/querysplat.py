@@ -97,7 +97,7 @@ class QuerySplat(nn.Module):
         # Features, their norm, and keys and values with a copy of each while they are joined; photos alike.
         memory = (2 + 4 * share) * 4 * config.width * (tokens + patches)
         # Residual stream, a branch's input, its widened result twice, and the raw numbers of both heads.
-        raw = config.gaussians_per_query * (GEOMETRY_CHANNELS + config.appearance_channels)
+        raw = config.gaussians_per_query * config.raw_channels
         queries = config.query_count * 4 * (config.width * (3 + 2 * config.mlp_ratio * share) + 3 * raw)
         if optimising:
             memory += 4 * 2 * 4 * config.width * (tokens + patches)
@@ -105,26 +105,17 @@ class QuerySplat(nn.Module):
             queries += config.query_count * 4 * config.width * (blocks + 4 * (8 + 2 * config.mlp_ratio))
         return int(self.weight_bytes + memory + queries)
 
-    def encode(
-        self,
-        features: Sequence[Float[Tensor, "views tokens channels"]],
-        images: Float[Tensor, "views 3 height width"],
-        cameras: Cameras,
-    ) -> Memories:
-        """Keys and values of both branches. `images` in [0, 1], sides multiples of the patch."""
-        return self.keys_and_values(self.embed(features, images, cameras))
-
     def embed(
         self,
         features: Sequence[Float[Tensor, "views tokens channels"]],
         images: Float[Tensor, "views 3 height width"],
         cameras: Cameras,
     ) -> Features:
-        """Tokens of both branches: the first half of `encode`."""
+        """Tokens of both branches. `images` in [0, 1], sides multiples of the patch."""
         return Features(self.layer_mixer(features, self.eye_token), self.photo_embedding(images, cameras))
 
     def keys_and_values(self, features: Features, origin: Features | None = None) -> Memories:
-        """Keys and values of tokens: the second half of `encode`.
+        """Keys and values of the tokens of both branches.
 
         With an `origin`, the values also have a residual path: the change of the tokens since then is added to them,
         channel by channel. Without a change it adds exactly nothing.

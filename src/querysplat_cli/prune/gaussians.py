@@ -69,17 +69,17 @@ def importance(gaussians: Gaussians, cameras: Cameras) -> Float[Tensor, "n"]:
     between two others may show what lies beyond their borders. They are brighter by half, so that black Gaussians
     count.
     """
-    wider, settings = _wider(cameras), RenderSettings()
+    wider = _wider(cameras)
     random = torch.Generator().manual_seed(0)
     sh = gaussians.sh.detach().clone()
     sh[:, 0] += 0.5 / SH_0
     # An opacity at the cap of α would get no gradient.
-    opacities = gaussians.opacities.detach().clamp(max=0.99 * settings.alpha_max)
+    opacities = gaussians.opacities.detach().clamp(max=0.99 * RenderSettings().alpha_max)
     scene = replace(gaussians.detach(), sh=sh, opacities=opacities.requires_grad_())
-    weight, change = blending_weights(scene, wider, settings=settings), torch.zeros_like(opacities)
+    weight, change = blending_weights(scene, wider), torch.zeros_like(opacities)
     for view in range(len(wider)):
         with torch.enable_grad():
-            picture = render(scene, wider[[view]], settings=settings).colour
+            picture = render(scene, wider[[view]]).colour
             signs = torch.randint(0, 2, picture.shape, generator=random).to(picture) * 2 - 1
             (by_opacity,) = torch.autograd.grad((picture * signs).sum(), opacities)
         change += (by_opacity * opacities.detach()).square()

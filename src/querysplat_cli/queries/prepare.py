@@ -105,8 +105,7 @@ def prepare(
             keep_all=keep_all,
         )
         anchors = with_rendering_error(anchors, views, cameras)
-        rows = anchors.geometry.index.unique(), anchors.appearance.index.unique()
-        features, anchors = attended_rows(features, anchors)
+        features, anchors, rows = attended_rows(features, anchors)
     memories = to_device(model.keys_and_values(features), CPU)
     if anchors is not None:
         anchors = refined(model, memories, anchors, views, cameras, geometry)

@@ -1,5 +1,7 @@
 """How much each Gaussian counts in the pictures."""
 
+from dataclasses import replace
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -11,20 +13,15 @@ from querysplat_cli.splat.conventions import RenderSettings
 from querysplat_cli.splat.render import refuse_broken, render, usual_splatter
 
 
-def blending_weights(
-    gaussians: Gaussians,
-    cameras: Cameras,
-    pixel_weight: Float[Tensor, "views height width"] | None = None,
-    settings: RenderSettings | None = None,
-) -> Float[Tensor, "n"]:
-    """The blending weight of each Gaussian, times `pixel_weight` (None: 1), summed over all pixels of all views.
+def blending_weights(gaussians: Gaussians, cameras: Cameras) -> Float[Tensor, "n"]:
+    """The blending weight of each Gaussian, summed over all pixels of all views.
 
     Views are looked at one after another, so that memory does not grow with their number.
     """
     total = torch.zeros_like(gaussians.opacities).detach()
+    one = total.new_ones(1, cameras.height, cameras.width).expand(3, -1, -1)
     for view in range(len(cameras)):
-        one = total.new_ones(cameras.height, cameras.width) if pixel_weight is None else pixel_weight[view]
-        total += three_blending_weights(gaussians, cameras[[view]], one.expand(3, -1, -1), settings)[0]
+        total += three_blending_weights(gaussians, cameras[[view]], one)[0]
     return total
 
 
@@ -34,8 +31,9 @@ def three_blending_weights(
     pixel_weights: Float[Tensor, "3 height width"],
     settings: RenderSettings | None = None,
 ) -> Float[Tensor, "3 n"]:
-    """`blending_weights` of one view with each of three pixel weights, in one pass."""
-    flat = _flat(gaussians)
+    """`blending_weights` of one view, times each of three weights of the pixels, in one pass."""
+    # In one colour: a picture's derivative by the flat colour of a Gaussian is that Gaussian's blending weight.
+    flat = replace(gaussians.detach(), sh=torch.zeros_like(gaussians.sh[:, :1]).requires_grad_())
     if usual_splatter(flat) == "cpu":
         refuse_broken(flat, camera)
         return cpu.weigh(flat, camera, pixel_weights, settings or RenderSettings())
@@ -43,14 +41,3 @@ def three_blending_weights(
         weighted = render(flat, camera, settings=settings).colour[0] * pixel_weights
         (gradient,) = torch.autograd.grad(weighted.sum(), flat.sh)
     return gradient[:, 0].T / SH_0
-
-
-def _flat(gaussians: Gaussians) -> Gaussians:
-    """In one colour: a picture's derivative by the flat colour of a Gaussian is that Gaussian's blending weight."""
-    return Gaussians(
-        gaussians.means.detach(),
-        gaussians.quats.detach(),
-        gaussians.scales.detach(),
-        gaussians.opacities.detach(),
-        torch.zeros_like(gaussians.sh[:, :1]).requires_grad_(),
-    )

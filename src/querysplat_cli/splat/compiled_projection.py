@@ -94,9 +94,51 @@ def fill_slopes(slope, bands, x, y, z):
         slope[15, 0], slope[15, 1] = A36 * 3 * (x * x - y * y), -6 * A36 * x * y
 
 
+@nb.njit(cache=True, error_model="numpy", inline="always")
+def jacobian(view, jx, jy, slope_x, slope_y):
+    """The 2 × 3 derivatives of a pixel by the place in the world, row by row."""
+    return (
+        jx * (view[0] - slope_x * view[6]),
+        jx * (view[1] - slope_x * view[7]),
+        jx * (view[2] - slope_x * view[8]),
+        jy * (view[3] - slope_y * view[6]),
+        jy * (view[4] - slope_y * view[7]),
+        jy * (view[5] - slope_y * view[8]),
+    )
+
+
+@nb.njit(cache=True, error_model="numpy", inline="always")
+def product(rows, matrix):
+    """A 2 × 3 matrix times a 3 × 3 one, both row by row."""
+    b00, b01, b02, b10, b11, b12 = rows
+    r00, r01, r02, r10, r11, r12, r20, r21, r22 = matrix
+    return (
+        b00 * r00 + b01 * r10 + b02 * r20,
+        b00 * r01 + b01 * r11 + b02 * r21,
+        b00 * r02 + b01 * r12 + b02 * r22,
+        b10 * r00 + b11 * r10 + b12 * r20,
+        b10 * r01 + b11 * r11 + b12 * r21,
+        b10 * r02 + b11 * r12 + b12 * r22,
+    )
+
+
+@nb.njit(cache=True, error_model="numpy", inline="always")
+def covariance(a00, a01, a02, a10, a11, a12, low_pass):
+    """xx, xy and yy of A·Aᵀ with `low_pass` added to its diagonal, and the determinant without cancellation."""
+    xx = a00 * a00 + a01 * a01 + a02 * a02 + low_pass
+    yy = a10 * a10 + a11 * a11 + a12 * a12 + low_pass
+    xy = a00 * a10 + a01 * a11 + a02 * a12
+    m0, m1, m2 = a01 * a12 - a02 * a11, a02 * a10 - a00 * a12, a00 * a11 - a01 * a10
+    return xx, xy, yy, m0 * m0 + m1 * m1 + m2 * m2 + low_pass * (xx + yy - low_pass)
+
+
 @nb.njit(cache=True, error_model="numpy", parallel=True)
-def project_view(means, quats, scales, opacities, sh, view, limits, rows, depths):
-    """Fill rows [n, ROW_COLUMNS] for one view, and depths [n]: ∞ for what is not visible."""
+def project_view(gaussians, view, limits, rows, depths):
+    """Fill rows [n, ROW_COLUMNS] for one view, and depths [n]: ∞ for what is not visible.
+
+    `gaussians` are means, quats, scales, opacities and sh.
+    """
+    means, quats, scales, opacities, sh = gaussians
     n = means.shape[0]
     bands = sh.shape[1]
     near, far, low_pass, alpha_min = limits[0], limits[1], limits[2], limits[3]
@@ -113,12 +155,8 @@ def project_view(means, quats, scales, opacities, sh, view, limits, rows, depths
             opacity = np.float64(opacities[i])
             if z < near or z > far or opacity < alpha_min:
                 continue
-            q0, q1, q2, q3 = (
-                np.float64(quats[i, 0]),
-                np.float64(quats[i, 1]),
-                np.float64(quats[i, 2]),
-                np.float64(quats[i, 3]),
-            )
+            q0, q1 = np.float64(quats[i, 0]), np.float64(quats[i, 1])
+            q2, q3 = np.float64(quats[i, 2]), np.float64(quats[i, 3])
             length = np.sqrt(q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3)
             s0, s1, s2 = np.float64(scales[i, 0]), np.float64(scales[i, 1]), np.float64(scales[i, 2])
             if length < SHORTEST_QUATERNION or min(s0, s1, s2) <= 0 or max(s0, s1, s2) >= SCALE_LIMIT:
@@ -127,29 +165,10 @@ def project_view(means, quats, scales, opacities, sh, view, limits, rows, depths
             y = view[3] * dx + view[4] * dy + view[5] * dz
             slope_x = min(max(x / z, -cx / fx - margin_x), (width - cx) / fx + margin_x)
             slope_y = min(max(y / z, -cy / fy - margin_y), (height - cy) / fy + margin_y)
-            r00, r01, r02, r10, r11, r12, r20, r21, r22 = rotation(q0 / length, q1 / length, q2 / length, q3 / length)
-            jx, jy = fx / z, fy / z
-            b00 = jx * (view[0] - slope_x * view[6])
-            b01 = jx * (view[1] - slope_x * view[7])
-            b02 = jx * (view[2] - slope_x * view[8])
-            b10 = jy * (view[3] - slope_y * view[6])
-            b11 = jy * (view[4] - slope_y * view[7])
-            b12 = jy * (view[5] - slope_y * view[8])
-            a00, a01, a02 = (
-                s0 * (b00 * r00 + b01 * r10 + b02 * r20),
-                s1 * (b00 * r01 + b01 * r11 + b02 * r21),
-                s2 * (b00 * r02 + b01 * r12 + b02 * r22),
-            )
-            a10, a11, a12 = (
-                s0 * (b10 * r00 + b11 * r10 + b12 * r20),
-                s1 * (b10 * r01 + b11 * r11 + b12 * r21),
-                s2 * (b10 * r02 + b11 * r12 + b12 * r22),
-            )
-            xx = a00 * a00 + a01 * a01 + a02 * a02 + low_pass
-            yy = a10 * a10 + a11 * a11 + a12 * a12 + low_pass
-            xy = a00 * a10 + a01 * a11 + a02 * a12
-            m0, m1, m2 = a01 * a12 - a02 * a11, a02 * a10 - a00 * a12, a00 * a11 - a01 * a10
-            det = m0 * m0 + m1 * m1 + m2 * m2 + low_pass * (xx + yy - low_pass)
+            turn = rotation(q0 / length, q1 / length, q2 / length, q3 / length)
+            slopes = jacobian(view, fx / z, fy / z, slope_x, slope_y)
+            c00, c01, c02, c10, c11, c12 = product(slopes, turn)
+            xx, xy, yy, det = covariance(s0 * c00, s1 * c01, s2 * c02, s0 * c10, s1 * c11, s2 * c12, low_pass)
             u, v = fx * x / z + cx, fy * y / z + cy
             reach = 2 * np.log(opacity / alpha_min)  # σ ≤ reach/2 wherever α ≥ alpha_min
             half_width, half_height = np.sqrt(reach * xx), np.sqrt(reach * yy)

@@ -1,6 +1,7 @@
 """The derivatives of projection.py's equations, compiled, one Gaussian at a time on every core.
 
-`view` and `limits` are those of compiled_projection.py.
+`view` and `limits` are those of compiled_projection.py. Numba's cache depends on this file only: after a change of a
+function that is imported here, touch it.
 """
 
 # mypy: disallow-untyped-defs=False, disallow-untyped-calls=False
@@ -19,37 +20,24 @@ from querysplat_cli.splat.compiled_projection import (
     YY,
     X,
     Y,
+    covariance,
     fill_basis,
     fill_slopes,
+    jacobian,
+    product,
     rotation,
 )
 from querysplat_cli.splat.conventions import CLAMP_MARGIN, COLOUR_LIMIT
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _project_chunk_backward(
-    means,
-    quats,
-    scales,
-    opacities,
-    sh,
-    view,
-    limits,
-    rows,
-    given,
-    d_means,
-    d_quats,
-    d_scales,
-    d_opacities,
-    d_sh,
-    of_view,
-    first,
-    last,
-):
+def _project_chunk_backward(gaussians, view, limits, rows, given, gradients, of_view, first, last):
     """`project_view_backward` for the Gaussians from `first` to before `last`.
 
     A function of its own compiles faster than the body of a parallel loop.
     """
+    means, quats, scales, _, sh = gaussians
+    d_means, d_quats, d_scales, d_opacities, d_sh = gradients
     bands = sh.shape[1]
     low_pass = limits[2]
     fx, fy, cx, cy, width, height = view[12], view[13], view[14], view[15], view[16], view[17]
@@ -75,42 +63,21 @@ def _project_chunk_backward(
         x = view[0] * dx + view[1] * dy + view[2] * dz
         y = view[3] * dx + view[4] * dy + view[5] * dz
         z = view[6] * dx + view[7] * dy + view[8] * dz
-        q0, q1, q2, q3 = (
-            np.float64(quats[i, 0]),
-            np.float64(quats[i, 1]),
-            np.float64(quats[i, 2]),
-            np.float64(quats[i, 3]),
-        )
+        q0, q1 = np.float64(quats[i, 0]), np.float64(quats[i, 1])
+        q2, q3 = np.float64(quats[i, 2]), np.float64(quats[i, 3])
         length = np.sqrt(q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3)
         q0, q1, q2, q3 = q0 / length, q1 / length, q2 / length, q3 / length
         s0, s1, s2 = np.float64(scales[i, 0]), np.float64(scales[i, 1]), np.float64(scales[i, 2])
         low_x, high_x = -cx / fx - margin_x, (width - cx) / fx + margin_x
         low_y, high_y = -cy / fy - margin_y, (height - cy) / fy + margin_y
         slope_x, slope_y = min(max(x / z, low_x), high_x), min(max(y / z, low_y), high_y)
-        r00, r01, r02, r10, r11, r12, r20, r21, r22 = rotation(q0, q1, q2, q3)
+        turn = rotation(q0, q1, q2, q3)
         jx, jy = fx / z, fy / z
-        b00 = jx * (view[0] - slope_x * view[6])
-        b01 = jx * (view[1] - slope_x * view[7])
-        b02 = jx * (view[2] - slope_x * view[8])
-        b10 = jy * (view[3] - slope_y * view[6])
-        b11 = jy * (view[4] - slope_y * view[7])
-        b12 = jy * (view[5] - slope_y * view[8])
-        c00, c01, c02 = (
-            b00 * r00 + b01 * r10 + b02 * r20,
-            b00 * r01 + b01 * r11 + b02 * r21,
-            b00 * r02 + b01 * r12 + b02 * r22,
-        )
-        c10, c11, c12 = (
-            b10 * r00 + b11 * r10 + b12 * r20,
-            b10 * r01 + b11 * r11 + b12 * r21,
-            b10 * r02 + b11 * r12 + b12 * r22,
-        )
+        slopes = jacobian(view, jx, jy, slope_x, slope_y)
+        b00, b01, b02, b10, b11, b12 = slopes
+        c00, c01, c02, c10, c11, c12 = product(slopes, turn)
         a00, a01, a02, a10, a11, a12 = s0 * c00, s1 * c01, s2 * c02, s0 * c10, s1 * c11, s2 * c12
-        xx = a00 * a00 + a01 * a01 + a02 * a02 + low_pass
-        yy = a10 * a10 + a11 * a11 + a12 * a12 + low_pass
-        xy = a00 * a10 + a01 * a11 + a02 * a12
-        m0, m1, m2 = a01 * a12 - a02 * a11, a02 * a10 - a00 * a12, a00 * a11 - a01 * a10
-        det = m0 * m0 + m1 * m1 + m2 * m2 + low_pass * (xx + yy - low_pass)
+        xx, xy, yy, det = covariance(a00, a01, a02, a10, a11, a12, low_pass)
         i00, i01, i11 = yy / det, -xy / det, xx / det
         # dΣ⁻¹ = −Σ⁻¹ dΣ Σ⁻¹, so the gradient of the covariance is −Σ⁻¹ G Σ⁻¹ with G symmetric.
         g00, g01, g11 = g[XX], 0.5 * g[XY], g[YY]
@@ -119,16 +86,12 @@ def _project_chunk_backward(
         h00 = -(t00 * i00 + t01 * i01)
         h01 = -(t00 * i01 + t01 * i11)
         h11 = -(t10 * i01 + t11 * i11)
-        e00, e01, e02 = (
-            2 * (h00 * a00 + h01 * a10),
-            2 * (h00 * a01 + h01 * a11),
-            2 * (h00 * a02 + h01 * a12),
-        )
-        e10, e11, e12 = (
-            2 * (h01 * a00 + h11 * a10),
-            2 * (h01 * a01 + h11 * a11),
-            2 * (h01 * a02 + h11 * a12),
-        )
+        e00 = 2 * (h00 * a00 + h01 * a10)
+        e01 = 2 * (h00 * a01 + h01 * a11)
+        e02 = 2 * (h00 * a02 + h01 * a12)
+        e10 = 2 * (h01 * a00 + h11 * a10)
+        e11 = 2 * (h01 * a01 + h11 * a11)
+        e12 = 2 * (h01 * a02 + h11 * a12)
         d_scales[i, 0] += e00 * c00 + e10 * c10
         d_scales[i, 1] += e01 * c01 + e11 * c11
         d_scales[i, 2] += e02 * c02 + e12 * c12
@@ -146,17 +109,14 @@ def _project_chunk_backward(
         d_quats[i, 1] += (f1 - along * q1) / length
         d_quats[i, 2] += (f2 - along * q2) / length
         d_quats[i, 3] += (f3 - along * q3) / length
+        r00, r01, r02, r10, r11, r12, r20, r21, r22 = turn
         # The Jacobian: B = J·W.
-        d00, d01, d02 = (
-            e00 * r00 + e01 * r01 + e02 * r02,
-            e00 * r10 + e01 * r11 + e02 * r12,
-            e00 * r20 + e01 * r21 + e02 * r22,
-        )
-        d10, d11, d12 = (
-            e10 * r00 + e11 * r01 + e12 * r02,
-            e10 * r10 + e11 * r11 + e12 * r12,
-            e10 * r20 + e11 * r21 + e12 * r22,
-        )
+        d00 = e00 * r00 + e01 * r01 + e02 * r02
+        d01 = e00 * r10 + e01 * r11 + e02 * r12
+        d02 = e00 * r20 + e01 * r21 + e02 * r22
+        d10 = e10 * r00 + e11 * r01 + e12 * r02
+        d11 = e10 * r10 + e11 * r11 + e12 * r12
+        d12 = e10 * r20 + e11 * r21 + e12 * r22
         k00 = d00 * view[0] + d01 * view[1] + d02 * view[2]
         k02 = d00 * view[6] + d01 * view[7] + d02 * view[8]
         k11 = d10 * view[3] + d11 * view[4] + d12 * view[5]
@@ -226,47 +186,14 @@ def _project_chunk_backward(
 
 
 @nb.njit(cache=True, error_model="numpy", parallel=True)
-def project_view_backward(
-    means,
-    quats,
-    scales,
-    opacities,
-    sh,
-    view,
-    limits,
-    rows,
-    given,
-    d_means,
-    d_quats,
-    d_scales,
-    d_opacities,
-    d_sh,
-    d_view,
-):
-    """Add to the five gradients and to `d_view` what follows from `given`, the gradient of the projected rows.
+def project_view_backward(gaussians, view, limits, rows, given, gradients, d_view):
+    """Add to the five `gradients` and to `d_view` what follows from `given`, the gradient of the projected rows.
 
     `given` [parts, n, GRADIENT_COLUMNS] is summed over parts. Each row of `d_view` [chunks(n), VIEW_COLUMNS] belongs to
     the Gaussians of one chunk: the gradient with respect to the rotation about the camera's centre (9 numbers), to
     minus the centre (3), and to fx, fy, cx, cy.
     """
-    n = len(means)
+    n = len(gaussians[0])
     for chunk in nb.prange((n + GAUSSIANS_AT_ONCE - 1) // GAUSSIANS_AT_ONCE):
-        _project_chunk_backward(
-            means,
-            quats,
-            scales,
-            opacities,
-            sh,
-            view,
-            limits,
-            rows,
-            given,
-            d_means,
-            d_quats,
-            d_scales,
-            d_opacities,
-            d_sh,
-            d_view[chunk],
-            chunk * GAUSSIANS_AT_ONCE,
-            min(n, (chunk + 1) * GAUSSIANS_AT_ONCE),
-        )
+        first, last = chunk * GAUSSIANS_AT_ONCE, min(n, (chunk + 1) * GAUSSIANS_AT_ONCE)
+        _project_chunk_backward(gaussians, view, limits, rows, given, gradients, d_view[chunk], first, last)

@@ -46,9 +46,8 @@ def blend(
     Raises QuerySplatError when the Gaussians of one view would fill more than 1 GiB of tile lists, and when
     `settings.alpha_min` is below 0.0025, where the kernel's exponential ends.
     """
-    fields = (gaussians.means, gaussians.quats, gaussians.scales, gaussians.opacities, gaussians.sh)
     colour, alpha, depth = _Blend.apply(
-        *(field.float().contiguous() for field in fields),
+        *(field.float().contiguous() for field in gaussians.tensors()),
         cameras.w2c,
         cameras.K,
         cameras.height,
@@ -83,10 +82,10 @@ class _Blend(torch.autograd.Function):
         width: int,
         settings: RenderSettings,
     ) -> tuple[Tensor, Tensor, Tensor]:
-        arrays = [tensor.detach().numpy() for tensor in (means, quats, scales, opacities, sh)]
+        arrays = tuple(tensor.detach().numpy() for tensor in (means, quats, scales, opacities, sh))
         planes = np.empty((len(w2c), BLENDED_PLANES, height, width), np.float32)
-        rows = _camera_rows(Cameras(w2c.detach().double(), K.detach().double(), height, width))
-        views = [_dealt(arrays, camera, settings, (height, width)) for camera in rows]
+        cameras = Cameras(w2c, K, height, width)
+        views = [_dealt(arrays, cameras[[view]], settings) for view in range(len(w2c))]
         for view, picture in zip(views, planes, strict=True):
             _fill_planes(view, settings, picture)
         result = torch.from_numpy(planes)
@@ -100,8 +99,8 @@ class _Blend(torch.autograd.Function):
         ctx: Any, of_colour: Tensor | None, of_alpha: Tensor | None, of_depth: Tensor | None
     ) -> tuple[Tensor | None, ...]:
         *tensors, w2c = ctx.saved_tensors
-        arrays = [tensor.detach().numpy() for tensor in tensors]
-        gradients = [np.zeros_like(array) for array in arrays]
+        arrays = tuple(tensor.detach().numpy() for tensor in tensors)
+        gradients = tuple(np.zeros_like(array) for array in arrays)
         parts = _parts(len(arrays[0]))
         of_views = np.zeros((len(ctx.views), *_of_view_shape(len(arrays[0]))))
         slopes = np.zeros_like(ctx.planes)
@@ -111,7 +110,7 @@ class _Blend(torch.autograd.Function):
         for v, view in enumerate(ctx.views):
             _blend_backward(view, ctx.settings, ctx.planes[v], slopes[v], parts)
             limits = _projection_limits(ctx.settings)
-            project_view_backward(*arrays, view.camera, limits, view.rows, parts, *gradients, of_views[v])
+            project_view_backward(arrays, view.camera, limits, view.rows, parts, gradients, of_views[v])
         of_cameras = _camera_gradients(w2c, torch.from_numpy(of_views).sum(1))
         return (*(torch.from_numpy(gradient) for gradient in gradients), *of_cameras, None, None, None)
 
@@ -121,7 +120,7 @@ class Drawn:
     """One view that is drawn, on black: planes of red, green, blue, alpha and Σ w·z, to be pulled back once."""
 
     planes: Float[Tensor, "5 height width"]
-    _arrays: list[np.ndarray]
+    _arrays: tuple[np.ndarray, ...]
     _view: _View
     _settings: RenderSettings
 
@@ -129,7 +128,7 @@ class Drawn:
     def of(gaussians: Gaussians, camera: Cameras, settings: RenderSettings) -> "Drawn":
         arrays = _arrays(gaussians)
         planes = np.empty((BLENDED_PLANES, camera.height, camera.width), np.float32)
-        view = _one_dealt(arrays, camera, settings)
+        view = _dealt(arrays, camera, settings)
         _fill_planes(view, settings, planes)
         return Drawn(torch.from_numpy(planes), arrays, view, settings)
 
@@ -147,10 +146,10 @@ class Drawn:
         _blend_backward(self._view, self._settings, planes, slopes.numpy(), parts)
         weights = parts[:, :, DEPTH].sum(0)
         parts[:, :, DEPTH] = 0
-        gradients = [np.zeros_like(array) for array in self._arrays]
+        gradients = tuple(np.zeros_like(array) for array in self._arrays)
         limits, view = _projection_limits(self._settings), self._view
         of_view = np.zeros(_of_view_shape(count))
-        project_view_backward(*self._arrays, view.camera, limits, view.rows, parts, *gradients, of_view)
+        project_view_backward(self._arrays, view.camera, limits, view.rows, parts, gradients, of_view)
         return Gaussians(*map(torch.from_numpy, gradients)), torch.from_numpy(weights)
 
 
@@ -161,20 +160,15 @@ def weigh(
 
     Each is the gradient of a colour of the Gaussian, for which nothing needs to be blended.
     """
-    view = _one_dealt(_arrays(gaussians), camera, settings)
+    view = _dealt(_arrays(gaussians), camera, settings)
     slopes = torch.cat([pixel_weights, torch.zeros_like(pixel_weights[:2])]).float().numpy()
     parts = _parts(len(gaussians))
     _blend_backward(view, settings, np.zeros_like(slopes), slopes, parts)
     return torch.from_numpy(parts.sum(0)[:, [RED, GREEN, BLUE]].T)
 
 
-def _arrays(gaussians: Gaussians) -> list[np.ndarray]:
-    return [field.detach().float().contiguous().numpy() for field in gaussians.tensors()]
-
-
-def _one_dealt(arrays: list[np.ndarray], camera: Cameras, settings: RenderSettings) -> _View:
-    fixed = Cameras(camera.w2c.detach().double(), camera.K.detach().double(), camera.height, camera.width)
-    return _dealt(arrays, _camera_rows(fixed)[0], settings, (fixed.height, fixed.width))
+def _arrays(gaussians: Gaussians) -> tuple[np.ndarray, ...]:
+    return tuple(field.detach().float().contiguous().numpy() for field in gaussians.tensors())
 
 
 def _parts(count: int) -> np.ndarray:
@@ -196,18 +190,17 @@ def _blend_backward(
     blend_backward(view.rows, view.starts, view.lists, shares, tiles_x, limits, planes, slopes, parts)
 
 
-def _dealt(arrays: list[np.ndarray], camera: np.ndarray, settings: RenderSettings, size: tuple[int, int]) -> _View:
-    """The Gaussians projected into a picture of that height and width, and listed for each of its tiles."""
+def _dealt(arrays: tuple[np.ndarray, ...], camera: Cameras, settings: RenderSettings) -> _View:
+    """The Gaussians projected into the picture of one camera, and listed for each of its tiles."""
     if settings.alpha_min < LOWEST_ALPHA_MIN:
         raise QuerySplatError(
             f"the CPU splatter cannot follow alpha down to {settings.alpha_min:.2g}",
             f'Take alpha_min ≥ {LOWEST_ALPHA_MIN}, or backend="reference".',
         )
-    height, width = size
-    tiles_x, tiles_y = -(-width // WIDE), -(-height // HIGH)
+    row, tiles_x, tiles_y = _camera_row(camera), -(-camera.width // WIDE), -(-camera.height // HIGH)
     rows = np.empty((len(arrays[0]), ROW_COLUMNS), np.float32)
     depths = np.empty(len(arrays[0]), np.float32)
-    project_view(*arrays, camera, _projection_limits(settings), rows, depths)
+    project_view(arrays, row, _projection_limits(settings), rows, depths)
     order = by_depth(depths.view(np.uint32))
     tasks = 2 * numba.get_num_threads()
     first, spans_of = (np.empty(len(rows), np.int32) for _ in range(2))
@@ -224,7 +217,7 @@ def _dealt(arrays: list[np.ndarray], camera: np.ndarray, settings: RenderSetting
         )
     lists = np.empty(starts[-1], np.int32)
     deal(order, first, offsets, spans, tiles_x, tiles_y, min(tiles_y, tasks), starts, lists)
-    return _View(camera, rows, starts, lists)
+    return _View(row, rows, starts, lists)
 
 
 def _fill_planes(view: _View, settings: RenderSettings, planes: np.ndarray) -> None:
@@ -239,14 +232,12 @@ def _fair_shares(starts: np.ndarray, tasks: int) -> np.ndarray:
     return cuts.astype(np.int64)
 
 
-def _camera_rows(cameras: Cameras) -> np.ndarray:
-    """[views, 18] float64: rotation, centre, fx, fy, cx, cy, width, height."""
-    w2c = cameras.w2c.numpy()
-    rotation = w2c[:, :3, :3]
-    centres = -np.einsum("vji,vj->vi", rotation, w2c[:, :3, 3])
-    intrinsics = torch.stack(cameras.intrinsics, 1).numpy()
-    size = np.broadcast_to([float(cameras.width), float(cameras.height)], (len(w2c), 2))
-    return np.concatenate([rotation.reshape(-1, 9), centres, intrinsics, size], 1)
+def _camera_row(camera: Cameras) -> np.ndarray:
+    """[18] float64: rotation, centre, fx, fy, cx, cy, width, height."""
+    w2c = camera.w2c[0].detach().double().numpy()
+    centre = -np.einsum("ji,j->i", w2c[:3, :3], w2c[:3, 3])
+    intrinsics = torch.cat(camera.intrinsics).detach().double().numpy()
+    return np.concatenate([w2c[:3, :3].ravel(), centre, intrinsics, [camera.width, camera.height]])
 
 
 def _camera_gradients(w2c: Tensor, of_views: Float[Tensor, "views 16"]) -> tuple[Tensor, Tensor]:

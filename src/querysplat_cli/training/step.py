@@ -89,7 +89,7 @@ def _scenes(model: QuerySplat, sample: Sample, anchors: Anchors | None) -> Itera
     model.check_features(geometry.features, *sample.views.images.shape[-2:])
     features = model.embed(geometry.features, sample.views.images, sample.cameras)
     if anchors is not None:
-        features, anchors = attended_rows(features, anchors)
+        features, anchors, _ = attended_rows(features, anchors)
     memories = model.keys_and_values(features)
     if anchors is None or not model.config.refinement_rounds:
         yield model.decode(memories, anchors)

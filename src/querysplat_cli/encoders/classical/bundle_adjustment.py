@@ -35,7 +35,8 @@ def bundle_adjusted(
     lens_numbers = sorted({model.images[photo + 1].camera_id for photo in numbers})
     bundle, seen = _bundle(model, numbers, lens_numbers)
     sizes = [(model.cameras[lens].height, model.cameras[lens].width) for lens in lens_numbers]
-    first = _first_photos(model, numbers, lens_numbers)
+    # The first photo of each lens: photos of one lens state the same of it.
+    first = [numbers[place] for place in np.unique(bundle.lens_of, return_index=True)[1]]
     prior = lens_prior(sizes, [stated[photo] for photo in first], [usual[photo] for photo in first])
     chosen = _longest(seen, len(bundle.points))
     points, rows = np.unique(seen.point[chosen], return_inverse=True)
@@ -45,7 +46,7 @@ def bundle_adjusted(
     everything = bundle.points.copy()
     everything[points] = adjusted.points
     bundle = place_points(replace(adjusted, points=everything), seen, loss)
-    return _sparse_model(bundle, seen, numbers, [model.images[photo + 1] for photo in numbers], model)
+    return _sparse_model(bundle, seen, numbers, sizes)
 
 
 def _bundle(
@@ -75,12 +76,6 @@ def _lens(camera: pycolmap.Camera) -> list[float]:
     return [float(np.log(camera.focal_length)), camera.principal_point_x, camera.principal_point_y, k1, 0.0]
 
 
-def _first_photos(model: pycolmap.Reconstruction, numbers: Sequence[int], lenses: Sequence[int]) -> list[int]:
-    """The first photo of each lens. Photos of one lens state the same of it."""
-    first = {model.images[photo + 1].camera_id: photo for photo in reversed(numbers)}
-    return [first[lens] for lens in lenses]
-
-
 def _longest(seen: Observations, points: int) -> np.ndarray:
     """The observations of the points with the longest tracks of each photo, few enough to be quick."""
     length = np.bincount(seen.point, minlength=points)
@@ -94,17 +89,12 @@ def _longest(seen: Observations, points: int) -> np.ndarray:
 
 
 def _sparse_model(
-    bundle: Bundle,
-    seen: Observations,
-    numbers: Sequence[int],
-    images: Sequence[pycolmap.Image],
-    model: pycolmap.Reconstruction,
+    bundle: Bundle, seen: Observations, numbers: Sequence[int], sizes: Sequence[tuple[int, int]]
 ) -> SparseModel:
+    """The bundle by photo number. `sizes` are (height, width) of the photos of each lens."""
     cameras = {}
-    for place, (photo, image) in enumerate(zip(numbers, images, strict=True)):
-        camera = model.cameras[image.camera_id]
-        lens = bundle.lenses[bundle.lens_of[place]]
-        cameras[photo] = as_photo_camera(bundle.poses[place], lens, (camera.height, camera.width))
+    for photo, pose, lens in zip(numbers, bundle.poses, bundle.lens_of, strict=True):
+        cameras[photo] = as_photo_camera(pose, bundle.lenses[lens], sizes[lens])
     observed, rows = np.unique(seen.point, return_inverse=True)
     visible, pixels = {}, {}
     for place, photo in enumerate(numbers):

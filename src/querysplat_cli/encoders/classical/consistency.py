@@ -1,5 +1,6 @@
 """Comparing the depths of all views: which ones others confirm, and which guesses stand in free space."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -7,6 +8,7 @@ import numba as nb
 import numpy as np
 
 from querysplat_cli.encoders.classical.depth_policy import DEPTH_POLICY
+from querysplat_cli.encoders.classical.patchmatch import Source, projections
 
 # Plain numbers, since a compiled kernel cannot read a dataclass.
 _LEAST_AGREEMENT, _MOST_AGREEMENT = DEPTH_POLICY.agreement
@@ -32,14 +34,14 @@ class DepthMaps:
 
 
 def confirm(
-    inverse: np.ndarray, masks: np.ndarray, match: np.ndarray, K: np.ndarray, w2c: np.ndarray, sources: list[list[int]]
+    inverse: np.ndarray, masks: np.ndarray, match: np.ndarray, photos: Sequence[Source], sources: Sequence[list[int]]
 ) -> np.ndarray:
     """Confidence [views, height, width] in [0, 1] of depths that the views' sources confirm.
 
     It is 1 where two sources find the same surface, 1/2 where one of several does, and less where the match is poor.
     `inverse` depth, `masks` and matching cost `match` (0 perfect, 1 none) are [views, height, width]; no depth outside
-    the masks confirms another. `K` [views, 3, 3] and `w2c` [views, 4, 4] are in float64. `sources` are the views that
-    each view was measured against.
+    the masks confirms another. Of `photos`, the cameras are read. `sources` are the views that each view was measured
+    against.
     """
     policy = DEPTH_POLICY
     shown = np.where(masks, inverse, 0)
@@ -47,16 +49,16 @@ def confirm(
     for v, others in enumerate(sources):
         if not others:
             continue
-        views, leads, shifts = _projections(v, others, K, w2c)
-        baselines = np.array([np.linalg.norm((w2c[s] @ np.linalg.inv(w2c[v]))[:3, 3]) * K[s, 0, 0] for s in others])
+        leads, shifts = projections(photos[v], [photos[s] for s in others])
+        baselines = np.array([photos[s].baseline(photos[v]) for s in others])
         votes = np.zeros(inverse.shape[1:], np.float32)
-        _vote(votes, shown, inverse[v], views, leads, shifts, baselines)
+        _vote(votes, shown, inverse[v], np.array(others), leads, shifts, baselines)
         confidence[v] = np.minimum(votes / min(2, len(others)), 1) * np.clip(1 + policy.forgiven_cost - match[v], 0, 1)
         confidence[v] *= _outside_specks(inverse[v], confidence[v] >= policy.guess_confidence)
     return confidence * masks
 
 
-def lent(maps: DepthMaps, K: np.ndarray, w2c: np.ndarray, others: list[list[int]]) -> np.ndarray:
+def lent(maps: DepthMaps, photos: Sequence[Source], others: list[list[int]]) -> np.ndarray:
     """Inverse depth [views, height, width] that the other views measured, seen from each view; 0 where there is none.
 
     A measurement counts where its colour is that of the pixel. Of several on one pixel, the nearest counts.
@@ -65,12 +67,12 @@ def lent(maps: DepthMaps, K: np.ndarray, w2c: np.ndarray, others: list[list[int]
     seeds = np.zeros_like(inverse)
     for v, compared in enumerate(others):
         for s in compared:
-            _, leads, shifts = _projections(s, [v], K, w2c)
+            leads, shifts = projections(photos[s], [photos[v]])
             _lend(seeds[v], colours[v], inverse[s], confidence[s], colours[s], leads[0], shifts[0])
     return seeds
 
 
-def carve(maps: DepthMaps, K: np.ndarray, w2c: np.ndarray, others: list[list[int]], least: list[float]) -> np.ndarray:
+def carve(maps: DepthMaps, photos: Sequence[Source], others: list[list[int]], least: list[float]) -> np.ndarray:
     """Inverse depth [views, height, width] in which no guess stands in free space: guesses move back along their rays.
 
     A guess must not hide a surface that another view measured. It must not hide guesses of another colour either,
@@ -83,7 +85,8 @@ def carve(maps: DepthMaps, K: np.ndarray, w2c: np.ndarray, others: list[list[int
         if not compared or not guess.any():
             continue
         known = shown, maps.confidence, maps.colours
-        _carve_view(carved[v], guess, maps.colours[v], *known, *_projections(v, compared, K, w2c), least[v])
+        there = np.array(compared), *projections(photos[v], [photos[s] for s in compared])
+        _carve_view(carved[v], guess, maps.colours[v], *known, *there, least[v])
         carved[v][guess] = cv2.medianBlur(carved[v], 5)[guess]
     return carved
 
@@ -92,17 +95,6 @@ def blurred(pictures: np.ndarray) -> np.ndarray:
     """Pictures [views, height, width, 3] whose colours are compared, as means over small squares."""
     window = DEPTH_POLICY.colour_window
     return np.stack([cv2.blur(picture, (window, window)) for picture in pictures])
-
-
-def _projections(
-    view: int, others: list[int], K: np.ndarray, w2c: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Numbers of the other views, and A, b for each: a pixel p of inverse depth q projects to A·p + q·b there."""
-    back, to_rays = np.linalg.inv(w2c[view]), np.linalg.inv(K[view])
-    relative = [w2c[s] @ back for s in others]
-    leads = np.stack([K[s] @ T[:3, :3] @ to_rays for s, T in zip(others, relative, strict=True)])
-    shifts = np.stack([K[s] @ T[:3, 3] for s, T in zip(others, relative, strict=True)])
-    return np.array(others), leads, shifts
 
 
 def _outside_specks(inverse: np.ndarray, sure: np.ndarray) -> np.ndarray:

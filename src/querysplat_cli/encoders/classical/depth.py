@@ -1,7 +1,6 @@
 """Depth of every view by classical multi-view stereo, from photos with cameras."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -47,10 +46,9 @@ def estimate_geometry(posed: PosedViews, *, seed: int, progress: Progress) -> Ge
     progress("wide windows", 0.85)
     wide = measure_wide(photos, sources, ranges, found)
     inverse, confidence = found.inverse, found.confidence
-    K, w2c = (part.double().numpy() for part in (posed.cameras.K, posed.cameras.w2c))
     # Colours of different views are compared, so that all are stretched alike, or none is.
     nearest, maps = nearest_views(posed), DepthMaps(inverse, confidence, blurred(_stretched(pictures, masks)), masks)
-    others, lent_confidence = lent(maps, K, w2c, nearest), np.float32(DEPTH_POLICY.lent_confidence)
+    others, lent_confidence = lent(maps, photos, nearest), np.float32(DEPTH_POLICY.lent_confidence)
     for v in range(len(views)):
         guess = (confidence[v] < DEPTH_POLICY.guess_confidence) & masks[v]
         borrowed, wider = guess & (others[v] > 0), guess & (wide.inverse[v] > 0)
@@ -60,7 +58,7 @@ def estimate_geometry(posed: PosedViews, *, seed: int, progress: Progress) -> Ge
         inverse[v] = np.clip(inverse[v], ranges[v].far, ranges[v].near)
     progress("clearing free space", 0.95)
     least = [limits.far for limits in ranges]
-    inverse = carve(replace(maps, inverse=inverse), K, w2c, nearest, least)
+    inverse = carve(maps, photos, nearest, least)
     depth, sure = torch.from_numpy(1 / inverse), torch.from_numpy(confidence)
     return _geometry(posed, depth, sure, depth_warnings(posed, depth, sure))
 

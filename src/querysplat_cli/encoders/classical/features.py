@@ -13,6 +13,7 @@ from querysplat_cli.encoders.classical.policy import CAMERA_POLICY, MatchEffort
 from querysplat_cli.scene.decoding import reduced
 from querysplat_cli.scene.filed_pixels import release
 from querysplat_cli.scene.masks import MASKS, resized_mask
+from querysplat_cli.scene.pictures import write_picture
 from querysplat_cli.scene.views import Photo
 
 
@@ -31,8 +32,7 @@ def write_grey(photos: Sequence[Photo], folder: Path, size: int) -> tuple[tuple[
     for number, photo in enumerate(photos):
         picture = stretched(reduced(cv2.cvtColor(photo.pixels, cv2.COLOR_RGB2GRAY), size))
         release(photo)
-        if not cv2.imwrite(str(folder / image_name(number)), picture):
-            raise OSError(f"cannot write to {folder}")
+        write_picture(folder / image_name(number), picture)
         sizes.append((picture.shape[0], picture.shape[1]))
     return tuple(sizes)
 
@@ -50,11 +50,9 @@ def write_masks(photos: Sequence[Photo], sizes: Sequence[tuple[int, int]], folde
     """Write the masks of the photos for COLMAP, beside the grey pictures, if any photo has one."""
     if all(photo.mask is None for photo in photos):
         return
-    (folder / MASKS).mkdir()
     for number, (photo, (height, width)) in enumerate(zip(photos, sizes, strict=True)):
         shown = np.ones((height, width), bool) if photo.mask is None else resized_mask(photo.mask, height, width)
-        if not cv2.imwrite(str(_mask_file(folder, number)), shown.astype(np.uint8) * 255):
-            raise OSError(f"cannot write to {folder}")
+        write_picture(_mask_file(folder, number), shown.astype(np.uint8) * 255)
 
 
 def takes_part(folder: Path, photo: int, points: np.ndarray) -> np.ndarray:

@@ -27,15 +27,13 @@ def with_learned_matches(
     found = {photo: matcher.features(photos[photo]) for photo in sorted({photo for pair in pairs for photo in pair})}
     with pycolmap.Database.open(matches.database) as store:
         first_new = {photo: store.num_keypoints_for_image(photo + 1) for photo in found}
-        rows = {
-            (one, two): matcher.matches(found[one], found[two]) + np.array([first_new[one], first_new[two]])
-            for one, two in pairs
-        }
         places = {photo: some.scaled(matches.sizes[photo]) for photo, some in found.items()}
-        shown = {photo: takes_part(matches.folder, photo, new[:, :2]) for photo, new in places.items()}
-        for (one, two), new in rows.items():
-            kept = shown[one][new[:, 0] - first_new[one]] & shown[two][new[:, 1] - first_new[two]]
-            rows[one, two] = new[kept]
+        shown = {photo: takes_part(matches.folder, photo, pixels) for photo, pixels in places.items()}
+        rows = {}
+        for one, two in pairs:
+            new = matcher.matches(found[one], found[two])
+            new = new[shown[one][new[:, 0]] & shown[two][new[:, 1]]]
+            rows[one, two] = new + np.array([first_new[one], first_new[two]])
         append_features(store, places)
         changed = append_matches(store, rows)
     return matches.verified_again(changed, CAMERA_POLICY.ordinary, seed)

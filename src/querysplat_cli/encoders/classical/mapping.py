@@ -80,7 +80,7 @@ def map_photos(matches: Matches, photos: Sequence[Photo], *, seed: int) -> Mappe
             candidates = read_candidates(store, 0, 1)
         agreement = partial(dense_agreement, photos)
         two = map_two_photos(candidates, matches.sizes, matches.focals, matches.usual_focals, agreement)
-        return Mapped(two.model, (two.pair,)) if two else None
+        return Mapped(two[0], (two[1],)) if two else None
     connected = len(matches.largest_group())
     best: tuple[tuple[int, float], pycolmap.Reconstruction, bool] | None = None
     for attempt in _attempts(matches):
@@ -101,12 +101,7 @@ def map_photos(matches: Matches, photos: Sequence[Photo], *, seed: int) -> Mappe
 
 def _attempts(matches: Matches) -> list[Attempt]:
     """The policy's attempts; none fits the lens where the photos are too few for that."""
-    few = _are_few(matches)
-    return [replace(attempt, fit_lens=attempt.fit_lens and not few) for attempt in CAMERA_POLICY.attempts]
-
-
-def _are_few(matches: Matches) -> bool:
-    return len(matches.sizes) <= CAMERA_POLICY.few_photos
+    return [replace(attempt, fit_lens=attempt.fit_lens and not matches.few) for attempt in CAMERA_POLICY.attempts]
 
 
 def from_colmap(reconstruction: pycolmap.Reconstruction) -> SparseModel:
@@ -146,7 +141,7 @@ def _mapped(
 
 def _extended(model: pycolmap.Reconstruction, matches: Matches, seed: int) -> pycolmap.Reconstruction:
     """The model, extended by photos that have few matches with it where that raises its score."""
-    attempt = CAMERA_POLICY.extending_few if _are_few(matches) else CAMERA_POLICY.extending
+    attempt = CAMERA_POLICY.extending_few if matches.few else CAMERA_POLICY.extending
     for grown in _mapped(matches, attempt, seed, model):
         if epipolar_support(from_colmap(grown), matches).score > epipolar_support(from_colmap(model), matches).score:
             model = grown

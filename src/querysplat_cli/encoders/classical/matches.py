@@ -57,6 +57,11 @@ class Matches:
     def database(self) -> Path:
         return self.folder / "matches.db"
 
+    @property
+    def few(self) -> bool:
+        """Whether the photos are so few that they hardly determine their lens."""
+        return len(self.sizes) <= CAMERA_POLICY.few_photos
+
     def focal(self, photo: int) -> float:
         """The focal length to start from, in pixels: EXIF's, or else an assumed one."""
         return self.focals[photo] or CAMERA_POLICY.assumed_focal * max(self.sizes[photo])

@@ -5,6 +5,7 @@ the inverse depth of a plane is exactly linear. A pixel takes a neighbour's plan
 that explains the sources better. So slanted surfaces match well, and depths between the planes of the sweep are found.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numba as nb
@@ -58,6 +59,18 @@ class Source:
         """The transform [4, 4] from the camera of `other` to this one."""
         return np.asarray(self.w2c @ np.linalg.inv(other.w2c))
 
+    def baseline(self, other: "Source") -> float:
+        """The distance of both cameras times this one's focal length: pixels of disparity per inverse depth."""
+        return float(np.linalg.norm(self.seen_from(other)[:3, 3]) * self.K[0, 0])
+
+
+def projections(view: Source, others: Sequence[Source]) -> tuple[np.ndarray, np.ndarray]:
+    """A [n, 3, 3] and b [n, 3] of the other views: a pixel p of `view` with inverse depth q projects to A·p + q·b."""
+    to_rays = np.linalg.inv(view.K)
+    relative = [other.seen_from(view) for other in others]
+    leads = np.stack([other.K @ T[:3, :3] @ to_rays for other, T in zip(others, relative, strict=True)])
+    return leads, np.stack([other.K @ T[:3, 3] for other, T in zip(others, relative, strict=True)])
+
 
 def refine_planes(
     view: Source, sources: list[Source], start: Planes, limits: InverseRange
@@ -67,29 +80,18 @@ def refine_planes(
     Leaving `start` costs something, which keeps even surfaces smooth. The changes that are tried follow a fixed
     pattern, so equal inputs give equal bits.
     """
-    to_rays = np.linalg.inv(view.K)
-    relative = [source.seen_from(view) for source in sources]
-    leads = [source.K @ T[:3, :3] @ to_rays for source, T in zip(sources, relative, strict=True)]
-    shifts = [source.K @ T[:3, 3] for source, T in zip(sources, relative, strict=True)]
+    leads, shifts = projections(view, sources)
     views = (
-        np.stack(leads).astype(np.float32),
-        np.stack(shifts).astype(np.float32),
+        leads.astype(np.float32),
+        shifts.astype(np.float32),
         np.stack([source.grey.ravel() for source in sources]),
         np.stack([source.inverse for source in sources]),
     )
+    bounds = np.float32(limits.far), np.float32(limits.near)
     state = np.stack([start.inverse, start.slope_x, start.slope_y, np.full_like(start.inverse, 2)])
     for turn in range(2):
         for colour in range(2):
-            _improve(
-                state,
-                colour,
-                turn,
-                view.grey,
-                *views,
-                start.inverse,
-                np.float32(limits.far),
-                np.float32(limits.near),
-            )
+            _improve(state, colour, turn, view.grey, *views, start.inverse, *bounds)
     return Planes(*state[:3]), np.clip(state[3], 0, 1)
 
 

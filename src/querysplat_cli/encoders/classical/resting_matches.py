@@ -17,7 +17,7 @@ def without_resting_matches(matches: Matches, *, seed: int) -> Matches:
 
     COLMAP's database follows.
     """
-    if len(matches.sizes) > CAMERA_POLICY.few_photos:
+    if not matches.few:
         return matches
     kept = {}
     with pycolmap.Database.open(matches.database) as store:

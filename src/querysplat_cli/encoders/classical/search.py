@@ -83,14 +83,10 @@ class _Trial:
         mapped = mapped and with_lenses_apart(mapped, matches, photos, seed)
         return _Trial(replace(matches, pairs=mapped.pairs) if mapped else matches, mapped)
 
-    @property
-    def few(self) -> bool:
-        return len(self.matches.sizes) <= CAMERA_POLICY.few_photos
-
     def refined(self) -> Found:
         if self.mapped is None:
             return Found(self.matches, None, self.matching)
-        if self.few:
+        if self.matches.few:
             model, warnings = few_refined(self.mapped, self.matches)
             return Found(self.matches, model, self.matching, warnings)
         return Found(self.matches, self.mapped.refined(self.matches), self.matching, self.mapped.warnings)
@@ -111,7 +107,7 @@ def search(photos: Sequence[Photo], choice: MatcherChoice, *, seed: int, progres
         trial = _Trial.of(matches, photos, seed)
         if choice.matcher == "sift":
             return trial.refined()
-        if trial.few and _wants_support(trial, choice.matcher):
+        if matches.few and _wants_support(trial, choice.matcher):
             progress("matching again", 0.65)
             search_again = partial(with_supported_matches, photos=photos, seed=seed)
             trial, _ = _after(trial, search_again, _better, photos, seed)
@@ -145,7 +141,7 @@ def _wants_support(trial: _Trial, matcher: Matcher) -> bool:
 def _for_affine(trial: _Trial, matcher: Matcher, *, large: bool) -> list[int]:
     """Of many photos those that affine SIFT searches; none where these are too many for the time it takes."""
     count, most = len(trial.matches.sizes), CAMERA_POLICY.thorough_photos
-    if trial.few:
+    if trial.matches.few:
         return []
     if matcher == "sift-affine":
         return list(range(count))
@@ -219,8 +215,7 @@ def _agreeing(matches: Matches, pairs: Sequence[tuple[int, int]]) -> int:
 
 def _wanting(trial: _Trial) -> list[int]:
     """Photos for which a network is asked: all of a few, and of more photos those that have no camera."""
-    count = len(trial.matches.sizes)
-    return list(range(count)) if count <= CAMERA_POLICY.few_photos else _missing(trial)
+    return list(range(len(trial.matches.sizes))) if trial.matches.few else _missing(trial)
 
 
 def _better(first: _Trial, second: _Trial) -> _Trial:
@@ -232,7 +227,7 @@ def _better(first: _Trial, second: _Trial) -> _Trial:
         return first
     if first.mapped is None:
         return second
-    new, few = epipolar_support(second.mapped.model, second.matches), first.few
+    new, few = epipolar_support(second.mapped.model, second.matches), first.matches.few
     gain = len(second.mapped.model.cameras) - len(first.mapped.model.cameras)
     if few and gain == 0:
         gain = new.explained - epipolar_support(first.mapped.model, first.matches).explained

@@ -48,8 +48,8 @@ def measure(
             found, match[v] = refine_planes(measured[v], [measured[s] for s in chosen], planes[v], ranges[v])
             inverse[v] = found.inverse
         progress(f"refining view {v + 1} of {len(photos)}", 0.7 + 0.3 * (v + 1) / len(photos))
-    shown, K, w2c = (np.stack(part) for part in zip(*((p.grey >= 0, p.K, p.w2c) for p in photos), strict=True))
-    return Measurement(inverse, confirm(inverse, shown, match, K, w2c, list(sources)))
+    shown = np.stack([photo.grey >= 0 for photo in photos])
+    return Measurement(inverse, confirm(inverse, shown, match, photos, sources))
 
 
 def _first_planes(photos: Sequence[Source], view: int, sources: list[int], limits: InverseRange) -> Planes:
@@ -74,12 +74,12 @@ def _halved(photo: Source) -> Source:
 
 def _swept(view: Source, others: list[Source], limits: InverseRange) -> Planes:
     """Surfaces by a sweep at the size of `view`, enlarged to twice that size."""
-    relative = [other.seen_from(view) for other in others]
     # About one pixel of disparity from plane to plane in the source with the longest baseline.
-    shift = max(np.linalg.norm(T[:3, 3]) * other.K[0, 0] for other, T in zip(others, relative, strict=True))
-    planes = int(np.clip(shift * (limits.near - limits.far), *DEPTH_POLICY.planes))
+    planes = int(
+        np.clip(max(other.baseline(view) for other in others) * (limits.near - limits.far), *DEPTH_POLICY.planes)
+    )
     steps = np.linspace(limits.far, limits.near, planes)
-    costs = cost_volume(view.grey, view.K, [(o.grey, o.K, T) for o, T in zip(others, relative, strict=True)], steps)
+    costs = cost_volume(view.grey, view.K, [(o.grey, o.K, o.seen_from(view)) for o in others], steps)
     inverse = np.interp(best_planes(aggregate_costs(costs, view.grey)), np.arange(planes), steps).astype(np.float32)
     smooth = cv2.medianBlur(inverse, 5)
     slope_y, slope_x = (slope / 2 for slope in np.gradient(smooth))

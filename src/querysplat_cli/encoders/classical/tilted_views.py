@@ -20,6 +20,7 @@ from querysplat_cli.encoders.classical.matches import Matches, shared_cameras, w
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
 from querysplat_cli.encoders.classical.verified_pairs import match_pairs
 from querysplat_cli.scene.decoding import reduced
+from querysplat_cli.scene.pictures import write_picture
 
 
 @dataclass(frozen=True)
@@ -87,8 +88,7 @@ def _write_views(matches: Matches, weak: Sequence[int], folder: Path) -> list[Ti
         for tilt, degrees in CAMERA_POLICY.tilts:
             picture, back = tilted(small, tilt, degrees)
             view = TiltedView(photo, len(matches.sizes) + len(views), picture.shape, enlarge * back)
-            if not cv2.imwrite(str(folder / image_name(view.number)), picture):
-                raise OSError(f"cannot write to {folder}")
+            write_picture(folder / image_name(view.number), picture)
             views.append(view)
     return views
 

@@ -23,14 +23,6 @@ from querysplat_cli.scene.rotations import rotation_angles
 
 
 @dataclass(frozen=True)
-class TwoViews:
-    """The model of two photos, and the matches that its cameras explain."""
-
-    model: SparseModel
-    pair: Pair
-
-
-@dataclass(frozen=True)
 class _Candidate:
     """Adjusted cameras, the points that they share, the pixels [2, p, 2] of these, and what all this costs."""
 
@@ -50,8 +42,8 @@ def map_two_photos(
     focals: Sequence[float | None],
     usual: Sequence[float],
     agreement: Callable[[SparseModel], float],
-) -> TwoViews | None:
-    """The cameras and points of two photos, or None where too few of their matches agree.
+) -> tuple[SparseModel, Pair] | None:
+    """The model of two photos and the matches that its cameras explain, or None where too few agree.
 
     `pair` may hold wrong matches. `sizes` are (height, width), `focals` EXIF's focal lengths in pixels, or None, and
     `usual` those of the prior without EXIF. `agreement` says how far the photos agree with a model, as a share; it is
@@ -76,7 +68,7 @@ def map_two_photos(
         return None
     best = _chosen([each for each in ordered if len(each.points) >= fewest], agreement)
     agreeing = epipolar_error(pair, *best.cameras) < policy.epipolar_tolerance
-    return TwoViews(best.model(), Pair(0, 1, pair.first_pixels[agreeing], pair.second_pixels[agreeing]))
+    return best.model(), Pair(0, 1, pair.first_pixels[agreeing], pair.second_pixels[agreeing])
 
 
 def _chosen(ordered: Sequence[_Candidate], agreement: Callable[[SparseModel], float]) -> _Candidate:

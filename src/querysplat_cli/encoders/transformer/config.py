@@ -1,9 +1,8 @@
 """Sizes of a learned VGM."""
 
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass
 
-from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.tables import STRICT
 
 VIEW_CHUNK = 16
 """Views that pass at once through the parts that work on single views."""
@@ -17,6 +16,8 @@ class VgmConfig:
     register tokens attend to other views. `storage_tokens` is the number of tokens that stay inside the patch
     encoder. `pretrained_image` is the side, in pixels, of the pictures of the training.
     """
+
+    __pydantic_config__ = STRICT
 
     width: int = 1024
     depth: int = 24
@@ -52,18 +53,3 @@ class VgmConfig:
         chunk = min(views, VIEW_CHUNK) * tokens * self.width * 4
         pyramid = 8 * size**2 * self.depth_channels * 4 if depth else 0
         return int(max(2 + 4 * share, 4) * whole + kept * whole + (3 + 8 * share) * chunk) + pyramid
-
-    @staticmethod
-    def from_dict(values: dict[str, Any]) -> "VgmConfig":
-        """The configuration in a checkpoint's metadata.
-
-        Raises QuerySplatError when a name is no field, or a value has the wrong type.
-        """
-        kinds = {field.name: type(field.default) for field in fields(VgmConfig)}
-        chosen: dict[str, Any] = {
-            name: tuple(value) if isinstance(value, list) else value for name, value in values.items()
-        }
-        wrong = [name for name, value in chosen.items() if not isinstance(value, kinds.get(name, type(None)))]
-        if wrong:
-            raise QuerySplatError(f"wrong VGM settings: {', '.join(wrong)}", "See docs/method.md for the names.")
-        return VgmConfig(**chosen)

@@ -16,6 +16,7 @@ from querysplat_cli.runtime.checkpoint_files import check_tensors, fill, read_te
 from querysplat_cli.runtime.choices import Precision
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.precision import weight_dtypes
+from querysplat_cli.runtime.tables import from_tables
 from querysplat_cli.scene.cameras import Cameras
 
 DEPTH_CHUNK = 8
@@ -120,8 +121,8 @@ def load_vgm(
     config = default
     if "config" in metadata:
         try:
-            config = VgmConfig.from_dict(json.loads(metadata["config"]))
-        except (ValueError, TypeError, AttributeError, RecursionError) as error:
+            config = from_tables(VgmConfig, json.loads(metadata["config"]), what="VGM", docs="docs/method.md")
+        except (ValueError, TypeError, RecursionError) as error:
             raise QuerySplatError(f"{path}: its configuration cannot be read: {error}", "Make it again.") from error
     with torch.device("meta"):
         model = make(config)
