@@ -77,10 +77,6 @@ class PipelinePolicy:
     joint_photos: int = 120
     """Photos up to which it takes them together. A step takes time for every Gaussian of its part, so that many photos
     together would take time with the square of their number."""
-    drawn_in: float = 1.1
-    """Where no step is taken, a decoded Gaussian that is more than so many times as far away or as large as in the
-    scene's file is the file's. The digits of an .spz change scales by 3 %. The backdrop is
-    `QueryPolicy.backdrop_behind` times as far away as the Gaussians. The value was set by these two."""
 
 
 PIPELINE_POLICY = PipelinePolicy()

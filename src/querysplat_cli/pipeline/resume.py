@@ -16,7 +16,7 @@ from querysplat_cli.pipeline.perceptual import optimisation_lpips
 from querysplat_cli.pipeline.read_scene import check_model, read_scene, require_scene
 from querysplat_cli.pipeline.resume_settings import COARSE, ResumeSettings, against_quality
 from querysplat_cli.pipeline.scene_folder import StoredScene, scores_of, write_scene
-from querysplat_cli.pipeline.stored_gaussians import as_stored, before_new_backdrop, stored_gaussians
+from querysplat_cli.pipeline.stored_gaussians import before_new_backdrop, stored_gaussians
 from querysplat_cli.prune.gaussians import target_count
 from querysplat_cli.reporting import omissions
 from querysplat_cli.reporting.report import Report, machine, rescored, seconds_entry, tto_entries
@@ -93,11 +93,10 @@ def _optimised(settings: ResumeSettings, stages: Stages) -> Report:
         start = Start(scene.memories, scene.anchors, gaussians, None if apart else scene.kept)
         photos = scene.views, scene.cameras
         adapted = optimise_start(model, start, photos, plan, options, progress, scene.exposures)
-        stored = _with(scene, adapted)
         if stays:
-            gaussians = as_stored(adapted.gaussians, stays, stored.cameras)
+            stored, gaussians = scene, stays.all
         else:
-            stored, gaussians = before_new_backdrop(stored, adapted.gaussians)
+            stored, gaussians = before_new_backdrop(_with(scene, adapted), adapted.gaussians)
     runs = tto_entries(adapted.runs)
     bands_stay, with_lpips = stays is not None, perceptual is not None
     left_out = omissions.taken_further(before["left_out"], adapted, bands_stay=bands_stay, with_lpips=with_lpips)

@@ -4,17 +4,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import torch
-from jaxtyping import Float
-from torch import Tensor
-
 from querysplat_cli.pipeline.full_size import LargePhotos
 from querysplat_cli.pipeline.gaussian_files import file_of_scene, folder_of_scene
-from querysplat_cli.pipeline.policy import PIPELINE_POLICY
 from querysplat_cli.pipeline.read_scene import read_scene_gaussians
 from querysplat_cli.pipeline.scene_folder import StoredScene
 from querysplat_cli.runtime.errors import QuerySplatError
-from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians, joined
 
 
@@ -24,6 +18,11 @@ class StoredGaussians:
 
     own: Gaussians
     backdrop: Gaussians
+
+    @property
+    def all(self) -> Gaussians:
+        """Those of the file, in its order."""
+        return joined(self.own, self.backdrop)
 
 
 def stored_gaussians(path: Path, scene: StoredScene, report: dict[str, Any]) -> StoredGaussians:
@@ -47,23 +46,3 @@ def before_new_backdrop(scene: StoredScene, gaussians: Gaussians) -> tuple[Store
         return scene, gaussians
     behind = LargePhotos(scene.views, scene.cameras, exposures=scene.exposures).backdrop(gaussians)
     return replace(scene, backdrop=len(behind)), joined(gaussians, behind)
-
-
-def as_stored(gaussians: Gaussians, before: StoredGaussians, cameras: Cameras) -> Gaussians:
-    """The decoded `gaussians` of a scene that nothing changes, with the SH bands and the backdrop of its file.
-
-    A Gaussian that is farther away or larger than in the file is the file's. How far Gaussians were drawn in
-    (`prune/far.py`) depended on others, which `convert` may have cut since, and the backdrop could hide it now.
-    """
-    alike = replace(gaussians, sh=gaussians.sh[:, : before.own.sh.shape[1]])
-    if len(alike) == len(before.own):  # those that are not finite are not in the file
-        here, there = (_extent(each, cameras) for each in (alike, before.own))
-        drawn_in = (here > PIPELINE_POLICY.drawn_in * there).any(1)
-        alike = joined(alike, before.own)[torch.arange(len(alike)) + len(alike) * drawn_in]
-    return joined(alike, before.backdrop)
-
-
-def _extent(gaussians: Gaussians, cameras: Cameras) -> Float[Tensor, "n 4"]:
-    """The distance of each Gaussian from the middle of the cameras, and its scales."""
-    distance = (gaussians.means - cameras.centres.mean(0)).norm(dim=1, keepdim=True)
-    return torch.cat([distance, gaussians.scales], 1)

@@ -31,24 +31,27 @@ class TransientPolicy:
     and reflections move over it."""
     same_colour: float = 0.1
     """Largest difference of a channel, of 1, up to which a pixel shows a surface that another view measured."""
-    perhaps: float = 0.15
+    perhaps: float = 0.2
     """The same where the other view measured nothing: the pixel may show what is there."""
     smoothed: float = 1 / 128
     """Colours are means over squares that reach so far to each side, as a share of the picture's longer side."""
     fewest_surfaces: int = 2
-    """So many views have measured, in other colours, what a pixel ought to show."""
+    """So many views have measured, in other colours, what a pixel ought to show. With 3, fox keeps a third of the
+    people."""
     superpixel: float = 1 / 40
     """Side of a superpixel, as a share of the picture's longer side. One is judged as a whole."""
     pure: float = 0.7
     """Share of the judged pixels of a superpixel that show what was not there for the other views."""
     covered: float = 0.3
-    """And the share of all its pixels."""
+    """And the share of all its pixels, from which on it is a part of a transient."""
     least: float = 0.004
     """Share of a picture below which connected pixels are left as they are."""
     around: float = 0.1
-    """A transient is grown by at most this share of the picture's longer side, to its own edges."""
+    """It is grown by at most this share of the picture's longer side."""
+    doubtful: float = 0.3
+    """It grows into superpixels of whose pixels a smaller share shows what other views show."""
     rounds: int = 3
-    """Iterations of GrabCut for that."""
+    """Iterations of GrabCut, which finds its edges."""
     edge: int = 2
     """Pixels around it that are left out with it: its colours are mixed in there."""
 

@@ -19,6 +19,7 @@ from querysplat_cli.queries.compiled_transients import AGREES, CONTRADICTS, judg
 from querysplat_cli.queries.policy import QUERY_POLICY
 from querysplat_cli.queries.transient_policy import TRANSIENT_POLICY
 from querysplat_cli.scene.cameras import NEAREST_DEPTH, Cameras
+from querysplat_cli.scene.masks import spread
 from querysplat_cli.scene.views import Views
 
 
@@ -44,7 +45,8 @@ def without(views: Views, pixels: Bool[Tensor, "views height width"]) -> Views:
 def find_transients(views: Views, cameras: Cameras, geometry: Geometry) -> Bool[Tensor, "views height width"]:
     """Pixels of each view that show what was gone for the others. Colours of the views have to agree (`Exposures`).
 
-    `geometry` has depth and confidence. A transient needs two other views that measured what is behind it.
+    `geometry` has depth and confidence. A transient needs two other views that measured what is
+    behind it.
     """
     assert geometry.depth is not None
     assert geometry.confidence is not None
@@ -107,10 +109,11 @@ def _outlined(
     """The transients of one picture, to their own edges.
 
     Superpixels (SLIC, Achanta et al. 2012) are judged as a whole: a contradiction along an edge means that a depth was
-    off by a pixel. GrabCut (Rother et al. 2004) then adds what no other view measured anything behind.
+    off by a pixel. What touches them and nothing speaks for belongs to them: another view may have measured nothing
+    behind a head. GrabCut (Rother et al. 2004) finds the edges.
     """
     policy = TRANSIENT_POLICY
-    odd = _spread(cv2.MORPH_OPEN, verdicts == CONTRADICTS, 3)  # not along an edge
+    odd = spread(cv2.MORPH_OPEN, verdicts == CONTRADICTS, 3)  # not along an edge
     if not odd.any():
         return np.zeros(mask.shape, bool)
     pixels = np.ascontiguousarray((picture.permute(1, 2, 0) * 255).to(torch.uint8).numpy()[..., ::-1])
@@ -119,17 +122,18 @@ def _outlined(
     sparse = superpixels[policy.stride // 2 :: policy.stride, policy.stride // 2 :: policy.stride]
     count = int(superpixels.max()) + 1
     size, against, agreeing = (
-        np.bincount(sparse[chosen], minlength=count)
-        for chosen in (np.ones_like(odd), odd, verdicts == AGREES)
+        np.bincount(sparse[chosen], minlength=count) for chosen in (np.ones_like(odd), odd, verdicts == AGREES)
     )
-    chosen = (against > policy.pure * (against + agreeing)) & (against > policy.covered * size)
-    seed = _large(chosen[superpixels] & mask)
+    transient = (against > policy.pure * (against + agreeing)) & (against > policy.covered * size)
+    seed = _large(transient[superpixels] & mask)
     if not seed.any():
         return seed
+    near = spread(cv2.MORPH_DILATE, seed, 2 * int(policy.around * max(mask.shape)) + 1)
+    whole = _touching(seed, (agreeing < policy.doubtful * size)[superpixels] & mask & near)
     height, width = mask.shape
     sure = cv2.resize((verdicts == AGREES).astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST) > 0
-    found = _large(_grown(seed, sure | ~mask, pixels, side))
-    return _spread(cv2.MORPH_DILATE, found, 2 * policy.edge + 1) & mask
+    found = _large(_to_its_edges(whole, ~near | ~mask | spread(cv2.MORPH_OPEN, sure, 3), pixels, side))
+    return spread(cv2.MORPH_DILATE, found, 2 * policy.edge + 1) & mask
 
 
 def _superpixels(pixels: np.ndarray, side: int) -> Int[np.ndarray, "height width"]:
@@ -146,25 +150,26 @@ def _large(area: Bool[np.ndarray, "height width"]) -> Bool[np.ndarray, "height w
     return area & (boxes[:, cv2.CC_STAT_AREA] >= TRANSIENT_POLICY.least * area.size)[labels]
 
 
-def _grown(
-    seed: Bool[np.ndarray, "height width"],
-    outside: Bool[np.ndarray, "height width"],
-    pixels: np.ndarray,
-    side: int,
+def _touching(
+    seed: Bool[np.ndarray, "height width"], more: Bool[np.ndarray, "height width"]
 ) -> Bool[np.ndarray, "height width"]:
-    """`seed` to the edges of what it belongs to, but not into what is surely `outside`."""
-    policy = TRANSIENT_POLICY
-    reach = 2 * int(policy.around * max(seed.shape)) + 1
-    labels = np.full(seed.shape, cv2.GC_PR_BGD, np.uint8)
-    labels[_spread(cv2.MORPH_OPEN, outside, 3) | ~_spread(cv2.MORPH_DILATE, seed, reach)] = cv2.GC_BGD
-    labels[seed] = cv2.GC_PR_FGD
-    labels[_spread(cv2.MORPH_ERODE, seed, max(side // 2, 1))] = cv2.GC_FGD
+    """The connected parts of `seed` and `more` together that hold some of `seed`."""
+    _, labels = cv2.connectedComponents((seed | more).astype(np.uint8), connectivity=4)
+    return (seed | more) & np.isin(labels, np.unique(labels[seed]))
+
+
+def _to_its_edges(
+    area: Bool[np.ndarray, "height width"], outside: Bool[np.ndarray, "height width"], pixels: np.ndarray, side: int
+) -> Bool[np.ndarray, "height width"]:
+    """About `area`, up to edges of the 8-bit picture, and surely not `outside`; its inside is `side` / 2 pixels in."""
+    if area.all():
+        return area
+    labels = np.full(area.shape, cv2.GC_PR_BGD, np.uint8)
+    labels[outside] = cv2.GC_BGD
+    labels[area] = cv2.GC_PR_FGD
+    labels[spread(cv2.MORPH_ERODE, area, max(side // 2, 1))] = cv2.GC_FGD
     cv2.setRNGSeed(0)
     colours = np.zeros((1, 65)), np.zeros((1, 65))
-    cv2.grabCut(pixels, labels, (0, 0, 0, 0), colours[0], colours[1], policy.rounds, cv2.GC_INIT_WITH_MASK)
+    rounds = TRANSIENT_POLICY.rounds
+    cv2.grabCut(pixels, labels, (0, 0, 0, 0), colours[0], colours[1], rounds, cv2.GC_INIT_WITH_MASK)
     return np.asarray((labels == cv2.GC_FGD) | (labels == cv2.GC_PR_FGD))
-
-
-def _spread(operation: int, area: Bool[np.ndarray, "height width"], side: int) -> Bool[np.ndarray, "height width"]:
-    """A morphological operation of OpenCV's with a square of `side` pixels."""
-    return np.asarray(cv2.morphologyEx(area.astype(np.uint8), operation, np.ones((side, side), np.uint8)) > 0)

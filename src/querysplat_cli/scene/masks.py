@@ -11,6 +11,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from jaxtyping import Bool
 from PIL import Image, ImageOps
 
 from querysplat_cli.scene.cameras import same_shape
@@ -85,6 +86,11 @@ def read_mask(path: Path, height: int, width: int, orientation: int = 1) -> np.n
     if not same_shape(grey.shape, (height, width)):
         raise BadMask(f"its mask {path.name} is {grey.shape[1]} × {grey.shape[0]}, another shape than the photo's")
     return resized_mask(2 * grey > grey.max(), height, width)
+
+
+def spread(operation: int, area: Bool[np.ndarray, "height width"], side: int) -> Bool[np.ndarray, "height width"]:
+    """A morphological operation of OpenCV's with a square of `side` pixels."""
+    return np.asarray(cv2.morphologyEx(area.astype(np.uint8), operation, np.ones((side, side), np.uint8)) > 0)
 
 
 def resized_mask(mask: np.ndarray, height: int, width: int) -> np.ndarray:

@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 from querysplat_cli.runtime.sequences import evenly_spaced
 from querysplat_cli.scene.decoding import reduced
 from querysplat_cli.scene.filed_pixels import release
-from querysplat_cli.scene.masks import Overlay
+from querysplat_cli.scene.masks import Overlay, spread
 from querysplat_cli.scene.policy import OVERLAY_POLICY
 from querysplat_cli.scene.views import Photo
 
@@ -48,13 +48,13 @@ class StaticPart:
 
     def overlay(self, picture: np.ndarray) -> Overlay:
         """What it covers in one picture of this size: not where something stands before it."""
-        return Overlay(_boxes(self.covered & ~_spread(cv2.MORPH_DILATE, self._before(picture), OVERLAY_POLICY.gap)))
+        return Overlay(_boxes(self.covered & ~spread(cv2.MORPH_DILATE, self._before(picture), OVERLAY_POLICY.gap)))
 
     def _before(self, picture: np.ndarray) -> Bool[np.ndarray, "height width"]:
         """Where steady pixels have another colour and the edges are gone. What is half transparent keeps its edges."""
         policy = OVERLAY_POLICY
         other = (np.abs(picture - self.usual).max(-1) > 2 * policy.same_colour) & self.steady & self.covered
-        large = _spread(cv2.MORPH_OPEN, _spread(cv2.MORPH_CLOSE, other, policy.before), policy.before)
+        large = spread(cv2.MORPH_OPEN, spread(cv2.MORPH_CLOSE, other, policy.before), policy.before)
         gradients, found = _gradients(picture), np.zeros_like(large)
         for place, part in _parts(large):
             edges = part & self.edges[place]
@@ -139,16 +139,11 @@ def find_static_part(pictures: Sequence[np.ndarray]) -> StaticPart | None:
     still = _registered((alike & (clear > policy.least_gradient)).any(-1), gradients, mean)
     if not still.any() or still.sum() > policy.most_edges * (strength > policy.least_gradient).any(-1).sum():
         return None
-    around = _spread(cv2.MORPH_DILATE, still, policy.around)
+    around = spread(cv2.MORPH_DILATE, still, policy.around)
     usual = np.median(np.stack(pictures), 0)
     near = [np.abs(picture - usual).max(-1) <= policy.same_colour for picture in pictures]
     steady = np.mean(near, 0) >= policy.steady
     return StaticPart(around | _enclosed(around, steady), steady, usual, still, mean)
-
-
-def _spread(operation: int, area: Bool[np.ndarray, "height width"], side: int) -> Bool[np.ndarray, "height width"]:
-    """A morphological operation of OpenCV's with a square of `side` pixels."""
-    return np.asarray(cv2.morphologyEx(area.astype(np.uint8), operation, np.ones((side, side), np.uint8)) > 0)
 
 
 def _parts(area: Bool[np.ndarray, "height width"], connectivity: int = 8) -> Iterator[tuple[Place, np.ndarray]]:
@@ -183,7 +178,7 @@ def _registered(
     steps = range(-policy.aside, policy.aside + 1)
     height, width = still.shape
     fewest = policy.fewest_edges * max(1.0, policy.enough / len(gradients)) ** 3
-    for (down, along), part in _parts(_spread(cv2.MORPH_CLOSE, still, policy.gap)):
+    for (down, along), part in _parts(spread(cv2.MORPH_CLOSE, still, policy.gap)):
         rows, columns = np.nonzero(part & still[down, along])
         if len(rows) < fewest:
             continue
@@ -211,7 +206,7 @@ def _enclosed(around: Bool[np.ndarray, "height width"], steady: Bool[np.ndarray,
     """Areas of steady colour between the edges of an overlay, such as bars and logos."""
     found = np.zeros_like(around)
     for place, part in _parts(steady & ~around, connectivity=4):
-        border = _spread(cv2.MORPH_DILATE, part, 3) & ~part
+        border = spread(cv2.MORPH_DILATE, part, 3) & ~part
         if border.any() and around[place][border].mean() >= OVERLAY_POLICY.enclosed:
             found[place] |= part
     return found
