@@ -43,24 +43,25 @@ def make_start(
     with stages("queries") as progress:
         wait_until_compiled(*SCENE_KERNELS, progress=progress)
         measured = transients = None
-        shown = alike = posed.views
+        alike = posed.views
         anchored = model.config.queries == "anchored" and geometry.depth is not None
         if anchored and len(posed.views) > 1:
             measured = compare_photos(posed.views, posed.cameras, geometry)
-            alike = shown if measured.agree else measured.exposures.removed_from(shown)
+            alike = alike if measured.agree else measured.exposures.removed_from(alike)
         if measured and settings.transients == "auto" and not settings.keep_everything:
             pixels = find_transients(alike, posed.cameras, geometry)
-            shown, alike = without(shown, pixels), without(alike, pixels)
             counts = {view: int(each.sum()) for view, each in enumerate(pixels) if each.any()}
-            transients = TransientShare.of(counts, shown.sizes)
+            transients = TransientShare.of(counts, alike.sizes)
+            if transients:
+                posed, alike = replace(posed, views=without(posed.views, pixels)), without(alike, pixels)
         colours = measured if settings.exposure == "auto" else None
         queries = prepare(
             model,
-            replace(posed, views=alike if colours else shown),
+            replace(posed, views=alike) if colours else posed,
             geometry,
             queries=settings.queries,
             soft_query_limit=None if settings.keep_everything or settings.tto == 0 else TTO_POLICY.queries,
             target=settings.tto_target,
             keep_all=settings.keep_everything,
         )
-    return SceneStart(replace(posed, views=shown), queries, transients, colours)
+    return SceneStart(posed, queries, transients, colours)

@@ -47,7 +47,7 @@ class RegionScene:
     """
 
     gaussians: Gaussians
-    masks: Bool[Tensor, "views height width"]
+    masks: Bool[Tensor, "views rows columns"]
     depth: Float[Tensor, "core height width"]
     prepared: PreparedQueries
     exposures: Exposures | None
