@@ -152,8 +152,7 @@ def region(matrices: torch.Tensor | None) -> RegionScene:
     exposures = None if matrices is None else Exposures(matrices)
     where = MemoryMap(torch.zeros(0).int(), torch.zeros(0).int(), torch.ones(3).int(), torch.zeros(0, 0, 0), NOT_KNOWN)
     prepared = PreparedQueries(memories, None, None, where)
-    masks = torch.ones(1, 1, 1, dtype=torch.bool)
-    return RegionScene(grey(), masks, torch.zeros(1, 1, 1), prepared, exposures, None, 1, {})
+    return RegionScene(grey(), {}, torch.zeros(1, 1, 1), prepared, exposures, None, 1, {})
 
 
 @pytest.mark.parametrize("filed", [False, True])
@@ -163,12 +162,12 @@ def test_what_a_region_hides_is_hidden_in_the_whole(filed: bool, tmp_path: Path)
     shown[0, 3] = False  # padding
     views: Views = Views(torch.rand(3, 3, 4, 5), shown.clone(), ("a", "b", "c"), ((3, 5), (4, 5), (4, 5)))
     views = FiledViews(views, tmp_path / "all.views") if filed else views
-    first, second = shown[[0, 1]].clone(), shown[[2, 1]].clone()
-    first[1, 2], second[1, :, 4] = False, False
-    scenes = [replace(region(None), masks=masks) for masks in (first, second)]
+    first, second = torch.zeros(2, 4, 5, dtype=torch.bool)
+    first[2], second[:, 4] = True, True
+    scenes = [replace(region(None), transients={1: gone}) for gone in (first, second)]
     found = _hidden(views, [Group((0,), (1,)), Group((2,), (1,))], scenes)
     assert found == TransientShare(photos=1, share=8 / 55)
-    assert torch.equal(views.masks, torch.stack([shown[0], first[1] & second[1], shown[2]]))
+    assert torch.equal(views.masks, torch.stack([shown[0], ~first & ~second, shown[2]]))
 
 
 def grey() -> Gaussians:

@@ -126,11 +126,10 @@ def _hidden(views: Views, groups: Sequence[Group], scenes: Sequence[RegionScene]
     """Hide in `views` the transients of all regions. Returns how much they are."""
     found: dict[int, int] = {}
     for group, scene in zip(groups, scenes, strict=True):
-        for row, shown in zip(group.rows, scene.masks, strict=True):
-            gone = views.masks[row] & ~shown
-            if gone.any():
-                found[row] = found.get(row, 0) + int(gone.sum())
-                views.hide(row, gone)
+        for row, pixels in scene.transients.items():
+            photo = group.rows[row]
+            found[photo] = found.get(photo, 0) + int((views.masks[photo] & pixels).sum())
+            views.hide(photo, pixels)
     return TransientShare.of(found, views.sizes)
 
 

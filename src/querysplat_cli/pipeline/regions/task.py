@@ -94,6 +94,7 @@ def run_region(folder: Path) -> None:
 
 def _scene(task: RegionTask, scene: BuiltScene, stages: Stages) -> RegionScene:
     further, core = scene.full_size, list(range(task.core))
+    hidden = task.posed.views.masks & ~scene.posed.views.masks
     views, cameras = scene.posed.views[core], scene.adapted.cameras[core]
     quality = score(scene.gaussians, views, cameras)
     entries = {
@@ -106,7 +107,7 @@ def _scene(task: RegionTask, scene: BuiltScene, stages: Stages) -> RegionScene:
     }
     return RegionScene(
         gaussians=scene.gaussians.detach(),
-        masks=scene.posed.views.masks,
+        transients={row: gone for row, gone in enumerate(hidden) if gone.any()},
         depth=depth_maps(scene.gaussians, cameras, views.sizes),
         prepared=without_rows(scene.prepared, scene.adapted.memories),
         exposures=scene.exposures,
