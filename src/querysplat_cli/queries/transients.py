@@ -114,7 +114,7 @@ def _outlined(
     """
     policy = TRANSIENT_POLICY
     odd = spread(cv2.MORPH_OPEN, verdicts == CONTRADICTS, 3)  # not along an edge
-    if not odd.any():
+    if odd.mean() < policy.covered * policy.least or not odd.any():  # too little for any superpixels
         return np.zeros(mask.shape, bool)
     pixels = np.ascontiguousarray((picture.permute(1, 2, 0) * 255).to(torch.uint8).numpy()[..., ::-1])
     side = max(round(policy.superpixel * max(mask.shape)), 2)
