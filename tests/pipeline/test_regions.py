@@ -20,14 +20,13 @@ from querysplat_cli.pipeline.parts import with_absolute_parts
 from querysplat_cli.pipeline.policy import PIPELINE_POLICY
 from querysplat_cli.pipeline.regions.colours import common_exposures, recoloured
 from querysplat_cli.pipeline.regions.groups import Group, divide
-from querysplat_cli.pipeline.regions.join import _hidden, _optimised, join, worse_joined
+from querysplat_cli.pipeline.regions.join import _optimised, join, worse_joined
 from querysplat_cli.pipeline.regions.owners import CoreViews, depth_maps, owners
 from querysplat_cli.pipeline.regions.scene import KeptRegions, RegionScene
 from querysplat_cli.pipeline.regions.seams import Seam, disagreement, find_seams, parts_needed, verdict
 from querysplat_cli.pipeline.regions.task import region_task
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.queries.prepare import NOT_KNOWN, MemoryMap, PreparedQueries
-from querysplat_cli.queries.transients import TransientShare
 from querysplat_cli.runtime.errors import ImpossibleScene
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.exposures import Exposures
@@ -153,21 +152,6 @@ def region(matrices: torch.Tensor | None) -> RegionScene:
     where = MemoryMap(torch.zeros(0).int(), torch.zeros(0).int(), torch.ones(3).int(), torch.zeros(0, 0, 0), NOT_KNOWN)
     prepared = PreparedQueries(memories, None, None, where)
     return RegionScene(grey(), {}, torch.zeros(1, 1, 1), prepared, exposures, None, 1, {})
-
-
-@pytest.mark.parametrize("filed", [False, True])
-def test_what_a_region_hides_is_hidden_in_the_whole(filed: bool, tmp_path: Path) -> None:
-    """The photo in the middle is in both regions; each hides a row of it, and one pixel is in both rows."""
-    shown = torch.ones(3, 4, 5, dtype=torch.bool)
-    shown[0, 3] = False  # padding
-    views: Views = Views(torch.rand(3, 3, 4, 5), shown.clone(), ("a", "b", "c"), ((3, 5), (4, 5), (4, 5)))
-    views = FiledViews(views, tmp_path / "all.views") if filed else views
-    first, second = torch.zeros(2, 4, 5, dtype=torch.bool)
-    first[2], second[:, 4] = True, True
-    scenes = [replace(region(None), transients={1: gone}) for gone in (first, second)]
-    found = _hidden(views, [Group((0,), (1,)), Group((2,), (1,))], scenes)
-    assert found == TransientShare(photos=1, share=8 / 55)
-    assert torch.equal(views.masks, torch.stack([shown[0], ~first & ~second, shown[2]]))
 
 
 def grey() -> Gaussians:

@@ -253,8 +253,8 @@ class ReconstructSettings:
     transients: Annotated[
         TransientThings,
         Option(
-            "Leave out what stood before the camera for one photo and was gone for the others, such as people walking "
-            "by. off: it takes part."
+            "Leave out what stands before the scene in one photo and not in the others: people walking by, or leaves "
+            "before the lens. off: it takes part."
         ),
     ] = "auto"
 

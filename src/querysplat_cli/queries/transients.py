@@ -1,8 +1,8 @@
-"""Transients: what stood before a camera while one photo was taken, and was gone for the others, as people walking by.
+"""Transients: what stands before the scene in one photo and not in the others, such as people who walk by.
 
 A scene cannot hold them, and would show ghosts of them from everywhere (Martin-Brualla et al. 2021, NeRF in the Wild).
-They are told from what a photo alone shows by what the other photos saw along each ray: wherever something might stand
-that gives the pixel its colour, another photo looks through, up to a surface that others measured in another colour.
+Other photos tell where they are. Along the ray of such a pixel they look through every place that could give it its
+colour, up to a surface that they measured in another colour.
 """
 
 from collections.abc import Mapping, Sequence
@@ -43,10 +43,9 @@ def without(views: Views, pixels: Bool[Tensor, "views height width"]) -> Views:
 
 
 def find_transients(views: Views, cameras: Cameras, geometry: Geometry) -> Bool[Tensor, "views height width"]:
-    """Pixels of each view that show what was gone for the others. Colours of the views have to agree (`Exposures`).
+    """Pixels of each view that show transients. Colours of the views have to agree (`Exposures`).
 
-    `geometry` has depth and confidence. A transient needs two other views that measured what is
-    behind it.
+    `geometry` has depth and confidence. A transient needs three other views that measured what is behind it.
     """
     assert geometry.depth is not None
     assert geometry.confidence is not None

@@ -10,6 +10,7 @@ from querysplat_cli.prune.resolution import Blurred
 from querysplat_cli.queries.cells import CELLS
 from querysplat_cli.queries.coverage import AnchorReport
 from querysplat_cli.queries.transients import TransientShare
+from querysplat_cli.runtime.words import counted
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.overlays import Overlaid
 from querysplat_cli.tto.adapt import Adapted
@@ -69,7 +70,8 @@ def overlays(found: Overlaid) -> Omission:
 
 
 def transients(found: TransientShare) -> Omission:
-    why = f"{found.photos} photos show what was gone for the others, such as people walking by"
+    where = counted(found.photos, "photo")
+    why = f"something stands before the scene in {where} and not in the others, such as people walking by"
     return Omission(TRANSIENTS, why, f"{found.share:.1%} of the pixels")
 
 

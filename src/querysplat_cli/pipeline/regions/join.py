@@ -6,6 +6,7 @@ from functools import partial
 from typing import Any, cast
 
 import torch
+from jaxtyping import Bool
 
 from querysplat_cli.encoders.base import Geometry, PosedViews
 from querysplat_cli.model.memories import Memories
@@ -94,7 +95,7 @@ def join(
     ended that optimisation.
     """
     joint = _Joint.of(posed, groups, kept)
-    transients = _hidden(posed.views, groups, joint.scenes)
+    transients = hide_transients(posed.views, groups, [scene.transients for scene in joint.scenes])
     scenes, seams = joint.scenes, find_seams(groups)
     files = photo_files(posed.views.names, posed.photo_cameras, sources)
     photos = LargePhotos(posed.views, posed.cameras, files, joint.exposures)
@@ -122,11 +123,13 @@ def join(
     return BuiltRegions(scene, regions, names, entries, warnings, peak)
 
 
-def _hidden(views: Views, groups: Sequence[Group], scenes: Sequence[RegionScene]) -> TransientShare | None:
-    """Hide in `views` the transients of all regions. Returns how much they are."""
+def hide_transients(
+    views: Views, groups: Sequence[Group], transients: Sequence[Mapping[int, Bool[torch.Tensor, "_ _"]]]
+) -> TransientShare | None:
+    """Hide in `views` the transients of all regions, by the row of a group's photo. Returns how much they are."""
     found: dict[int, int] = {}
-    for group, scene in zip(groups, scenes, strict=True):
-        for row, pixels in scene.transients.items():
+    for group, gone in zip(groups, transients, strict=True):
+        for row, pixels in gone.items():
             photo = group.rows[row]
             found[photo] = found.get(photo, 0) + int((views.masks[photo] & pixels).sum())
             views.hide(photo, pixels)
