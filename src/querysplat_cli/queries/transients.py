@@ -128,7 +128,8 @@ def _outlined(
     if not seed.any():
         return seed
     near = spread(cv2.MORPH_DILATE, seed, 2 * int(policy.around * max(mask.shape)) + 1)
-    whole = _touching(seed, (agreeing < policy.doubtful * size)[superpixels] & mask & near)
+    doubtful = (agreeing < policy.doubtful * size) & (against > policy.touched * size)
+    whole = _touching(seed, doubtful[superpixels] & mask & near)
     height, width = mask.shape
     sure = cv2.resize((verdicts == AGREES).astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST) > 0
     found = _large(_to_its_edges(whole, ~near | ~mask | spread(cv2.MORPH_OPEN, sure, 3), pixels, side))
