@@ -3,7 +3,7 @@
 import tomllib
 from dataclasses import dataclass, fields
 from importlib import resources
-from typing import Any, Literal, get_args
+from typing import Any, Literal, get_args, get_origin
 
 from querysplat_cli.runtime.choices import Frame
 from querysplat_cli.runtime.errors import QuerySplatError
@@ -77,7 +77,7 @@ class ModelConfig:
             raise QuerySplatError("refinement_rounds need anchored queries", 'Set queries = "anchored".')
         for field in fields(self):
             value, allowed = getattr(self, field.name), get_args(field.type)
-            if allowed and value not in allowed:
+            if get_origin(field.type) is Literal and value not in allowed:
                 raise QuerySplatError(f"{field.name} cannot be '{value}'", f"Choose one of: {', '.join(allowed)}.")
 
     @property

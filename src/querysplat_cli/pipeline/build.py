@@ -49,7 +49,7 @@ class BuiltScene:
     backdrop: Gaussians behind everything (`queries/backdrop.py`); None where there are none.
     duplicates: views that were left out of the scene.
     colours: how far the photos agree in colour; None where that was not measured.
-    transients: how much was gone for other photos; None where there is nothing, or nothing was looked for.
+    transients: how much was left out as such; None where there is nothing, or nothing was looked for.
     stopped: whether Ctrl-C came after the runs on the working pictures, before the first step on the photos.
     """
 

@@ -45,10 +45,11 @@ def make_start(
         measured = transients = None
         alike = posed.views
         anchored = model.config.queries == "anchored" and geometry.depth is not None
-        if anchored and len(posed.views) > 1:
+        seeks = settings.transients == "auto" and not settings.keep_everything
+        if anchored and len(posed.views) > 1 and (seeks or settings.exposure == "auto"):
             measured = compare_photos(posed.views, posed.cameras, geometry)
             alike = alike if measured.agree else measured.exposures.removed_from(alike)
-        if measured and settings.transients == "auto" and not settings.keep_everything:
+        if measured and seeks:
             pixels = find_transients(alike, posed.cameras, geometry)
             counts = {view: int(each.sum()) for view, each in enumerate(pixels) if each.any()}
             transients = TransientShare.of(counts, alike.sizes)

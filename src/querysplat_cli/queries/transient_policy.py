@@ -11,8 +11,6 @@ class TransientPolicy:
     photos (docs/tried.md).
     """
 
-    compared_views: int = 16
-    """Each view is compared with so many nearest others."""
     stride: int = 2
     """Every so many rows and columns a pixel is looked at."""
     measured: tuple[float, float] = (0.005, 0.995)

@@ -49,7 +49,7 @@ def find_transients(views: Views, cameras: Cameras, geometry: Geometry) -> Bool[
     """
     assert geometry.depth is not None
     assert geometry.confidence is not None
-    near = torch.cdist(cameras.centres, cameras.centres).argsort(stable=True)[:, : TRANSIENT_POLICY.compared_views + 1]
+    near = torch.cdist(cameras.centres, cameras.centres).argsort(stable=True)[:, : QUERY_POLICY.compared_views + 1]
     known = geometry.depth, geometry.confidence, views.masks, _smoothed(views)
     found = torch.zeros_like(views.masks)
     for view, row in enumerate(near):
@@ -108,8 +108,8 @@ def _outlined(
     """The transients of one picture, to their own edges.
 
     Superpixels (SLIC, Achanta et al. 2012) are judged as a whole: a contradiction along an edge means that a depth was
-    off by a pixel. What touches them and nothing speaks for belongs to them: another view may have measured nothing
-    behind a head. GrabCut (Rother et al. 2004) finds the edges.
+    off by a pixel. What touches them and is contradicted here and there belongs to them: another view may have measured
+    little behind a head. GrabCut (Rother et al. 2004) finds the edges.
     """
     policy = TRANSIENT_POLICY
     odd = spread(cv2.MORPH_OPEN, verdicts == CONTRADICTS, 3)  # not along an edge
@@ -120,9 +120,8 @@ def _outlined(
     superpixels = _superpixels(pixels, side)
     sparse = superpixels[policy.stride // 2 :: policy.stride, policy.stride // 2 :: policy.stride]
     count = int(superpixels.max()) + 1
-    size, against, agreeing = (
-        np.bincount(sparse[chosen], minlength=count) for chosen in (np.ones_like(odd), odd, verdicts == AGREES)
-    )
+    size = np.bincount(sparse.ravel(), minlength=count)
+    against, agreeing = (np.bincount(sparse[chosen], minlength=count) for chosen in (odd, verdicts == AGREES))
     transient = (against > policy.pure * (against + agreeing)) & (against > policy.covered * size)
     seed = _large(transient[superpixels] & mask)
     if not seed.any():

@@ -27,8 +27,10 @@ ExposureCorrection = Literal["auto", "off"]
 """Whether each photo has a colour transform. auto: where photos show the same surfaces in different colours."""
 
 Overlays = Literal["auto", "off"]
-TransientThings = Literal["auto", "off"]
 """Whether what lies over all photos takes part. auto: it does not. off: it is looked at as a part of the scene."""
+
+TransientThings = Literal["auto", "off"]
+"""Whether what stands before the scene in one photo takes part. auto: it does not. off: it is a part of the scene."""
 
 FileFrame = Literal["upright", "vgm"]
 """The frame of the files of a scene. upright: as viewers expect it. vgm: that of the vision geometric model, with the

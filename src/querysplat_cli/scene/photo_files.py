@@ -21,7 +21,7 @@ from querysplat_cli.scene.cameras import Cameras, PhotoCamera, same_shape
 from querysplat_cli.scene.decoding import longer_side, orientation_of, reduced
 from querysplat_cli.scene.films import film_size, frame_pixels
 from querysplat_cli.scene.lenses import shown_part
-from querysplat_cli.scene.masks import Overlay
+from querysplat_cli.scene.masks import Overlay, spread
 from querysplat_cli.scene.photos import load_photo
 from querysplat_cli.scene.resample import PinholeView
 from querysplat_cli.scene.undistort import on_canvas, undistorted
@@ -219,5 +219,5 @@ def _alike(
 
 def _hidden(shown: Bool[Tensor, "height width"], rows: int, columns: int) -> Bool[Tensor, "rows columns"]:
     """What a working picture does not show, at a larger size; without an edge of one pixel, which large masks know."""
-    inner = cv2.erode((~shown).numpy().astype(np.uint8), np.ones((3, 3), np.uint8))
+    inner = spread(cv2.MORPH_ERODE, (~shown).numpy(), 3).astype(np.uint8)
     return torch.from_numpy(cv2.resize(inner, (columns, rows), interpolation=cv2.INTER_NEAREST) > 0)

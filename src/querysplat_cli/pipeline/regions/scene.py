@@ -36,7 +36,7 @@ class RegionScene:
     """One region after its reconstruction, in the frame and order of its task.
 
     gaussians: without a backdrop.
-    transients: pixels that show what was gone for the others, by the row of a photo that shows some.
+    transients: pixels that show them, by the row of a photo that shows some.
     depth: what its core photos see, as `owners.depth_maps` has it.
     prepared: its queries, without any row: the last optimisation undoes what they decode to. What is left is
         the shape of their tensors, which the files of a scene have.
