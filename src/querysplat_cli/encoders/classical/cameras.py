@@ -1,6 +1,7 @@
 """Cameras of photos by structure from motion, and what is done when that finds none."""
 
 import hashlib
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -49,7 +50,7 @@ def estimate_cameras(
     `choice` of the matcher counts where cameras are unknown. Where no two photos can be related, one of two to four is
     used; raises ImpossibleScene where there are more.
     """
-    originals, copies = _without_copies(photos)
+    originals, copies = _without_copies(photos, request.known)
     if request.known is not None:
         placement = _place_known(originals, request.known, seed=request.seed, progress=progress)
     elif len(originals) == 1:
@@ -69,18 +70,46 @@ def estimate_cameras(
     )
 
 
-def _without_copies(photos: Sequence[Photo]) -> tuple[list[Photo], list[LeftOut]]:
-    """The photos that differ from all earlier ones, and the copies."""
+def _without_copies(
+    photos: Sequence[Photo], known: Mapping[str, PhotoCamera] | None
+) -> tuple[list[Photo], list[LeftOut]]:
+    """The photos that differ from all others, in their order, and the copies.
+
+    Of copies the one that its mask hides most of stays, so that what is masked in one does not come back from the
+    other. Where each mask hides something that the other shows, both stay. With `known` cameras, a copy with a camera
+    is none of one without.
+    """
     if not photos:
         raise ImpossibleScene("there is no photo to make a scene of", "Give at least two photos of one place.")
-    originals, copies = dict[tuple[tuple[int, ...], bytes], Photo](), []
+    same = defaultdict[tuple[bool, tuple[int, ...], bytes], list[Photo]](list)
     for photo in photos:
         content = hashlib.sha256(np.ascontiguousarray(photo.pixels).data).digest()
         release(photo)
-        first = originals.setdefault((photo.pixels.shape, content), photo)
-        if first is not photo:
-            copies.append(LeftOut(photo.name, f"it is the same picture as {first.name}"))
-    return list(originals.values()), copies
+        same[known is None or photo.name in known, photo.pixels.shape, content].append(photo)
+    copies = {}
+    for group in same.values():
+        kept: list[Photo] = []
+        for photo in sorted(group, key=_pixels_shown):
+            first = next((each for each in kept if _shows_no_more(each, photo)), None)
+            if first is None:
+                kept.append(photo)
+            else:
+                masked = "" if _shows_no_more(photo, first) else ", of which more is masked"
+                copies[photo.name] = LeftOut(photo.name, f"it is the same picture as {first.name}{masked}")
+            release(photo)
+    originals = [photo for photo in photos if photo.name not in copies]
+    return originals, [copies[photo.name] for photo in photos if photo.name in copies]
+
+
+def _pixels_shown(photo: Photo) -> int:
+    return photo.height * photo.width if photo.mask is None else int(np.count_nonzero(photo.mask))
+
+
+def _shows_no_more(one: Photo, other: Photo) -> bool:
+    """Whether what `one` shows of the picture, `other` shows, too."""
+    if other.mask is None:
+        return True
+    return one.mask is not None and not bool((one.mask & ~other.mask).any())
 
 
 def _place(photos: Sequence[Photo], choice: MatcherChoice, *, seed: int, progress: Progress) -> Placement:
