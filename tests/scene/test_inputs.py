@@ -54,6 +54,14 @@ def test_the_film_of_a_live_photo_is_left_out(folder: Path) -> None:
     assert [each.name for each in left_out] == ["A.MOV"]
 
 
+@pytest.mark.parametrize("name", ["A.MP4", "a.mp4"])
+def test_the_film_of_a_live_photo_may_be_an_mp4(folder: Path, name: str) -> None:
+    write_film(folder / name, pan([0, 40, 80]))
+    photos, left_out = load_inputs(find_photos([folder]))
+    assert not any(photo.name.startswith(name) for photo in photos)
+    assert (name, "it is the film of the Live Photo beside it") in [(each.name, each.why) for each in left_out]
+
+
 def test_films_of_one_name(tmp_path: Path) -> None:
     for folder in ("a", "b"):
         (tmp_path / folder).mkdir()

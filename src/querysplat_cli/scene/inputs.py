@@ -15,6 +15,8 @@ from querysplat_cli.scene.views import LeftOut, Photo
 
 AHEAD = 32
 """Frames that are decoded in one pass over their film: so many large ones are kept until they are read."""
+LIVE_SUFFIXES = {".mov", ".mp4"}
+"""Of the films of Live Photos: as phones store them, and as some programs and clouds export them."""
 LIVE_FRAMES = 200
 """The film of a Live Photo has at most so many frames: it takes three seconds."""
 
@@ -61,7 +63,7 @@ def load_inputs(
 
 def _is_live(path: Path, paths: Sequence[Path]) -> bool:
     """Whether a file is the short film that a phone stores beside a photo, under the name of the photo."""
-    if path.suffix.lower() != ".mov":
+    if path.suffix.lower() not in LIVE_SUFFIXES:
         return False
     named = [each for each in paths if each.parent == path.parent and each.stem.casefold() == path.stem.casefold()]
     if all(map(is_film, named)):
