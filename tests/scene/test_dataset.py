@@ -54,6 +54,17 @@ def test_layouts_of_dl3dv(tmp_path: Path, inner: str) -> None:
     assert find_scenes([tmp_path / "1K" / "b2"])[0].name == "b2"
 
 
+def test_a_listing_without_sizes_takes_those_of_its_pictures(tmp_path: Path) -> None:
+    write_scene(tmp_path / "abc", "images")
+    content = listing(list(range(1, FRAMES + 1)))
+    del content["w"], content["h"]
+    (tmp_path / "abc" / "transforms.json").write_text(json.dumps(content))
+    packed = Path(shutil.make_archive(str(tmp_path / "archive"), "zip", tmp_path / "abc"))
+    for place in (tmp_path / "abc", packed):
+        (scene,) = find_scenes([place])
+        assert {(camera.width, camera.height) for camera in scene.cameras.values()} == {(64, 48)}
+
+
 def test_a_zip_is_read_like_its_folder(tmp_path: Path) -> None:
     write_scene(tmp_path / "abc" / "scene1")
     packed = Path(shutil.make_archive(str(tmp_path / "archive"), "zip", tmp_path / "abc"))

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from PIL import ExifTags, Image
 from scipy.spatial.transform import Rotation
 
 from querysplat_cli.runtime.errors import QuerySplatError
@@ -117,6 +118,31 @@ def test_angles_in_place_of_focal_lengths(tmp_path: Path) -> None:
     assert read_transforms(path)["1.png"].focal == pytest.approx((500, 500))
     path.write_text(json.dumps({"w": 640, "h": 480, "camera_angle_x": 0, "frames": [frame()]}))
     with pytest.raises(QuerySplatError, match=r"the camera of 1.png makes no sense"):
+        read_transforms(path)
+
+
+def test_the_size_of_the_picture_where_none_is_stated(tmp_path: Path) -> None:
+    """Blender's and instant-ngp's files state an angle, and list pictures without their suffixes."""
+    path = tmp_path / "transforms.json"
+    angle = {"camera_angle_x": 2 * math.atan(64 / 2 / 50)}
+    frames = [frame("./train/r_0"), frame("elsewhere/1.jpg"), frame(str(tmp_path / "2.png")), frame("3.png", h=48)]
+    path.write_text(json.dumps({**angle, "frames": frames}))
+    with pytest.raises(QuerySplatError, match="r_0 has no 'w'"):
+        read_transforms(path)
+    for name in ("train/r_0.png", "images/1.jpg", "2.png", "3.png"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        Image.new("RGB", (64, 48)).save(tmp_path / name)
+    on_its_side = Image.Exif()
+    on_its_side[ExifTags.Base.Orientation] = 6
+    Image.new("RGB", (48, 64)).save(tmp_path / "images/1.jpg", exif=on_its_side)
+    found = read_transforms(path)
+    assert list(found) == ["r_0", "1.jpg", "2.png", "3.png"]
+    for camera in found.values():
+        assert (camera.width, camera.height) == (64, 48)
+        assert camera.focal == pytest.approx((50, 50))
+        assert camera.principal == (32, 24)
+    (tmp_path / "2.png").write_bytes(b"no picture")
+    with pytest.raises(QuerySplatError, match=r"2\.png has no 'w'"):
         read_transforms(path)
 
 

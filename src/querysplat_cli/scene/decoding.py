@@ -3,6 +3,7 @@
 import warnings
 from dataclasses import dataclass
 from functools import cache
+from importlib.resources.abc import Traversable
 from pathlib import Path
 
 import cv2
@@ -153,6 +154,19 @@ def longer_side(path: Path) -> int:
             return max(image.size)
     except UnidentifiedImageError:
         return 0
+
+
+def upright_size(file: Traversable) -> tuple[int, int] | None:
+    """(height, width) of the upright picture in a file; None where it cannot be read, or only its pixels show that."""
+    _reads_heif()
+    try:
+        with file.open("rb") as stream, Image.open(stream) as image:
+            width, height = image.size
+            return (
+                (width, height) if image.getexif().get(ExifTags.Base.Orientation) in ON_THEIR_SIDE else (height, width)
+            )
+    except Exception:  # damage can raise anything in Pillow's decoders
+        return None
 
 
 def orientation_of(path: Path) -> int:

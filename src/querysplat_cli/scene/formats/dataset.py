@@ -13,6 +13,7 @@ from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.drafts import scratch_folder
 from querysplat_cli.scene.formats.colmap import MODEL_FOLDERS, read_colmap
+from querysplat_cli.scene.formats.listed_pictures import inside, listed_picture
 from querysplat_cli.scene.formats.transforms import listed_paths, read_transforms
 from querysplat_cli.scene.formats.transforms_frame import is_rigid
 from querysplat_cli.scene.photos import SUFFIXES, natural_key
@@ -155,8 +156,8 @@ def _inner_scenes(entry: Traversable, pictures: str, depth: int) -> Sequence[Cap
 
 
 def _scene(place: Traversable, name: str, pictures: str) -> CapturedScene | None:
-    for home in (_inside(place, part) for part in HOMES):
-        folders = [folder for folder in (pictures, *DATASET_FOLDERS) if _inside(home, folder).is_dir()]
+    for home in (inside(place, part) for part in HOMES):
+        folders = [folder for folder in (pictures, *DATASET_FOLDERS) if inside(home, folder).is_dir()]
         if (home / "transforms.json").is_file() or folders:
             return _read(home, name, folders[0] if folders else None, pictures)
     if any(_is_picture(entry) for entry in place.iterdir()):
@@ -166,7 +167,7 @@ def _scene(place: Traversable, name: str, pictures: str) -> CapturedScene | None
 
 def _read(home: Traversable, name: str, folder: str | None, wanted: str) -> CapturedScene:
     notes = []
-    place = _inside(home, folder or "")
+    place = inside(home, folder or "")
     cameras, paths = _cameras(home)
     if cameras and folder not in (None, wanted):
         notes.append(f"no {wanted}: its pictures are those of {folder}")
@@ -175,7 +176,7 @@ def _read(home: Traversable, name: str, folder: str | None, wanted: str) -> Capt
         for index, (short, path) in enumerate(zip(cameras, paths, strict=True)):
             # The folder in the file is that of the full-size pictures, which often are not there.
             candidates = (place, path), (place, short), (home, path)
-            file = next(filter(None, (_picture(*candidate) for candidate in candidates)), None)
+            file = next(filter(None, (listed_picture(*candidate) for candidate in candidates)), None)
             if file is not None:
                 frames.append(_frame(index, short, folder, file))
         if len(frames) < len(cameras):
@@ -188,12 +189,6 @@ def _read(home: Traversable, name: str, folder: str | None, wanted: str) -> Capt
         notes.append(f"{len(cameras) - len(rigid)} cameras are no rigid motions, and not used")
     ordered = sorted(frames, key=lambda frame: natural_key(Path(frame.name)))
     return CapturedScene(name, tuple(ordered), rigid, tuple(notes))
-
-
-def _picture(place: Traversable, path: str) -> Traversable | None:
-    """The file of a listed frame, if it is there. NeRF's synthetic scenes list files without their suffixes."""
-    suffixes = ("", *sorted(SUFFIXES)) if Path(path).suffix.lower() not in SUFFIXES else ("",)
-    return next((file for suffix in suffixes if (file := _inside(place, path + suffix)).is_file()), None)
 
 
 def _frame(index: int, name: str, folder: str | None, file: Traversable) -> Frame:
@@ -214,9 +209,9 @@ def _cameras(home: Traversable) -> tuple[dict[str, PhotoCamera], list[str]]:
 
 def _copied_cameras(home: Traversable, scratch: Path) -> tuple[dict[str, PhotoCamera], list[str]]:
     if (home / "transforms.json").is_file():
-        return _listed(_copied(home / "transforms.json", scratch))
+        return _listed(_copied(home / "transforms.json", scratch), home)
     for part in MODEL_FOLDERS:
-        model = _inside(home, part)
+        model = inside(home, part)
         files = [model / file for file in MODEL_FILES if (model / file).is_file()] if model.is_dir() else []
         if any(file.name.startswith("images.") for file in files):
             for file in files:
@@ -225,12 +220,12 @@ def _copied_cameras(home: Traversable, scratch: Path) -> tuple[dict[str, PhotoCa
             return cameras, [camera.file for camera in cameras.values()]
     # Our scene folder's. The original 3DGS writes another kind of cameras.json next to a COLMAP model.
     if (home / "cameras.json").is_file():
-        return _listed(_copied(home / "cameras.json", scratch))
+        return _listed(_copied(home / "cameras.json", scratch), home)
     return {}, []
 
 
-def _listed(listing: Path) -> tuple[dict[str, PhotoCamera], list[str]]:
-    return read_transforms(listing), list(listed_paths(listing).values())
+def _listed(listing: Path, home: Traversable) -> tuple[dict[str, PhotoCamera], list[str]]:
+    return read_transforms(listing, home=home), list(listed_paths(listing).values())
 
 
 def _copied(file: Traversable, folder: Path) -> Path:
@@ -238,13 +233,6 @@ def _copied(file: Traversable, folder: Path) -> Path:
     with _unpacking(file):
         copy.write_bytes(file.read_bytes())
     return copy
-
-
-def _inside(place: Traversable, part: str) -> Traversable:
-    # A zip's paths have no empty parts and no "./".
-    for step in (step for step in part.split("/") if step not in ("", ".")):
-        place = place / step
-    return place
 
 
 def _is_picture(entry: Traversable) -> bool:

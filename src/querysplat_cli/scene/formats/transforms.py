@@ -6,6 +6,7 @@ world-to-camera. Principal points count from the picture's corner: pixel centres
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from importlib.resources.abc import Traversable
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -16,6 +17,7 @@ from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.json_files import read_json, shown
 from querysplat_cli.scene.cameras import FARTHEST_CENTRE, LONGEST_SIDE, Cameras, PhotoCamera
 from querysplat_cli.scene.files import write_json
+from querysplat_cli.scene.formats.listed_pictures import with_size
 from querysplat_cli.scene.formats.transforms_frame import frame_camera, is_rigid, opengl_from_opencv
 from querysplat_cli.scene.photo_names import names_a_photo, short_names, stated_parts
 from querysplat_cli.scene.pictures import stored_name
@@ -36,8 +38,11 @@ class NamedCameras:
         return replace(self, cameras=self.cameras.transformed(frame)) if frame else self
 
 
-def read_transforms(path: Path, *, fisheye: bool = False) -> dict[str, PhotoCamera]:
+def read_transforms(path: Path, *, fisheye: bool = False, home: Traversable | None = None) -> dict[str, PhotoCamera]:
     """Cameras by photo name, with the lens distortion and the picture size that the file states.
+
+    Where it states no size, it is that of the listed picture, upright: in `home`, which by default is the file's
+    folder.
 
     A photo's name is the file name in `file_path` (the folder often does not exist as written), or in our own
     `photo`, with as much of the folder as makes it unique. Intrinsics may be given for each
@@ -45,10 +50,10 @@ def read_transforms(path: Path, *, fisheye: bool = False) -> dict[str, PhotoCame
     Raises QuerySplatError when the file is unreadable, incomplete, or states a lens other than OpenCV's. With
     `fisheye`, OpenCV's fisheye lenses are read, too.
     """
-    content = _load(path)
+    content, home = _load(path), home or path.parent
     return {
         name: replace(
-            frame_camera(path, name, {**content, **frame}, fisheye=fisheye),
+            frame_camera(path, name, _with_size({**content, **frame}, home), fisheye=fisheye),
             file=_photo(path, frame),
             as_stored=frame.get("as_stored") is True,
         )
@@ -227,6 +232,11 @@ def _named_frames(path: Path, content: Mapping[str, Any]) -> dict[str, dict[str,
     frames = [*content["frames"], *content.get("heldout_frames", [])]
     names = short_names([PurePosixPath(_photo(path, frame)) for frame in frames])
     return dict(zip(names, frames, strict=True))
+
+
+def _with_size(frame: Mapping[str, Any], home: Traversable) -> Mapping[str, Any]:
+    file = frame["file_path"]
+    return with_size(frame, with_slashes(file), home) if isinstance(file, str) else frame
 
 
 def _photo(path: Path, frame: Any) -> str:

@@ -14,6 +14,7 @@ from querysplat_cli.scene.cameras import PhotoCamera
 OPENGL_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
 LENS_MODELS = {"PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"}
 FISHEYE = "OPENCV_FISHEYE"
+NEEDED = "Every frame needs w and h, or its picture where it says; fl_x or camera_angle_x; and a matrix."
 RIGID_TOLERANCE = 1e-3
 """How far rounding in a file may move R·Rᵀ from the identity."""
 
@@ -57,7 +58,7 @@ def frame_camera(path: Path, name: str, frame: Mapping[str, Any], *, fisheye: bo
             raise ValueError(camera.fault())
         return camera
     except KeyError as error:
-        raise QuerySplatError(f"{path}: {name} has no {error}", "Every frame needs w, h, fl_x and a matrix.") from None
+        raise QuerySplatError(f"{path}: {name} has no {error}", NEEDED) from None
     except (TypeError, ValueError, ArithmeticError) as error:
         raise QuerySplatError(f"{path}: the camera of {name} makes no sense: {error}", "Export it again.") from None
 

@@ -1,0 +1,39 @@
+"""The pictures that a transforms.json lists: their files, and their sizes where the file states none."""
+
+from collections.abc import Mapping
+from importlib.resources.abc import Traversable
+from pathlib import Path
+from typing import Any
+
+from querysplat_cli.scene.decoding import upright_size
+from querysplat_cli.scene.photos import PICTURE_FOLDERS, SUFFIXES
+
+
+def inside(place: Traversable, part: str) -> Traversable:
+    """The file or folder of this path in a folder, which may be one in a zip."""
+    # A zip's paths have no empty parts and no "./".
+    for step in (step for step in part.split("/") if step not in ("", ".")):
+        place = place / step
+    return place
+
+
+def listed_picture(place: Traversable, path: str) -> Traversable | None:
+    """The file of a listed frame, if it is there. NeRF's synthetic scenes list files without their suffixes."""
+    suffixes = ("", *sorted(SUFFIXES)) if Path(path).suffix.lower() not in SUFFIXES else ("",)
+    return next((file for suffix in suffixes if (file := inside(place, path + suffix)).is_file()), None)
+
+
+def with_size(frame: Mapping[str, Any], path: str, home: Traversable) -> Mapping[str, Any]:
+    """A frame with `w` and `h`: those of its picture where it states none and the picture can be read.
+
+    The picture is looked for at `path` as written, in `home`, and in the folder of full-size pictures there.
+    """
+    if "w" in frame and "h" in frame:
+        return frame
+    root = Path("/") if path.startswith("/") and isinstance(home, Path) else home
+    try:
+        file = listed_picture(root, path) or listed_picture(inside(home, PICTURE_FOLDERS[0]), Path(path).name)
+    except (OSError, ValueError):  # no path that a system has
+        return frame
+    size = upright_size(file) if file else None
+    return {"h": size[0], "w": size[1], **frame} if size else frame
