@@ -270,6 +270,23 @@ def test_places_without_a_scene_are_refused(tmp_path: Path) -> None:
     with pytest.raises(QuerySplatError, match="no scene in it"):
         find_scenes([tmp_path / "empty"])
     write_scene(tmp_path / "one" / "same")
-    write_scene(tmp_path / "two" / "same")
     with pytest.raises(QuerySplatError, match="two scenes are called same"):
-        find_scenes([tmp_path / "one", tmp_path / "two"])
+        find_scenes([tmp_path / "one", tmp_path / "one" / "same"])
+
+
+def test_scenes_of_one_name_get_their_parents_names(tmp_path: Path) -> None:
+    for parent in ("a", "b"):
+        write_scene(tmp_path / parent / "nerfstudio")
+        write_scene(tmp_path / parent / "rooms" / "hall")
+    inner, halls = ([tmp_path / parent / part for parent in ("a", "b")] for part in ("nerfstudio", "rooms"))
+    assert [scene.name for scene in find_scenes(inner)] == ["a", "b"]
+    assert [scene.name for scene in find_scenes(halls)] == ["a_rooms_hall", "b_rooms_hall"]
+    assert [scene.name for scene in find_scenes(halls[:1])] == ["hall"]
+    assert [scene.name for scene in find_scenes(inner[:1])] == ["nerfstudio"]
+    packed = [
+        Path(shutil.make_archive(str(tmp_path / parent / "packed"), "zip", tmp_path / parent / "rooms"))
+        for parent in ("a", "b")
+    ]
+    assert [scene.name for scene in find_scenes(packed)] == ["a_packed_hall", "b_packed_hall"]
+    with pytest.raises(QuerySplatError, match="two scenes are called a"):
+        find_scenes([inner[0], *inner])

@@ -3,11 +3,12 @@
 import shutil
 import zipfile
 import zlib
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.resources.abc import Traversable
-from pathlib import Path
+from pathlib import Path, PurePath
 
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import PhotoCamera
@@ -16,6 +17,7 @@ from querysplat_cli.scene.formats.colmap import MODEL_FOLDERS, read_colmap
 from querysplat_cli.scene.formats.listed_pictures import inside, listed_picture
 from querysplat_cli.scene.formats.transforms import listed_paths, read_transforms
 from querysplat_cli.scene.formats.transforms_frame import is_rigid
+from querysplat_cli.scene.photo_names import short_names
 from querysplat_cli.scene.photos import SUFFIXES, natural_key
 
 DATASET_FOLDERS = ("images_4", "images_2", "images", "images_8")
@@ -67,26 +69,42 @@ def find_scenes(places: Sequence[Path], pictures: str = DATASET_FOLDERS[0]) -> l
     """Every scene in `places`: scene folders, zips of scenes, or folders of those, by name in natural order.
 
     `pictures` is the preferred folder of pictures (images_4, …). Where a scene does not have it another one is taken,
-    with a note. One of several scenes in a folder that cannot be read has a `fault`. Raises QuerySplatError when a
-    place is missing, damaged or holds no scene, and when two scenes have one name.
+    with a note. One of several scenes in a folder that cannot be read has a `fault`. Scenes of one name get those of
+    their parents, too. Raises QuerySplatError when a place is missing, damaged or holds no scene, and when a scene is
+    given twice.
     """
-    scenes: dict[str, CapturedScene] = {}
+    found: list[tuple[PurePath, CapturedScene]] = []
     for place in places:
         if not place.exists():
             raise QuerySplatError(f"{place}: no such file or folder", "Give a scene, or a folder of scenes.")
-        found = list(_scenes(_opened(place), _stem(place.resolve()), pictures, SCENE_DEPTH))
-        if not found:
+        here = list(_scenes(_opened(place), _unzipped(place.resolve()), pictures, SCENE_DEPTH))
+        if not here:
             raise QuerySplatError(
                 f"{place}: no scene in it", "A scene is a folder of pictures, or has images_4 and a transforms.json."
             )
-        if all(scene.fault for scene in found):
-            raise QuerySplatError(found[0].fault, "Download or export the scene again.")
-        for scene in found:
-            if scene.name in scenes:
-                why = f"two scenes are called {scene.name}"
-                raise QuerySplatError(why, "Give each scene once, and each a name of its own.")
-            scenes[scene.name] = scene
-    return sorted(scenes.values(), key=lambda scene: natural_key(Path(scene.name)))
+        if all(scene.fault for _, scene in here):
+            raise QuerySplatError(here[0][1].fault, "Download or export the scene again.")
+        found += here
+    names = _distinct_names([where for where, _ in found])
+    if twice := [name for name, count in Counter(names).items() if count > 1]:
+        why = f"two scenes are called {twice[0]}"
+        raise QuerySplatError(why, "Give each scene once, and each a name of its own.")
+    scenes = [replace(scene, name=name) for name, (_, scene) in zip(names, found, strict=True)]
+    return sorted(scenes, key=lambda scene: natural_key(Path(scene.name)))
+
+
+def _distinct_names(places: Sequence[PurePath]) -> list[str]:
+    """The last part of each path; of paths that share it, as many more parts as tell them apart.
+
+    DL3DV's folders in a scene do not count then: `a/nerfstudio` and `b/nerfstudio` are a and b.
+    """
+    names = [place.name for place in places]
+    for name in [name for name, count in Counter(names).items() if count > 1]:
+        rows = [row for row, place in enumerate(places) if place.name == name]
+        longer = short_names([places[row].parent if name in HOMES else places[row] for row in rows])
+        for row, path in zip(rows, longer, strict=True):
+            names[row] = path.replace("/", "_")
+    return names
 
 
 def fetch(frames: Sequence[Frame], scratch: Path) -> list[Path]:
@@ -127,31 +145,35 @@ def _opened(place: Path) -> Traversable:
         raise QuerySplatError(f"{place}: no folder, and no zip: {error}", "Give a folder or a .zip.") from None
 
 
-def _stem(place: Traversable) -> str:
-    return place.name.removesuffix(".zip")
+def _unzipped(place: PurePath) -> PurePath:
+    stem = place.name.removesuffix(".zip")
+    return place.with_name(stem) if stem else place
 
 
-def _scenes(place: Traversable, name: str, pictures: str, depth: int) -> Iterator[CapturedScene]:
-    scene = _scene(place, name, pictures)
+def _scenes(place: Traversable, where: PurePath, pictures: str, depth: int) -> Iterator[tuple[PurePath, CapturedScene]]:
+    """The scenes in `place`, with their paths: `where` this is, and folders in it."""
+    scene = _scene(place, where.name, pictures)
     if scene:
-        yield scene
+        yield where, scene
     elif depth:
         for entry in sorted(place.iterdir(), key=lambda entry: entry.name):
             if entry.name.startswith(".") or entry.name == MAC_NOTES:
                 continue
-            yield from _inner_scenes(entry, pictures, depth - 1)
+            yield from _inner_scenes(entry, where / entry.name, pictures, depth - 1)
 
 
-def _inner_scenes(entry: Traversable, pictures: str, depth: int) -> Sequence[CapturedScene]:
+def _inner_scenes(
+    entry: Traversable, where: PurePath, pictures: str, depth: int
+) -> Sequence[tuple[PurePath, CapturedScene]]:
     """The scenes in a folder or zip in a folder of scenes. One that cannot be read leaves the others alone."""
-    name = entry.name if entry.is_dir() else _stem(entry)
+    where = where if entry.is_dir() else _unzipped(where)
     try:
         if entry.is_dir():
-            return list(_scenes(entry, name, pictures, depth))
+            return list(_scenes(entry, where, pictures, depth))
         if isinstance(entry, Path) and entry.suffix.lower() == ".zip" and entry.is_file():
-            return list(_scenes(_opened(entry), name, pictures, depth))
+            return list(_scenes(_opened(entry), where, pictures, depth))
     except QuerySplatError as error:
-        return [CapturedScene(name, (), {}, (f"left out: {error.message}",), error.message)]
+        return [(where, CapturedScene(where.name, (), {}, (f"left out: {error.message}",), error.message))]
     return []
 
 
