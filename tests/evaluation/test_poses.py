@@ -1,11 +1,13 @@
 """Camera errors with known answers."""
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
@@ -212,10 +214,27 @@ def test_fisheye_cameras_are_compared(longer: float, tmp_path: Path) -> None:
     assert summary["focal_error"]["max_abs"] < 0.01  # views have whole numbers of pixels
 
 
-def test_fisheye_photos_are_not_given_to_colmap(tmp_path: Path) -> None:
-    frames = [{"file_path": "a.png", "transform_matrix": np.eye(4).tolist()}]
-    file = tmp_path / "a.json"
+def test_colmap_gets_pinhole_views_of_fisheye_photos(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    cameras = track(3)
+    frames = [
+        {"file_path": f"images/{name}", "transform_matrix": opengl_from_opencv(camera.w2c).tolist()}
+        for name, camera in cameras.items()
+    ]
+    (tmp_path / "images").mkdir()
+    for name in cameras:
+        Image.new("RGB", (320, 240)).save(tmp_path / "images" / name)
     lens = {"camera_model": "OPENCV_FISHEYE", "w": 320, "h": 240, "fl_x": 110, "fl_y": 110, "cx": 160, "cy": 120}
-    file.write_text(json.dumps({**lens, "frames": frames}))
-    with pytest.raises(QuerySplatError, match=r"lens of a\.png"):
-        compare(PosesRequest(file, colmap=True), Stages())
+    (tmp_path / "transforms.json").write_text(json.dumps({**lens, "frames": frames}))
+
+    def colmap(photos: Sequence[Photo], **_: object) -> dict[str, PhotoCamera]:
+        views = {photo.name: photo.view for photo in photos if photo.view}
+        assert list(views) == list(cameras)
+        size = {photo.name: (photo.height, photo.width) for photo in photos}
+        K = np.diag([110.0, 110, 1])
+        return {name: PhotoCamera.pinhole(cameras[name].w2c, K, *size[name]) for name in views}
+
+    monkeypatch.setattr("querysplat_cli.commands.poses.estimate_with_colmap", colmap)
+    summary, _ = compare(PosesRequest(tmp_path, colmap=True), Stages())
+    assert summary["photos"] == 3
+    assert summary["rotation_degrees"]["max"] < 1e-4
+    assert summary["focal_error"]["max_abs"] < 0.01  # views have whole numbers of pixels

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import cv2
@@ -10,11 +11,14 @@ import pycolmap
 import pytest
 from PIL import Image
 
+from querysplat_cli.commands.convert import convert
+from querysplat_cli.commands.convert_request import Conversion
 from querysplat_cli.pipeline.kept_parts import read_part, write_part
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.filed_pixels import FiledPixels
 from querysplat_cli.scene.formats.known import read_known_cameras
+from querysplat_cli.scene.formats.transforms import write_transforms
 from querysplat_cli.scene.lenses import pinhole_photos, same_panorama
 from querysplat_cli.scene.photo_files import photo_files, read_photo_files, write_photo_files
 from querysplat_cli.scene.photos import load_photos
@@ -228,3 +232,27 @@ def test_fisheye_cameras_of_nerfstudio(tmp_path: Path) -> None:
     found = read_known_cameras(tmp_path, fisheye=True)["a.png"]
     assert found.fisheye
     assert found.distortion == BENT
+
+
+@pytest.mark.parametrize("mixed", [False, True])
+def test_fisheye_cameras_are_converted(tmp_path: Path, mixed: bool) -> None:
+    """transforms.json → COLMAP → COLMAP text → transforms.json → scene folder of pinhole views."""
+    photos, stations = tmp_path / "photos", [tmp_path / name for name in ("a.json", "model", "text", "b.json")]
+    photos.mkdir()
+    Image.new("RGB", (WIDTH, HEIGHT), "red").save(photos / "a.png")
+    given = {"a.png": fisheye(), **({"b.png": replace(fisheye(), fisheye=False)} if mixed else {})}
+    write_transforms(stations[0], given)
+    for source, target in pairwise(stations):
+        convert(Conversion(source, target, text=target.name == "text"))
+    for station in stations:
+        found = read_known_cameras(station, fisheye=True)
+        assert found.keys() == given.keys()
+        for name, camera in given.items():
+            assert found[name].fisheye == camera.fisheye
+            assert found[name].focal == pytest.approx(camera.focal)
+            assert found[name].distortion == pytest.approx(camera.distortion)
+    made = convert(Conversion(stations[-1], tmp_path / "scene", photos=photos))
+    assert made["cameras"] == 1
+    camera = read_known_cameras(tmp_path / "scene")["a.png"]
+    assert camera.distortion == (0, 0, 0, 0)
+    assert camera.focal[0] == pytest.approx(LENS[0], abs=0.5)

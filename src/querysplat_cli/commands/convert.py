@@ -20,6 +20,7 @@ from querysplat_cli.scene.formats.known import MODEL_KINDS, find_known_cameras, 
 from querysplat_cli.scene.formats.mesh import MESH_KINDS
 from querysplat_cli.scene.formats.transforms import write_transforms
 from querysplat_cli.scene.formats.transforms_frame import is_rigid
+from querysplat_cli.scene.lenses import pinhole_photos
 from querysplat_cli.scene.match_cameras import cameras_of, match_cameras
 from querysplat_cli.scene.orientation import stored_camera, upright_camera
 from querysplat_cli.scene.photo_files import read_photo_files
@@ -80,7 +81,7 @@ def _kind_of_folder(request: Conversion) -> FolderKind | None:
 
 def _convert_cameras(request: Conversion) -> dict[str, Any]:
     source = find_known_cameras(request.source)
-    given = read_known_cameras(source)
+    given = read_known_cameras(source, fisheye=True)
     cameras = {name: camera for name, camera in given.items() if is_rigid(camera.w2c)}
     left_out = [vars(LeftOut(name, "its camera is no rigid motion")) for name in given if name not in cameras]
     if not cameras:
@@ -132,6 +133,9 @@ def _make_scene_folder(target: Path, cameras: Mapping[str, PhotoCamera], place: 
                 left_out.append(photo)
                 continue
             own = {name: upright_camera(matched[name], photo)} if name in matched else {}
+            if any(camera.fisheye for camera in own.values()):
+                (photo,), views_of_own = pinhole_photos([photo], own, "auto")
+                own = views_of_own or {}
             usable, unusable = match_cameras([photo], own)
             left_out += unusable
             for camera in usable.values():

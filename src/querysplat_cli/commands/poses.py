@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from querysplat_cli.scene.files import refuse_existing, writable
 from querysplat_cli.scene.formats.known import find_known_cameras, read_known_cameras
 from querysplat_cli.scene.formats.transforms import listed_paths
 from querysplat_cli.scene.formats.transforms_frame import is_rigid
+from querysplat_cli.scene.lenses import pinhole_photos
 from querysplat_cli.scene.match_cameras import matched_names
 from querysplat_cli.scene.orientation import upright_camera
 from querysplat_cli.scene.photo_files import PhotoFile, check_photo_files, read_photo_files
@@ -42,13 +44,13 @@ def compare(request: PosesRequest, stages: Stages) -> tuple[dict[str, Any], str]
 
 def _compared(request: PosesRequest, stages: Stages) -> tuple[dict[str, Any], str]:
     files = {name: file for place in (request.second, request.first) if place for name, file in _files(place).items()}
-    # COLMAP is asked for other lenses, and would place the photos of a fisheye badly.
-    first = _upright(_rigid_cameras(request.first, fisheye=not request.colmap), files)
+    first = _upright(_rigid_cameras(request.first), files)
     if request.second:
-        second, name = _upright(_rigid_cameras(request.second, fisheye=True), files), str(request.second)
+        second, name = _upright(_rigid_cameras(request.second), files), str(request.second)
     else:
         with stages("photos") as progress:
             photos = _photos(request.first, list(files.values()), progress)
+            first, photos = _as_pinholes(first, photos)
         second, name = estimate_with_colmap(photos, seed=request.seed, stages=stages), "COLMAP"
     errors = compare_cameras(first, second)
     if request.plot:
@@ -56,12 +58,9 @@ def _compared(request: PosesRequest, stages: Stages) -> tuple[dict[str, Any], st
     return errors.summary(), name
 
 
-def _rigid_cameras(place: Path, *, fisheye: bool) -> dict[str, PhotoCamera]:
-    """The cameras in or at `place`; with `fisheye`, of fisheye lenses, too.
-
-    Raises QuerySplatError where one of them is no rigid motion.
-    """
-    cameras = read_known_cameras(place, fisheye=fisheye)
+def _rigid_cameras(place: Path) -> dict[str, PhotoCamera]:
+    """The cameras in or at `place`. Raises QuerySplatError where one of them is no rigid motion."""
+    cameras = read_known_cameras(place, fisheye=True)
     wrong = [name for name, camera in cameras.items() if not is_rigid(camera.w2c)]
     if wrong:
         raise QuerySplatError(
@@ -74,6 +73,17 @@ def _upright(cameras: dict[str, PhotoCamera], files: Mapping[str, PhotoFile]) ->
     """The cameras for the upright photos, where these are known. Those of COLMAP are for the stored ones."""
     pairs = matched_names({name: file.path for name, file in files.items()}, cameras)
     return {**cameras, **{key: upright_camera(cameras[key], files[name]) for name, key in pairs.items()}}
+
+
+def _as_pinholes(cameras: dict[str, PhotoCamera], photos: list[Photo]) -> tuple[dict[str, PhotoCamera], list[Photo]]:
+    """The cameras and photos, with pinhole views in place of fisheye photos, which COLMAP's defaults place badly."""
+    if not any(camera.fisheye for camera in cameras.values()):
+        return cameras, photos
+    keys = matched_names({photo.name: photo.path for photo in photos}, cameras)
+    own = {photo.name: upright_camera(cameras[keys[photo.name]], photo) for photo in photos if photo.name in keys}
+    views, straight = pinhole_photos(photos, own, "auto")
+    found = {keys[name]: replace(camera, file=own[name].file) for name, camera in (straight or {}).items()}
+    return {**cameras, **found}, views
 
 
 def _files(place: Path) -> dict[str, PhotoFile]:

@@ -131,12 +131,11 @@ def write_colmap(
     model = pycolmap.Reconstruction()
     numbers: dict[tuple[object, ...], int] = {}
     for image_id, (name, camera) in enumerate(cameras.items(), start=1):
-        distorted = any(camera.distortion)
-        intrinsics = (*camera.focal, *camera.principal, *(camera.distortion if distorted else ()))
-        key = (camera.width, camera.height, *intrinsics)
+        kind = "OPENCV_FISHEYE" if camera.fisheye else "OPENCV" if any(camera.distortion) else "PINHOLE"
+        intrinsics = (*camera.focal, *camera.principal, *(() if kind == "PINHOLE" else camera.distortion))
+        key = (kind, camera.width, camera.height, *intrinsics)
         if key not in numbers:
             numbers[key] = len(numbers) + 1
-            kind = "OPENCV" if distorted else "PINHOLE"
             size = {"width": camera.width, "height": camera.height}
             model.add_camera_with_trivial_rig(
                 pycolmap.Camera(model=kind, **size, params=list(intrinsics), camera_id=numbers[key])

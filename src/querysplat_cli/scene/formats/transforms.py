@@ -18,7 +18,7 @@ from querysplat_cli.runtime.json_files import read_json, shown
 from querysplat_cli.scene.cameras import FARTHEST_CENTRE, LONGEST_SIDE, Cameras, PhotoCamera
 from querysplat_cli.scene.files import write_json
 from querysplat_cli.scene.formats.listed_pictures import with_size
-from querysplat_cli.scene.formats.transforms_frame import frame_camera, is_rigid, opengl_from_opencv
+from querysplat_cli.scene.formats.transforms_frame import FISHEYE, LENS_KEYS, frame_camera, is_rigid, opengl_from_opencv
 from querysplat_cli.scene.photo_names import names_a_photo, short_names, stated_parts
 from querysplat_cli.scene.pictures import stored_name
 from querysplat_cli.scene.sim3 import Sim3
@@ -111,15 +111,17 @@ def write_transforms(
     The pictures are in `images/`. `file_of` turns a photo's name into its picture's file name. `as_stored` marks
     cameras of pixels that EXIF's orientation has not turned.
     """
+    bent = {camera.fisheye for camera in cameras.values()}
     frames = []
     for name, camera in cameras.items():
-        (fx, fy), (cx, cy), (k1, k2, p1, p2) = camera.focal, camera.principal, camera.distortion
+        (fx, fy), (cx, cy) = camera.focal, camera.principal
         intrinsics = {"w": camera.width, "h": camera.height, "fl_x": fx, "fl_y": fy, "cx": cx, "cy": cy}
-        intrinsics |= {"k1": k1, "k2": k2, "p1": p1, "p2": p2}
+        intrinsics |= zip(LENS_KEYS[camera.fisheye], camera.distortion, strict=True)
         matrix = opengl_from_opencv(camera.w2c).tolist()
+        lens = {"camera_model": FISHEYE} if camera.fisheye and len(bent) > 1 else {}
         stored = {"as_stored": True} if camera.as_stored else {}
-        frames.append({**_picture(name, file_of(name)), **intrinsics, **stored, "transform_matrix": matrix})
-    write_json(path, {"camera_model": "OPENCV", "frames": frames})
+        frames.append({**_picture(name, file_of(name)), **lens, **intrinsics, **stored, "transform_matrix": matrix})
+    write_json(path, {"camera_model": FISHEYE if bent == {True} else "OPENCV", "frames": frames})
 
 
 def read_cameras(path: Path) -> tuple[NamedCameras, NamedCameras | None]:

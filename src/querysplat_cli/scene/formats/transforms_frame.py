@@ -14,6 +14,8 @@ from querysplat_cli.scene.cameras import PhotoCamera
 OPENGL_AXES = np.diag([1.0, -1.0, -1.0, 1.0])
 LENS_MODELS = {"PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"}
 FISHEYE = "OPENCV_FISHEYE"
+LENS_KEYS = {False: ("k1", "k2", "p1", "p2"), True: ("k1", "k2", "k3", "k4")}
+"""The keys of a distortion, by whether the lens is a fisheye's."""
 NEEDED = "Every frame needs w and h, or its picture where it says; fl_x or camera_angle_x; and a matrix."
 RIGID_TOLERANCE = 1e-3
 """How far rounding in a file may move R·Rᵀ from the identity."""
@@ -41,8 +43,7 @@ def frame_camera(path: Path, name: str, frame: Mapping[str, Any], *, fisheye: bo
         c2w = np.array(rows, dtype=np.float64)
         if c2w.shape not in ((4, 4), (3, 4)):
             raise ValueError("transform_matrix is not 4 × 4")
-        keys = ("k1", "k2", "k3", "k4") if bent else ("k1", "k2", "p1", "p2")
-        k1, k2, k3, k4 = (_number(frame, key, 0.0) for key in keys)
+        k1, k2, k3, k4 = (_number(frame, key, 0.0) for key in LENS_KEYS[bent])
         with np.errstate(over="ignore", invalid="ignore"):
             w2c = opencv_from_opengl(np.vstack([c2w[:3], [0, 0, 0, 1]]))
         camera = PhotoCamera(
