@@ -84,7 +84,7 @@ def test_a_scene_of_large_photos_is_taken_further_on_them_unless_an_option_says_
 ) -> None:
     """Steps on the small pictures would take the detail of the large ones."""
     taken_further(scene, capsys)
-    for options, size in (["--steps", "1"], None), ([], 320):
+    for options, size in (["--steps", "1"], None), (["--steps", "0"], None), ([], 320):
         assert run(["tto", str(scene), *options, "--json", "-q"]) == ExitCode.DONE
         report = json.loads(capsys.readouterr().out)
         assert report["tto"][-1]["space"] == "gaussians"

@@ -100,7 +100,8 @@ def _optimised(settings: ResumeSettings, stages: Stages) -> Report:
     runs = tto_entries(adapted.runs)
     bands_stay, with_lpips = stays is not None, perceptual is not None
     left_out = omissions.taken_further(before["left_out"], adapted, bands_stay=bands_stay, with_lpips=with_lpips)
-    coarse = [COARSE] if options.finest_size and any(run["steps"] for run in runs) else []
+    stepped = any(run["steps"] for run in runs)
+    coarse = [COARSE] if options.finest_size and (stepped or COARSE in before["warnings"]) else []
     return _write_back(path, stored, gaussians, before, stages, tto=runs, left_out=left_out, warnings=coarse)
 
 
