@@ -22,7 +22,7 @@ from querysplat_cli.splat.transform import transform_gaussians
 def test_what_is_written_is_read_back(tmp_path: Path, degree: int) -> None:
     scene = cloud(50, degree)
     assert write_glb(tmp_path / "a.glb", scene) == 50
-    found, place = read_glb(tmp_path / "a.glb")
+    [(found, place)] = read_glb(tmp_path / "a.glb")
     assert place is None
     for name in ("means", "scales", "opacities", "sh"):
         assert getattr(found, name).equal(getattr(scene, name)), name
@@ -55,7 +55,7 @@ def test_the_file_is_valid_gltf(tmp_path: Path) -> None:
 def test_y_is_up_in_the_file_and_down_in_a_scene(tmp_path: Path) -> None:
     scene = cloud(20, 1)
     write_gaussians(tmp_path / "a.glb", scene)
-    torch.testing.assert_close(read_glb(tmp_path / "a.glb")[0].means, scene.means * torch.tensor([1.0, -1.0, -1.0]))
+    torch.testing.assert_close(read_glb(tmp_path / "a.glb")[0][0].means, scene.means * torch.tensor([1.0, -1.0, -1.0]))
     found = read_gaussians(tmp_path / "a.glb")
     torch.testing.assert_close(found.means, scene.means)
     torch.testing.assert_close(found.sh, scene.sh, atol=1e-5, rtol=1e-5)
@@ -111,10 +111,10 @@ def test_strides_are_kept_to(tmp_path: Path) -> None:
     write_glb(tmp_path / "a.glb", scene)
     document = document_of(tmp_path / "a.glb")
     views = [{**view, "byteStride": view["byteLength"] // 7} for view in document["bufferViews"]]
-    assert read_glb(rewritten(tmp_path / "a.glb", bufferViews=views))[0].means.equal(scene.means)
+    assert read_glb(rewritten(tmp_path / "a.glb", bufferViews=views))[0][0].means.equal(scene.means)
     views[0] |= {"byteStride": 24}
     accessors = [{**accessor, "count": 4} for accessor in document["accessors"]]
-    found = read_glb(rewritten(tmp_path / "a.glb", bufferViews=views, accessors=accessors))[0]
+    found = read_glb(rewritten(tmp_path / "a.glb", bufferViews=views, accessors=accessors))[0][0]
     assert found.means.equal(scene.means[::2])
 
 
@@ -137,22 +137,26 @@ def test_integers_stand_for_shares_of_one(tmp_path: Path) -> None:
         packed = (values.double().numpy() * one).round().astype(kind).tobytes()
         binary[start : start + len(packed)] = packed
     (tmp_path / "a.glb").write_bytes(content[: 28 + length] + binary)
-    found = read_glb(rewritten(tmp_path / "a.glb", accessors=document["accessors"]))[0]
+    found = read_glb(rewritten(tmp_path / "a.glb", accessors=document["accessors"]))[0][0]
     torch.testing.assert_close(found.quats, quats[:, [3, 0, 1, 2]], atol=0.5 / 127, rtol=0)
     torch.testing.assert_close(found.scales, scene.scales, atol=0.5 / 65535, rtol=1e-6)
     torch.testing.assert_close(found.opacities, scene.opacities, atol=0.5 / 255, rtol=1e-6)
 
 
-def test_all_primitives_of_a_mesh_are_read_and_several_meshes_refused(tmp_path: Path) -> None:
+def test_all_primitives_of_all_meshes_are_read(tmp_path: Path) -> None:
     """Only the first primitive was read, without a word."""
     scene, file = cloud(7, 0), tmp_path / "a.glb"
     write_glb(file, scene)
     document = document_of(file)
     [mesh] = document["meshes"]
-    found, _ = read_glb(rewritten(file, meshes=[{"primitives": 2 * mesh["primitives"]}]))
+    [(found, _)] = read_glb(rewritten(file, meshes=[{"primitives": 2 * mesh["primitives"]}]))
     assert found.means.equal(torch.cat([scene.means, scene.means]))
-    with pytest.raises(QuerySplatError, match="2 of its meshes are Gaussians"):
-        read_glb(rewritten(file, meshes=[mesh, mesh]))
+    nodes = [{"mesh": 0, "translation": [1, 0, 0]}, {"mesh": 2, "scale": [2, 2, 2]}]
+    solid = {"primitives": [{"attributes": {"POSITION": 0}}]}
+    both = transform_gaussians(read_gaussians(rewritten(file, meshes=[mesh, solid, mesh], nodes=nodes)), FLIPPED)
+    moved = scene.means + torch.tensor([1.0, 0, 0])
+    torch.testing.assert_close(both.means, torch.cat([moved, 2 * scene.means]))
+    torch.testing.assert_close(both.scales, torch.cat([scene.scales, 2 * scene.scales]))
 
 
 @pytest.mark.parametrize("place", ["primitive", "bufferView"])
@@ -170,7 +174,7 @@ def test_logarithms_of_scales_are_read_as_such(tmp_path: Path) -> None:
     """Drafts of the specification, and splat-transform until June 2026, have them."""
     scene = cloud(7, 0)
     write_glb(tmp_path / "a.glb", replace(scene, scales=scene.scales.log()))
-    torch.testing.assert_close(read_glb(tmp_path / "a.glb")[0].scales, scene.scales)
+    torch.testing.assert_close(read_glb(tmp_path / "a.glb")[0][0].scales, scene.scales)
 
 
 def test_linear_colours_are_refused(tmp_path: Path) -> None:

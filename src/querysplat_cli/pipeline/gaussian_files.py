@@ -16,7 +16,7 @@ from querysplat_cli.scene.formats.ply import read_ply, write_ply
 from querysplat_cli.scene.formats.sog import read_sog, write_sog
 from querysplat_cli.scene.formats.streamed_index import INDEX_NAME
 from querysplat_cli.scene.formats.streamed_sog import read_streamed
-from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.gaussians import Gaussians, joined
 from querysplat_cli.scene.sim3 import Sim3
 from querysplat_cli.splat.transform import transform_gaussians
 
@@ -24,9 +24,8 @@ Writer = Callable[[Path, Gaussians], int]
 
 
 def _read_glb(path: Path) -> Gaussians:
-    """In the frame of the file."""
-    gaussians, place = read_glb(path)
-    return transform_gaussians(gaussians, place) if place else gaussians
+    """All meshes, in the frame of the file."""
+    return joined(*(transform_gaussians(part, place) if place else part for part, place in read_glb(path)))
 
 
 READERS: dict[str, Callable[[Path], Gaussians]] = {

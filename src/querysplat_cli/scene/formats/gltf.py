@@ -76,18 +76,19 @@ def write_primitive(
             file.write(values.tobytes())
 
 
-def read_glb(path: Path) -> tuple[Gaussians, Sim3 | None]:
-    """The Gaussians of the mesh of a .glb that has some, and from their frame to that of the file.
+def read_glb(path: Path) -> list[tuple[Gaussians, Sim3 | None]]:
+    """The Gaussians of each mesh of a .glb that has some, and from the mesh's frame to that of the file.
 
-    The latter is None where the two are one. Raises QuerySplatError when the file is damaged or compressed, when
-    several meshes have Gaussians, or a node of it stretches, mirrors or flattens them.
+    The latter is None where the two are one. Raises QuerySplatError when the file is damaged or compressed, or a node
+    of it stretches, mirrors or flattens Gaussians.
     """
+    found = []
     with damage_named(path, ".glb of Gaussians"):
         document, binary = _chunks(path.read_bytes())
-        mesh, primitives = _mesh_of_gaussians(path, document)
-        gaussians = joined(*(_gaussians(path, document, each["attributes"], binary) for each in primitives))
-        place = placement(document, mesh)
-    return finite_gaussians(path, gaussians), place
+        for mesh, primitives in _meshes_of_gaussians(path, document).items():
+            parts = [_gaussians(path, document, each["attributes"], binary) for each in primitives]
+            found.append((joined(*parts), placement(document, mesh)))
+    return [(finite_gaussians(path, gaussians), place) for gaussians, place in found]
 
 
 def _attributes(gaussians: Gaussians) -> dict[str, np.ndarray]:
@@ -168,8 +169,8 @@ def _refuse_compressed(path: Path, part: Mapping[str, Any], what: str) -> None:
         raise QuerySplatError(why, "Export it without compression, or as a .ply.")
 
 
-def _mesh_of_gaussians(path: Path, document: dict[str, Any]) -> tuple[int, list[dict[str, Any]]]:
-    """The number of the only mesh with Gaussians, and its primitives that are Gaussians."""
+def _meshes_of_gaussians(path: Path, document: dict[str, Any]) -> dict[int, list[dict[str, Any]]]:
+    """Of each mesh with Gaussians, by its number, the primitives that are Gaussians."""
     found = {}
     for number, mesh in enumerate(document["meshes"]):
         primitives = [each for each in mesh["primitives"] if EXTENSION in each.get("extensions", {})]
@@ -177,18 +178,12 @@ def _mesh_of_gaussians(path: Path, document: dict[str, Any]) -> tuple[int, list[
             found[number] = primitives
     if not found:
         raise ValueError(f"nothing in it has {EXTENSION}; a mesh is no scene of Gaussians")
-    if len(found) > 1:
-        raise QuerySplatError(
-            f"{path}: {len(found)} of its meshes are Gaussians, and one can be read",
-            "Export each of them, or all as one .ply.",
-        )
-    [(number, primitives)] = found.items()
-    for extension in (each["extensions"][EXTENSION] for each in primitives):
+    for extension in (each["extensions"][EXTENSION] for primitives in found.values() for each in primitives):
         space = extension.get("colorSpace", COLOUR_SPACE)
         if space != COLOUR_SPACE:
             raise ValueError(f"its colours are those of {space}, and only {COLOUR_SPACE} is read")
         _refuse_compressed(path, extension, "its Gaussians are")
-    return number, primitives
+    return found
 
 
 def _gaussians(path: Path, document: dict[str, Any], attributes: dict[str, int], binary: bytes) -> Gaussians:
