@@ -177,6 +177,15 @@ def test_tokengs_scenes_are_scored_with_a_list_of_cameras(judge: Judge, scene: G
     assert found == pytest.approx(flat(judge.score_scene(scene, judge.known, "")), abs=0.05)
 
 
+def test_of_several_scenes_the_first_is_scored_with_a_doubt(judge: Judge, scene: Gaussians, tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        (tmp_path / "case" / name).mkdir(parents=True)
+        write_ply(tmp_path / "case" / name / "points.ply", scene)
+        found = score_prediction(judge, tmp_path, "split", "case")
+        assert found.warnings == (() if name == "a" else (found.warnings[-1],))
+    assert found.warnings[0].startswith("there are 2 files of Gaussians or points, and a/points.ply is scored")
+
+
 def test_fitted_scores_stand_beside_those_of_the_protocol(
     judge: Judge, room: CapturedScene, scene: Gaussians, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -2,7 +2,8 @@
 
 DIR/<split>/<case>/, or DIR/<case>/, holds one of these:
 - A .ply, and a cameras.json or transforms.json in its frame, with cameras of the shown or of the whole photos by their
-  names. Views that are not in that file, or all views without it, get the dataset's cameras.
+  names. Views that are not in that file, or all views without it, get the dataset's cameras. Of several
+  .ply files the first by its path is scored, with a warning.
 - Pictures of the views in any folder below, named like the photo or by its number in the dataset's list. One picture
   may serve several groups. Of several pictures with one name, that in a folder of the group's name counts. Folders in
   which methods keep the photos themselves (`PHOTO_FOLDERS`) are left out.
@@ -45,7 +46,13 @@ def score_prediction(judge: Judge, root: Path, split: str, case: str) -> RowResu
     scenes = sorted(folder.rglob("*.ply"))
     if scenes:
         gaussians = read_ply(scenes[0])
-        return judge.score_scene(gaussians, _cameras(judge, folder), "no camera of it is given, nor one by the dataset")
+        why = "no camera of it is given, nor one by the dataset"
+        found = judge.score_scene(gaussians, _cameras(judge, folder), why)
+        if len(scenes) == 1:
+            return found
+        first = scenes[0].relative_to(folder)
+        doubt = f"there are {len(scenes)} files of Gaussians or points, and {first} is scored: leave one there"
+        return replace(found, warnings=(*found.warnings, doubt))
     pictures = _pictures(judge, folder)
     result = judge.score_pictures(
         lambda group, frame: _read(pictures[group].get(frame.name), judge.truth(frame)), "no picture of it is there"
