@@ -14,17 +14,17 @@ from querysplat_cli.encoders.classical.least_squares import (
     place_points,
     project,
 )
-from querysplat_cli.encoders.classical.lens_prior import as_photo_camera, lens_prior
+from querysplat_cli.encoders.classical.lens_prior import ExpectedFocal, as_photo_camera, lens_prior
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
 from querysplat_cli.encoders.classical.sparse_model import SparseModel
 
 
 def bundle_adjusted(
-    model: pycolmap.Reconstruction, stated: Sequence[float | None], usual: Sequence[float]
+    model: pycolmap.Reconstruction, stated: Sequence[float | None], expected: Sequence[ExpectedFocal]
 ) -> SparseModel:
     """The model after a maximum a posteriori bundle adjustment.
 
-    `stated` holds EXIF's focal length of each photo in pixels, or None, and `usual` that of the prior without EXIF.
+    `stated` holds EXIF's focal length of each photo in pixels, or None, and `expected` what is to be expected without.
     Most features scatter by 0.2 px, but some are wrong by pixels. Under a squared loss those would bend the focal
     length, which a handful of photos of a shallow scene hardly determine. What the photos do not determine, the priors
     do: on the focal length, on the principal point, and on the two distortion terms. Poses and lenses follow from the
@@ -37,7 +37,7 @@ def bundle_adjusted(
     sizes = [(model.cameras[lens].height, model.cameras[lens].width) for lens in lens_numbers]
     # The first photo of each lens: photos of one lens state the same of it.
     first = [numbers[place] for place in np.unique(bundle.lens_of, return_index=True)[1]]
-    prior = lens_prior(sizes, [stated[photo] for photo in first], [usual[photo] for photo in first])
+    prior = lens_prior(sizes, [stated[photo] for photo in first], [expected[photo] for photo in first])
     chosen = _longest(seen, len(bundle.points))
     points, rows = np.unique(seen.point[chosen], return_inverse=True)
     thin = Observations(seen.pixels[chosen], seen.camera[chosen], rows)

@@ -60,7 +60,7 @@ class Mapped:
                 return found
             if any(abs(ratio - 1) > CAMERA_POLICY.exif_difference for ratio in ratios) and not is_flat(found):
                 return found
-        return bundle_adjusted(self.reconstruction, matches.focals, matches.usual_focals)
+        return bundle_adjusted(self.reconstruction, matches.focals, matches.expected_focals)
 
 
 def _keep_exif(ratios: Sequence[float]) -> bool:
@@ -79,7 +79,7 @@ def map_photos(matches: Matches, photos: Sequence[Photo], *, seed: int) -> Mappe
         with pycolmap.Database.open(matches.database) as store:
             candidates = read_candidates(store, 0, 1)
         agreement = partial(dense_agreement, photos)
-        two = map_two_photos(candidates, matches.sizes, matches.focals, matches.usual_focals, agreement)
+        two = map_two_photos(candidates, matches.sizes, matches.focals, matches.expected_focals, agreement)
         return Mapped(two[0], (two[1],)) if two else None
     connected = len(matches.largest_group())
     best: tuple[tuple[int, float], pycolmap.Reconstruction, bool] | None = None

@@ -16,7 +16,8 @@ from querysplat_cli.encoders.classical.features import (
     write_grey,
     write_masks,
 )
-from querysplat_cli.encoders.classical.lens_prior import usual_focal
+from querysplat_cli.encoders.classical.focal_from_lines import expected_focals, usual_focals
+from querysplat_cli.encoders.classical.lens_prior import ExpectedFocal, usual_focal
 from querysplat_cli.encoders.classical.photo_pairs import choose_pairs
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY, MatchEffort
 from querysplat_cli.encoders.classical.start_focals import calibrate_start
@@ -40,15 +41,15 @@ class Matches:
     """Verified matches of a set of photos.
 
     By photo number: `sizes` are the (height, width) at which features were searched, `focals` the focal lengths in
-    pixels of that size (from EXIF, or None), `usual_focals` those that photos without EXIF have as a rule, and
-    `features` the numbers of features found. Pixels are of that size, centres at +0.5. `folder` holds the same for
+    pixels of that size (from EXIF, or None), `expected_focals` those to be expected without EXIF, and `features` the
+    numbers of features found. Pixels are of that size, centres at +0.5. `folder` holds the same for
     COLMAP, whose image numbers are ours plus one. `chance_pairs` were removed (`chance_pairs.py`).
     """
 
     folder: Path
     sizes: tuple[tuple[int, int], ...]
     focals: tuple[float | None, ...]
-    usual_focals: tuple[float, ...]
+    expected_focals: tuple[ExpectedFocal, ...]
     features: tuple[int, ...]
     pairs: tuple[Pair, ...]
     chance_pairs: int = 0
@@ -105,9 +106,10 @@ def matched(
         progress("finding features", 0.0)
         sizes = write_grey(photos, folder, effort.feature_size)
         write_masks(photos, sizes, folder)
-        focals, usual = _focals(photos, sizes)
-        cameras = _known_cameras(known, sizes) if known else shared_cameras(sizes, focals, usual)
-        matches = Matches(folder, sizes, focals, usual, (), ())
+        focals = _focals(photos, sizes)
+        expected = usual_focals(photos, sizes) if known else expected_focals(photos, sizes, seed=seed)
+        cameras = _known_cameras(known, sizes) if known else shared_cameras(sizes, focals, expected)
+        matches = Matches(folder, sizes, focals, expected, (), ())
         with pycolmap.Database.open(matches.database) as store:
             write_images(store, cameras)
         extract_features(matches.database, folder, effort)
@@ -136,17 +138,11 @@ def _usual_effort(photos: Sequence[Photo]) -> MatchEffort:
     return replace(effort, most_features=policy.many_features) if len(photos) > policy.many_photos else effort
 
 
-def _focals(
-    photos: Sequence[Photo], sizes: Sequence[tuple[int, int]]
-) -> tuple[tuple[float | None, ...], tuple[float, ...]]:
-    """EXIF's focal length of each photo or None, and the usual one, in pixels of the photos at these sizes."""
-    scales = [size[1] / photo.width for photo, size in zip(photos, sizes, strict=True)]
-    stated = tuple(photo.focal * scale if photo.focal else None for photo, scale in zip(photos, scales, strict=True))
-    usual = tuple(
-        usual_focal(*(photo.cut_from or (photo.height, photo.width))) * scale
-        for photo, scale in zip(photos, scales, strict=True)
+def _focals(photos: Sequence[Photo], sizes: Sequence[tuple[int, int]]) -> tuple[float | None, ...]:
+    """EXIF's focal length of each photo or None, in pixels of the photos at these sizes."""
+    return tuple(
+        photo.focal * size[1] / photo.width if photo.focal else None for photo, size in zip(photos, sizes, strict=True)
     )
-    return stated, usual
 
 
 @contextmanager
@@ -163,20 +159,22 @@ def _naming_the_folder(folder: Path) -> Iterator[None]:
 
 
 def shared_cameras(
-    sizes: Sequence[tuple[int, int]], focals: Sequence[float | None], usual: Sequence[float] | None = None
+    sizes: Sequence[tuple[int, int]],
+    focals: Sequence[float | None],
+    expected: Sequence[ExpectedFocal] | None = None,
 ) -> list[tuple[Hashable, pycolmap.Camera]]:
     """COLMAP's camera of each photo, with a key that is equal for photos of one lens.
 
-    `usual` are the focal lengths without EXIF, by default those of whole photos of these sizes.
+    `expected` are the focal lengths without EXIF, by default the usual ones of whole photos of these sizes.
     """
-    usual = usual or [usual_focal(*size) for size in sizes]
+    expected = expected or [usual_focal(*size) for size in sizes]
     keyed: list[tuple[Hashable, pycolmap.Camera]] = []
     few = len(sizes) <= CAMERA_POLICY.few_photos
-    for (height, width), focal, assumed in zip(sizes, focals, usual, strict=True):
-        guess = focal or (assumed if few else CAMERA_POLICY.assumed_focal * max(height, width))
+    for (height, width), focal, assumed in zip(sizes, focals, expected, strict=True):
+        guess = focal or (assumed.pixels if few else CAMERA_POLICY.assumed_focal * max(height, width))
         camera = pycolmap.Camera.create_from_model_name(1, "SIMPLE_RADIAL", guess, width, height)
         camera.has_prior_focal_length = focal is not None or few
-        keyed.append(((height, width, focal and round(focal / width, 2), round(assumed / width, 2)), camera))
+        keyed.append(((height, width, focal and round(focal / width, 2), round(assumed.pixels / width, 2)), camera))
     return keyed
 
 

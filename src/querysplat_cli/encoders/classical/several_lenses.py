@@ -56,7 +56,7 @@ def few_refined(mapped: Mapped, matches: Matches) -> tuple[SparseModel, tuple[st
     if mapped.reconstruction is None or len(together.cameras) < 3:
         return together, ()
     divided = with_lenses(mapped.reconstruction, range(len(matches.sizes)))
-    alone = bundle_adjusted(divided, matches.focals, matches.usual_focals)
+    alone = bundle_adjusted(divided, matches.focals, matches.expected_focals)
     if not _fits_better(alone, together):
         return together, ()
     found = f"the photos do not share a lens: {_spans(alone)}"

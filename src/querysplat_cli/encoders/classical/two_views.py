@@ -14,7 +14,7 @@ import torch
 
 from querysplat_cli.encoders.classical.epipolar import epipolar_error, rays
 from querysplat_cli.encoders.classical.least_squares import Bundle, LensPrior, Loss, Observations, adjust, project
-from querysplat_cli.encoders.classical.lens_prior import as_photo_camera, lens_prior
+from querysplat_cli.encoders.classical.lens_prior import ExpectedFocal, as_photo_camera, lens_prior
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
 from querysplat_cli.encoders.classical.sparse_model import SparseModel
 from querysplat_cli.encoders.classical.verified_pairs import Pair
@@ -40,23 +40,23 @@ def map_two_photos(
     pair: Pair,
     sizes: Sequence[tuple[int, int]],
     focals: Sequence[float | None],
-    usual: Sequence[float],
+    expected: Sequence[ExpectedFocal],
     agreement: Callable[[SparseModel], float],
 ) -> tuple[SparseModel, Pair] | None:
     """The model of two photos and the matches that its cameras explain, or None where too few agree.
 
     `pair` may hold wrong matches. `sizes` are (height, width), `focals` EXIF's focal lengths in pixels, or None, and
-    `usual` those of the prior without EXIF. `agreement` says how far the photos agree with a model, as a share; it is
+    `expected` what is to be expected without. `agreement` says how far the photos agree with a model, as a share; it is
     asked only where several poses explain the matches about as well.
     """
     policy = CAMERA_POLICY
     fewest = max(policy.fewest_two_view_points, policy.fewest_two_view_share * len(pair))
     if len(pair) < fewest:
         return None
-    shared = all(some[0] == some[1] for some in (sizes, focals, usual))
+    shared = all(some[0] == some[1] for some in (sizes, focals, expected))
     lenses = np.array([0, 0] if shared else [0, 1])
     count = int(lenses.max()) + 1
-    prior = lens_prior(sizes[:count], focals[:count], usual[:count], two_photos=True)
+    prior = lens_prior(sizes[:count], focals[:count], expected[:count], two_photos=True)
     numbers = [0.0] if all(focals) else policy.tried_focals
     candidates = [
         _adjusted(pair, start, prior, lenses, sizes)
