@@ -17,7 +17,7 @@ from querysplat_cli.encoders.base import Geometry
 from querysplat_cli.queries.compiled_transients import AGREES, CONTRADICTS, judge_pixels
 from querysplat_cli.queries.policy import QUERY_POLICY
 from querysplat_cli.queries.transient_policy import TRANSIENT_POLICY
-from querysplat_cli.scene.cameras import NEAREST_DEPTH, Cameras
+from querysplat_cli.scene.cameras import NEAREST_DEPTH, Cameras, nearest_first
 from querysplat_cli.scene.masks import spread
 from querysplat_cli.scene.views import Views
 
@@ -34,7 +34,7 @@ def find_transients(views: Views, cameras: Cameras, geometry: Geometry) -> Bool[
     """
     assert geometry.depth is not None
     assert geometry.confidence is not None
-    near = torch.cdist(cameras.centres, cameras.centres).argsort(stable=True)[:, : QUERY_POLICY.compared_views + 1]
+    near = nearest_first(cameras.centres)[:, : QUERY_POLICY.compared_views + 1]
     known = geometry.depth, geometry.confidence, views.masks, _smoothed(views)
     found = torch.zeros_like(views.masks)
     for view, row in enumerate(near):
