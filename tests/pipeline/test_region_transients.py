@@ -7,8 +7,8 @@ import torch
 
 from querysplat_cli.pipeline.regions.groups import Group
 from querysplat_cli.pipeline.regions.join import hide_transients
-from querysplat_cli.queries.transients import TransientShare
 from querysplat_cli.scene.filed_views import FiledViews
+from querysplat_cli.scene.masks import MaskedShare
 from querysplat_cli.scene.views import Views
 
 
@@ -23,5 +23,5 @@ def test_what_a_region_hides_is_hidden_in_the_whole(filed: bool, tmp_path: Path)
     first[2], second[:, 4] = True, True
     groups = Group((0,), (1,)), Group((2,), (1,))
     found = hide_transients(views, groups, [{1: first}, {1: second}])
-    assert found == TransientShare(photos=1, share=8 / 55)
+    assert found == MaskedShare(photos=1, share=8 / 55)
     assert torch.equal(views.masks, torch.stack([shown[0], ~first & ~second, shown[2]]))

@@ -6,7 +6,7 @@ import torch
 
 from querysplat_cli.encoders.base import Geometry
 from querysplat_cli.queries.compiled_transients import AGREES, CONTRADICTS, judge_pixels
-from querysplat_cli.queries.transients import TransientShare, find_transients, without
+from querysplat_cli.queries.transients import find_transients, without
 from querysplat_cli.scene.cameras import NEAREST_DEPTH, Cameras
 from querysplat_cli.scene.views import Views
 
@@ -98,12 +98,6 @@ def test_pixels_without_them_take_no_part() -> None:
     assert views.masks.all()
     views.hide(1, pixels[1])
     assert torch.equal(views.masks, hidden.masks)
-
-
-def test_the_share_counts_the_pixels_of_all_photos() -> None:
-    found = TransientShare.of({0: 30, 2: 20}, [(10, 10), (5, 20), (10, 20)])
-    assert found == TransientShare(photos=2, share=50 / 400)
-    assert TransientShare.of({}, [(10, 10)]) is None
 
 
 def verdict_of(ray, origin, colour, reach, others, w2c, lenses, limits, depth, confidence, masks, colours):  # type: ignore[no-untyped-def]

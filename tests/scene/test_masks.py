@@ -10,7 +10,7 @@ from PIL import ExifTags, Image
 
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.fit import network_views
-from querysplat_cli.scene.masks import mask_file
+from querysplat_cli.scene.masks import MaskedShare, mask_file
 from querysplat_cli.scene.photo_files import PhotoFile, large_views
 from querysplat_cli.scene.photos import find_photos, load_photos
 from querysplat_cli.scene.undistort import undistorted
@@ -194,3 +194,9 @@ def test_views_of_networks_have_the_mask(tmp_path: Path, fit: str) -> None:
     assert not masked[:, middle + 2 :].any()
     assert masked[:, : middle - 2].equal(whole[:, : middle - 2])
     assert torch.isfinite(views.images).all()
+
+
+def test_the_share_counts_the_pixels_of_all_photos() -> None:
+    found = MaskedShare.of({0: 30, 2: 20}, [(10, 10), (5, 20), (10, 20)])
+    assert found == MaskedShare(photos=2, share=50 / 400)
+    assert MaskedShare.of({}, [(10, 10)]) is None

@@ -40,6 +40,23 @@ def test_as_in_the_release_colours_are_not_stretched(tmp_path: Path) -> None:
     assert not torch.isclose(raw(a, b), usual(a, b))
 
 
+def test_features_whose_squares_are_zero_have_a_gradient() -> None:
+    """Features around 1e-25 made every gradient NaN; exact zeros did no harm, as their ReLU passes nothing on."""
+    model = Lpips("alex").requires_grad_(False)
+    for layer in model.features.values():
+        assert isinstance(layer, torch.nn.Conv2d)
+        layer.weight.abs_().mul_(1e-8)
+        layer.bias = None
+    generator = torch.Generator().manual_seed(0)
+    one, other = (torch.rand(1, 3, 64, 64, generator=generator) for _ in range(2))
+    last = model._seen(one)[-1]
+    assert last.max() > 0
+    assert last.square().max() == 0
+    model(one.requires_grad_(), other).backward()
+    assert one.grad is not None
+    assert one.grad.isfinite().all()
+
+
 def test_it_works_where_the_pictures_are() -> None:
     """No tensor is left on the CPU: like CUDA, the meta device refuses to mix them."""
     pictures = torch.zeros(1, 3, 64, 64, device="meta")

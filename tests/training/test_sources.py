@@ -2,6 +2,7 @@
 
 import shutil
 import zipfile
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,17 +15,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.progress import Stages
+from querysplat_cli.scene.formats.dataset import CapturedScene, find_scenes
 from querysplat_cli.training.captures import drawn_views
-from querysplat_cli.training.config import SourceSettings
+from querysplat_cli.training.config import DataSettings, SourceSettings, StageSettings
+from querysplat_cli.training.data import PreparedSamples
 from querysplat_cli.training.outdoors import make_outdoors
 from querysplat_cli.training.photographer import wander
 from querysplat_cli.training.policy import TRAINING_POLICY
 from querysplat_cli.training.procedural import varied_scene
 from querysplat_cli.training.raycast import BALL, BOX, CYLINDER
 from querysplat_cli.training.rooms import make_room
+from querysplat_cli.training.run import TrainRequest, train
 from querysplat_cli.training.solids import Solid, distance_to
 from querysplat_cli.training.sources import notes_of, open_source
 from querysplat_cli.training.tabletops import TOP, make_tabletop
+from training_scenes import sample, training
 
 WHITE = (1.0, 1.0, 1.0)
 
@@ -166,6 +172,30 @@ def test_notes_name_what_is_unusual_about_scenes_once(pictures: Path) -> None:
     assert "torn: left out" in note
     with pytest.raises(QuerySplatError, match="no zip"):
         open_source(settings).capture(1, 0)
+
+
+def test_one_walk_serves_all_stages_of_a_training(
+    pictures: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Folders were walked for the notes, and three times for each stage."""
+    walks = []
+
+    def counted(places: Sequence[Path], preferred: str) -> list[CapturedScene]:
+        walks.append(places)
+        return find_scenes(places, preferred)
+
+    monkeypatch.setattr("querysplat_cli.training.sources.find_scenes", counted)
+    monkeypatch.setattr("querysplat_cli.training.data.make_sample", lambda *_, **__: sample(0))
+    source = SourceSettings("captured", (str(pictures),), inputs=(2, 3), targets=1, interval=(1, 1))
+    config = replace(
+        training(tmp_path / "cache", scenes=1),
+        data=DataSettings((source,), cache=str(tmp_path / "cache"), encoder="classical"),
+        stages=tuple(StageSettings(steps=1, lr=1e-3, inputs=(count, count)) for count in (2, 3)),
+    )
+    for turn in (1, 2):  # a later training sees what was added
+        made = train(TrainRequest(config, tmp_path / "out", device="cpu", workers=1, samples_only=True), Stages())
+        assert made == PreparedSamples(2, ())
+        assert len(walks) == turn
 
 
 def test_frames_of_a_film(tmp_path: Path) -> None:

@@ -20,11 +20,11 @@ from querysplat_cli.pipeline.start import SceneStart, make_start
 from querysplat_cli.prune.gaussians import target_count
 from querysplat_cli.queries.backdrop import shows_background
 from querysplat_cli.queries.prepare import PreparedQueries
-from querysplat_cli.queries.transients import TransientShare
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.exposures import Exposures
 from querysplat_cli.scene.gaussians import Gaussians, joined
+from querysplat_cli.scene.masks import MaskedShare
 from querysplat_cli.scene.photo_files import PhotoFile, photo_files
 from querysplat_cli.scene.views import LeftOut, PhotoSource, Views
 from querysplat_cli.tto.adapt import Adapted
@@ -62,7 +62,7 @@ class BuiltScene:
     backdrop: Gaussians | None = None
     duplicates: tuple[LeftOut, ...] = ()
     colours: PhotoColours | None = None
-    transients: TransientShare | None = None
+    transients: MaskedShare | None = None
     stopped: bool = False
 
     @property

@@ -5,11 +5,11 @@ from querysplat_cli.pipeline.perceptual import optimisation_lpips
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.prune.resolution import Blurred
 from querysplat_cli.reporting import omissions
-from querysplat_cli.scene.overlays import Overlaid
+from querysplat_cli.scene.masks import MaskedShare
 
 
 def omissions_of(
-    settings: ReconstructSettings, scene: BuiltScene, finest: Blurred | None = None, overlaid: Overlaid | None = None
+    settings: ReconstructSettings, scene: BuiltScene, finest: Blurred | None = None, overlaid: MaskedShare | None = None
 ) -> list[omissions.Omission]:
     """One entry for each part.
 

@@ -57,8 +57,9 @@ from querysplat_cli.scene.files import refuse_existing, refuse_replacing, withou
 from querysplat_cli.scene.formats.known import read_known_cameras
 from querysplat_cli.scene.inputs import load_inputs
 from querysplat_cli.scene.lenses import pinhole_photos
+from querysplat_cli.scene.masks import MaskedShare
 from querysplat_cli.scene.match_cameras import cameras_of_photos
-from querysplat_cli.scene.overlays import Overlaid, without_overlays
+from querysplat_cli.scene.overlays import without_overlays
 from querysplat_cli.scene.photo_files import photo_files
 from querysplat_cli.scene.photos import find_photos, unread_folders
 from querysplat_cli.scene.views import LeftOut, Photo, PhotoSource, forget_pixels
@@ -70,7 +71,7 @@ class _Inputs:
 
     photos: list[Photo]
     left_out: tuple[LeftOut, ...]
-    overlaid: Overlaid | None
+    overlaid: MaskedShare | None
     model: QuerySplat
     encoder: Encoder
     known: Mapping[str, PhotoCamera] | None
@@ -87,10 +88,7 @@ class _Inputs:
 
 @dataclass(frozen=True)
 class _Scores:
-    """Of the inputs, of the held-out views (None without any), and what no photo saw.
-
-    large: at the size of the large photos, if there were any.
-    """
+    """Of the inputs, of held-out views and at the size of large photos (None without any), and what no photo saw."""
 
     inputs: Quality
     heldout: Quality | None

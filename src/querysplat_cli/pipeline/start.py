@@ -6,10 +6,11 @@ from querysplat_cli.encoders.base import Geometry, PosedViews
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.queries.prepare import PreparedQueries, prepare
-from querysplat_cli.queries.transients import TransientShare, find_transients, without
+from querysplat_cli.queries.transients import find_transients, without
 from querysplat_cli.runtime.compiler import SCENE_KERNELS, wait_until_compiled
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.exposures import Exposures
+from querysplat_cli.scene.masks import MaskedShare
 from querysplat_cli.tto.exposure_fit import PhotoColours, compare_photos
 from querysplat_cli.tto.policy import TTO_POLICY
 
@@ -24,7 +25,7 @@ class SceneStart:
 
     posed: PosedViews
     queries: PreparedQueries
-    transients: TransientShare | None = None
+    transients: MaskedShare | None = None
     colours: PhotoColours | None = None
 
     @property
@@ -52,7 +53,7 @@ def make_start(
         if measured and seeks:
             pixels = find_transients(alike, posed.cameras, geometry)
             counts = {view: int(each.sum()) for view, each in enumerate(pixels) if each.any()}
-            transients = TransientShare.of(counts, alike.sizes)
+            transients = MaskedShare.of(counts, alike.sizes)
             if transients:
                 posed, alike = replace(posed, views=without(posed.views, pixels)), without(alike, pixels)
         colours = measured if settings.exposure == "auto" else None

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from querysplat_cli.prune.policy import PRUNE_POLICY
 from querysplat_cli.runtime.sequences import evenly_spaced
-from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.cameras import Cameras, nearest_first
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.paths import on_the_line
 from querysplat_cli.splat.blending_weights import blending_weights, three_blending_weights
@@ -67,7 +67,7 @@ def _beside(cameras: Cameras) -> Cameras:
 
     The sides of their pictures are `BESIDE_SCALE` times as long.
     """
-    near = torch.cdist(cameras.centres, cameras.centres).argsort(dim=1, stable=True)
+    near = nearest_first(cameras.centres)
     pairs = {
         tuple(sorted((one, other)))
         for one, row in enumerate(near.tolist())

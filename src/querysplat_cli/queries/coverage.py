@@ -10,7 +10,7 @@ from torch.nn import functional as F
 from querysplat_cli.queries.cells import CELLS, Cells, from_blocks, to_blocks
 from querysplat_cli.queries.compiled_comparison import compare_cells, mark_covered
 from querysplat_cli.queries.policy import QUERY_POLICY
-from querysplat_cli.scene.cameras import NEAREST_DEPTH, Cameras
+from querysplat_cli.scene.cameras import NEAREST_DEPTH, Cameras, nearest_first
 from querysplat_cli.scene.views import Views
 
 
@@ -56,7 +56,7 @@ def compare_views(
     """Project the cells of each view into its nearest other views, and compare depth and colour there."""
     shape, policy = cells.depth.shape, QUERY_POLICY
     # The nearest "other" view is mostly the view itself, which is passed over.
-    others = torch.cdist(cameras.centres, cameras.centres).argsort(stable=True)[:, : policy.compared_views + 1]
+    others = nearest_first(cameras.centres)[:, : policy.compared_views + 1]
     counts, colours = torch.zeros(*shape, 2), torch.cat([cells.colour, torch.ones(*shape, 1)], -1)
     read = cells.point.flatten(1, -2), others, cameras.w2c, torch.stack(cameras.intrinsics, 1)
     limits = NEAREST_DEPTH, policy.depth_agreement, policy.free_space, policy.confident

@@ -5,8 +5,7 @@ Other photos tell where they are. Along the ray of such a pixel they look throug
 colour, up to a surface that they measured in another colour.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -18,23 +17,9 @@ from querysplat_cli.encoders.base import Geometry
 from querysplat_cli.queries.compiled_transients import AGREES, CONTRADICTS, judge_pixels
 from querysplat_cli.queries.policy import QUERY_POLICY
 from querysplat_cli.queries.transient_policy import TRANSIENT_POLICY
-from querysplat_cli.scene.cameras import NEAREST_DEPTH, Cameras
+from querysplat_cli.scene.cameras import NEAREST_DEPTH, Cameras, nearest_first
 from querysplat_cli.scene.masks import spread
 from querysplat_cli.scene.views import Views
-
-
-@dataclass(frozen=True)
-class TransientShare:
-    """How many photos show transients, and the share of the pixels of all photos that these are."""
-
-    photos: int
-    share: float
-
-    @classmethod
-    def of(cls, pixels: Mapping[int, int], sizes: Sequence[tuple[int, int]]) -> "TransientShare | None":
-        """That of so many `pixels` in each of some views, where all views have these (height, width); None for none."""
-        whole = sum(height * width for height, width in sizes)
-        return cls(len(pixels), sum(pixels.values()) / whole) if pixels else None
 
 
 def without(views: Views, pixels: Bool[Tensor, "views height width"]) -> Views:
@@ -49,7 +34,7 @@ def find_transients(views: Views, cameras: Cameras, geometry: Geometry) -> Bool[
     """
     assert geometry.depth is not None
     assert geometry.confidence is not None
-    near = torch.cdist(cameras.centres, cameras.centres).argsort(stable=True)[:, : QUERY_POLICY.compared_views + 1]
+    near = nearest_first(cameras.centres)[:, : QUERY_POLICY.compared_views + 1]
     known = geometry.depth, geometry.confidence, views.masks, _smoothed(views)
     found = torch.zeros_like(views.masks)
     for view, row in enumerate(near):

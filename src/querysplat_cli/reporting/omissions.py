@@ -9,10 +9,9 @@ from typing import Any
 from querysplat_cli.prune.resolution import Blurred
 from querysplat_cli.queries.cells import CELLS
 from querysplat_cli.queries.coverage import AnchorReport
-from querysplat_cli.queries.transients import TransientShare
 from querysplat_cli.runtime.words import counted
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.scene.overlays import Overlaid
+from querysplat_cli.scene.masks import MaskedShare
 from querysplat_cli.tto.adapt import Adapted
 from querysplat_cli.tto.optimise import TtoResult
 
@@ -64,12 +63,12 @@ def chance_pairs(count: int) -> Omission:
     return Omission("pairs of photos", why, f"{count:,} from structure from motion")
 
 
-def overlays(found: Overlaid) -> Omission:
+def overlays(found: MaskedShare) -> Omission:
     why = f"text, a frame, or the surroundings of a turntable stay where they are in {found.photos} photos"
     return Omission(OVERLAYS, why, f"{found.share:.1%} of the pixels")
 
 
-def transients(found: TransientShare) -> Omission:
+def transients(found: MaskedShare) -> Omission:
     where = counted(found.photos, "photo")
     why = f"something stands before the scene in {where} and not in the others, such as people walking by"
     return Omission(TRANSIENTS, why, f"{found.share:.1%} of the pixels")

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from querysplat_cli.scene.rotations import skew
@@ -207,6 +207,11 @@ class Cameras:
         moved[:, :3, 3] = similarity.scale * w2c[:, :3, 3] - moved[:, :3, :3] @ similarity.translation
         moved[:, 3, 3] = 1
         return replace(self, w2c=moved.to(self.w2c.dtype))
+
+
+def nearest_first(centres: Float[Tensor, "views 3"]) -> Int[Tensor, "views views"]:
+    """For each camera, the numbers of all by the distance of their centres: mostly itself, and then the nearest."""
+    return torch.cdist(centres, centres).argsort(dim=1, stable=True)
 
 
 def project_points(

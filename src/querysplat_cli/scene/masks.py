@@ -5,6 +5,7 @@ They are files in a folder `masks`, or the photo's own alpha channel. What lies 
 """
 
 import os
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -47,6 +48,20 @@ class Overlay:
         for left, top, right, bottom in np.hstack([starts, ends]).astype(int):
             shown[top:bottom, left:right] = False
         return shown
+
+
+@dataclass(frozen=True)
+class MaskedShare:
+    """How many photos show what was looked for and masked, and the share of the pixels of all photos that this is."""
+
+    photos: int
+    share: float
+
+    @classmethod
+    def of(cls, pixels: Mapping[int, int], sizes: Sequence[tuple[int, int]]) -> "MaskedShare | None":
+        """That of so many `pixels` in each of some views, where all views have these (height, width); None for none."""
+        whole = sum(height * width for height, width in sizes)
+        return cls(len(pixels), sum(pixels.values()) / whole) if pixels else None
 
 
 class BadMask(Exception):

@@ -15,20 +15,12 @@ from jaxtyping import Bool, Float
 from querysplat_cli.runtime.sequences import evenly_spaced
 from querysplat_cli.scene.decoding import reduced
 from querysplat_cli.scene.filed_pixels import release
-from querysplat_cli.scene.masks import Overlay, spread
+from querysplat_cli.scene.masks import MaskedShare, Overlay, spread
 from querysplat_cli.scene.policy import OVERLAY_POLICY
 from querysplat_cli.scene.views import Photo
 
 Place = tuple[slice, slice]
 """Rows and columns of a part of a picture."""
-
-
-@dataclass(frozen=True)
-class Overlaid:
-    """How many photos have an overlay, and which share of the pixels of all photos lies under it."""
-
-    photos: int
-    share: float
 
 
 @dataclass(frozen=True)
@@ -63,7 +55,7 @@ class StaticPart:
         return found
 
 
-def without_overlays(photos: Sequence[Photo]) -> tuple[list[Photo], Overlaid | None]:
+def without_overlays(photos: Sequence[Photo]) -> tuple[list[Photo], MaskedShare | None]:
     """The photos with what an overlay covers masked, and what was found; None where there is none.
 
     Photos of one size are looked at together, where there are at least five.
@@ -79,7 +71,7 @@ def without_overlays(photos: Sequence[Photo]) -> tuple[list[Photo], Overlaid | N
             overlay = static.overlay(_picture(photos[row]))
             covered.append(1 - float(overlay.shown(*size).mean()))
             found[row] = photos[row].under(overlay)
-    return found, Overlaid(len(covered), sum(covered) / len(photos)) if covered else None
+    return found, MaskedShare(len(covered), sum(covered) / len(photos)) if covered else None
 
 
 def _static_part(photos: Sequence[Photo]) -> StaticPart | None:

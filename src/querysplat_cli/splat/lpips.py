@@ -164,7 +164,9 @@ def perceptual_loss(
 
 
 def _unit(features: Tensor) -> Tensor:
-    return features / (features.square().sum(1, keepdim=True).sqrt() + 1e-10)
+    squared = features.square().sum(1, keepdim=True)
+    # The slope of a square root is infinite at 0, to which tiny features add up. The floor is lost beside 1e-10.
+    return features / (squared.clamp_min(torch.finfo(squared.dtype).tiny).sqrt() + 1e-10)
 
 
 def _package_folders() -> list[Path]:

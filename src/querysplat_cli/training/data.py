@@ -19,7 +19,7 @@ from querysplat_cli.runtime.words import counted
 from querysplat_cli.scene.files import atomic_path
 from querysplat_cli.training.config import DataSettings, SourceSettings, StageSettings
 from querysplat_cli.training.passes import Sample, make_sample, read_sample, write_sample
-from querysplat_cli.training.sources import open_source
+from querysplat_cli.training.sources import open_source, walked_once
 
 Result = TypeVar("Result")
 
@@ -102,6 +102,7 @@ def prepare_samples(
     return PreparedSamples(sum(each.path.is_file() for each in every), failed)
 
 
+@walked_once()
 def sample_maker(setup: tuple[DataSettings, Callable[[], Encoder]]) -> Callable[[Wanted], None]:
     """A function that makes a sample of the data with the encoder, or writes the reason why it cannot be made."""
     data, encoder = setup[0], setup[1]()

@@ -30,7 +30,7 @@ from querysplat_cli.training.passes import LARGE_FEATURES, Sample, read_sample
 from querysplat_cli.training.policy import TRAINING_POLICY
 from querysplat_cli.training.run import TrainRequest, training_encoder
 from querysplat_cli.training.schedule import trained, weights
-from querysplat_cli.training.sources import open_source
+from querysplat_cli.training.sources import open_source, walked_once
 from querysplat_cli.training.start import freeze, starting_model
 from querysplat_cli.training.step import StepSettings, add_gradient, anchored
 from querysplat_cli.training.trainer import ANCHORS_KEPT, samples_in_turn
@@ -86,6 +86,7 @@ class TrainPlan:
     unmeasured: str
 
 
+@walked_once()
 def plan(request: TrainRequest, stages: Stages) -> TrainPlan:
     """What `train` would take, measured on one sample, made twice, and two steps. Nothing is written.
 

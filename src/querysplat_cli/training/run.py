@@ -29,7 +29,7 @@ from querysplat_cli.training.data import (
 from querysplat_cli.training.journal import check_tensorboard
 from querysplat_cli.training.online import OnlineSamples
 from querysplat_cli.training.processes import Processes, joined_processes
-from querysplat_cli.training.sources import notes_of
+from querysplat_cli.training.sources import notes_of, walked_once
 from querysplat_cli.training.trainer import MODEL, STATE, Trainer, TrainReport
 
 
@@ -54,6 +54,7 @@ class TrainRequest:
     cluster: str | None = None
 
 
+@walked_once()
 def train(request: TrainRequest, stages: Stages) -> TrainReport | PreparedSamples | None:
     """Make the missing samples, and train. Only the first of several processes returns a report.
 

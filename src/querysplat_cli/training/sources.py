@@ -2,7 +2,9 @@
 
 import hashlib
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from functools import lru_cache
 from pathlib import Path
 from typing import Protocol, runtime_checkable
@@ -23,6 +25,9 @@ from querysplat_cli.training.procedural import Procedural
 
 NAME_LENGTH = 40
 """Characters of a scene's name in the names of its samples' files."""
+Walks = dict[tuple[tuple[Path, ...], str], list[CapturedScene]]
+"""The scenes that were found, by the folders and the preferred folder of pictures."""
+_walks: ContextVar[Walks | None] = ContextVar("_walks", default=None)
 
 
 @runtime_checkable
@@ -54,6 +59,30 @@ def notes_of(every: Iterable[SourceSettings]) -> list[str]:
     return list(dict.fromkeys(note for each in distinct.values() for note in Captured(each).notes))
 
 
+@contextmanager
+def walked_once() -> Iterator[None]:
+    """Inside, folders of captured scenes are walked the first time that a source of them is opened, and not again.
+
+    So scenes that are added meanwhile are not seen, and a scene's number stays the same.
+    """
+    outer = _walks.get()
+    token = _walks.set({} if outer is None else outer)
+    try:
+        yield
+    finally:
+        _walks.reset(token)
+
+
+def _scenes_in(folders: Sequence[Path], pictures: str) -> list[CapturedScene]:
+    """As `find_scenes`, unless `walked_once` remembers them."""
+    walks, key = _walks.get(), (tuple(folders), pictures)
+    if walks is None:
+        return find_scenes(folders, pictures)
+    if key not in walks:
+        walks[key] = find_scenes(folders, pictures)
+    return walks[key]
+
+
 class Captured:
     """DL3DV, nerfstudio and COLMAP scenes, folders of photos, zips of those, and videos."""
 
@@ -67,7 +96,7 @@ class Captured:
         if gone := [folder for folder in folders if not folder.exists()]:
             hint = """Name your own with --set 'data.sources.0.places=["/path/to/scenes"]'."""
             raise QuerySplatError(f"{gone[0]}: no such folder of scenes to train on", hint)
-        scenes = find_scenes(folders, settings.pictures) if folders else []
+        scenes = _scenes_in(folders, settings.pictures) if folders else []
         self._scenes: list[CapturedScene | Path] = [*scenes, *films]
 
     @property

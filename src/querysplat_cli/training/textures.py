@@ -29,17 +29,17 @@ def paint(number, point, face, colours, grain, seed, footprint):  # type: ignore
     if number == 1:
         return _brick(x, y, z, a, b, first, second, seed, fine)
     if number == 2:
-        return _planks(x, y, z, a, b, first, second, seed, fine)
+        return _planks(a, b, first, second, seed, fine)
     if number == 3:
         return _tiles(x, y, z, a, b, first, second, seed, fine)
     if number == 4:
-        return _poster(x, y, z, u / width + 0.5, v / height + 0.5, height / width, first, second, seed, fine)
+        return _poster(x, y, z, u / width + 0.5, v / height + 0.5, height / width, second, seed, fine)
     if number == 5:
         return _rug(x, y, z, a, b, u / width, v / height, first, second, seed, fine)
     if number == 6:
         return _marble(x, y, z, first, second, seed, fine)
     if number == 7:
-        return _books(x, y, z, a, v / height + 0.5, first, second, seed, fine)
+        return _books(x, y, z, a, v / height + 0.5, first, seed, fine)
     if number == 8:
         return _leaves(x, y, z, first, second, seed, fine)
     if number == 9:
@@ -145,7 +145,7 @@ def _brick(x, y, z, a, b, first, second, seed, fine):  # type: ignore[no-untyped
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _planks(x, y, z, a, b, first, second, seed, fine):  # type: ignore[no-untyped-def]
+def _planks(a, b, first, second, seed, fine):  # type: ignore[no-untyped-def]
     row = math.floor(b / 0.15)
     along = a / 1.1 + chance(np.int64(row), 3, 0, seed)
     column = math.floor(along)
@@ -175,7 +175,7 @@ def _tiles(x, y, z, a, b, first, second, seed, fine):  # type: ignore[no-untyped
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _poster(x, y, z, s, t, aspect, first, second, seed, fine):  # type: ignore[no-untyped-def]
+def _poster(x, y, z, s, t, aspect, second, seed, fine):  # type: ignore[no-untyped-def]
     """A framed print: shapes in a grid, each of its own colours."""
     rim = min(min(s, 1 - s), min(t, 1 - t) * aspect)
     frame = _times(second, 0.4 + 0.3 * _clouds(x, y, z, 20.0, 3, seed, fine))
@@ -229,7 +229,7 @@ def _marble(x, y, z, first, second, seed, fine):  # type: ignore[no-untyped-def]
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _books(x, y, z, a, t, first, second, seed, fine):  # type: ignore[no-untyped-def]
+def _books(x, y, z, a, t, first, seed, fine):  # type: ignore[no-untyped-def]
     """A row of spines: each of its own width, height, colour and bands."""
     cell = math.floor(a / 0.11)
     split = 0.3 + 0.4 * chance(np.int64(cell), 1, 0, seed)

@@ -11,7 +11,7 @@ from torch.nn import functional as F
 from querysplat_cli.encoders.base import Geometry
 from querysplat_cli.queries.coverage import find_pixels
 from querysplat_cli.queries.policy import QUERY_POLICY
-from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.cameras import Cameras, nearest_first
 from querysplat_cli.scene.views import Views
 from querysplat_cli.tto.exposure_policy import EXPOSURE_POLICY
 
@@ -47,7 +47,7 @@ def sample_colours(views: Views, cameras: Cameras, geometry: Geometry) -> Colour
     brightest = F.max_pool2d(views.images.amax(1), SMOOTHING, 1, SMOOTHING // 2)
     usable = views.masks & (geometry.confidence > QUERY_POLICY.confident) & (brightest < EXPOSURE_POLICY.saturated)
     rows, columns = _grid(views)
-    distance = torch.cdist(cameras.centres, cameras.centres)
+    near = nearest_first(cameras.centres).tolist()
     depth = geometry.depth[:, rows[:, None], columns]
     places = cameras.unproject(depth, columns + 0.5, rows + 0.5).flatten(1, 2)
     found: list[tuple[Tensor, Tensor, Tensor]] = []
@@ -55,7 +55,7 @@ def sample_colours(views: Views, cameras: Cameras, geometry: Geometry) -> Colour
         here = usable[own][rows[:, None], columns].flatten()
         shared = torch.zeros_like(here)
         numbers = torch.arange(len(here)) + own * len(here)
-        others = [view for view in distance[own].argsort(stable=True).tolist() if view != own]
+        others = [view for view in near[own] if view != own]
         for other in others[: EXPOSURE_POLICY.compared_views]:
             inside, row, column, z = find_pixels(places[own], other, views, cameras)
             agree = (z / geometry.depth[other, row, column] - 1).abs() < QUERY_POLICY.depth_agreement

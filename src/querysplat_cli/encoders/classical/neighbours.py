@@ -8,6 +8,7 @@ from torch import Tensor
 
 from querysplat_cli.encoders.base import PosedViews
 from querysplat_cli.encoders.classical.depth_policy import DEPTH_POLICY
+from querysplat_cli.scene.cameras import nearest_first
 from querysplat_cli.scene.sparse_points import shared_points
 
 
@@ -78,8 +79,7 @@ def _worth(posed: PosedViews, centres: Tensor, view: int, other: int) -> float:
 
 def nearest_views(posed: PosedViews) -> list[list[int]]:
     """For each view, the other views by the distance of their cameras, nearest first; a limited number of them."""
-    centres = posed.cameras.centres.double()
-    order = torch.cdist(centres, centres).argsort(dim=1, stable=True).tolist()
+    order = nearest_first(posed.cameras.centres.double()).tolist()
     return [
         [other for other in row if other != view][: DEPTH_POLICY.free_space_views] for view, row in enumerate(order)
     ]

@@ -20,12 +20,12 @@ from querysplat_cli.pipeline.regions.scene import KeptRegions, RegionScene
 from querysplat_cli.pipeline.regions.seams import Seam, disagreement, find_seams, parts_needed, smoothed, verdict
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.queries.backdrop import shows_background
-from querysplat_cli.queries.transients import TransientShare
 from querysplat_cli.reporting.report import Report, tto_entries
 from querysplat_cli.reporting.view_scores import Quality
 from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.exposures import Exposures
 from querysplat_cli.scene.gaussians import Gaussians, joined
+from querysplat_cli.scene.masks import MaskedShare
 from querysplat_cli.scene.photo_files import photo_files
 from querysplat_cli.scene.views import PhotoSource, Views
 from querysplat_cli.tto.adapt import Adapted
@@ -125,7 +125,7 @@ def join(
 
 def hide_transients(
     views: Views, groups: Sequence[Group], transients: Sequence[Mapping[int, Bool[torch.Tensor, "_ _"]]]
-) -> TransientShare | None:
+) -> MaskedShare | None:
     """Hide in `views` the transients of all regions, by the row of a group's photo. Returns how much they are."""
     found: dict[int, int] = {}
     for group, gone in zip(groups, transients, strict=True):
@@ -133,7 +133,7 @@ def hide_transients(
             photo = group.rows[row]
             found[photo] = found.get(photo, 0) + int((views.masks[photo] & pixels).sum())
             views.hide(photo, pixels)
-    return TransientShare.of(found, views.sizes)
+    return MaskedShare.of(found, views.sizes)
 
 
 @dataclass(frozen=True)
