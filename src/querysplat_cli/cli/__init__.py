@@ -3,14 +3,12 @@
 import errno
 import sys
 import traceback
-from contextlib import redirect_stderr
-from io import StringIO
 
 import typer
 
 from querysplat_cli.cli.app import app
 from querysplat_cli.cli.usage_errors import explained
-from querysplat_cli.runtime import current_folder, signals, torchrun
+from querysplat_cli.runtime import current_folder, signals
 from querysplat_cli.runtime.errors import ExitCode, QuerySplatError, is_out_of_memory
 from querysplat_cli.runtime.limits import more_memory
 from querysplat_cli.runtime.streams import prepare_streams
@@ -27,19 +25,13 @@ def main() -> None:
 
 
 def run(arguments: list[str]) -> int:
-    """Run one command, and return its exit code. An error becomes two lines on standard error.
-
-    Under torchrun, the first process of each machine prints those of all (`runtime/torchrun.py`).
-    """
+    """Run one command, and return its exit code. An error becomes two lines on standard error."""
     try:
         _check_current_folder()
         code = app(arguments or ["--help"], prog_name="querysplat", standalone_mode=False)
     except (KeyboardInterrupt, typer.Abort):
         return _stopped()
     except Exception as error:
-        if torchrun.first_tells():
-            with redirect_stderr(StringIO()):
-                return _told(error)
         # Libraries that are interrupted, while they are imported above all, raise errors of their own.
         ours = isinstance(error, QuerySplatError) and error.code == signals.exit_code()
         return _stopped() if signals.caught() and not ours else _told(error)
@@ -68,8 +60,7 @@ def _told(error: Exception) -> int:
 
 
 def _stopped() -> int:
-    if not torchrun.is_another():
-        _print_error("stopped", signals.kept() or "Nothing half-written was left behind.")
+    _print_error("stopped", signals.kept() or "Nothing half-written was left behind.")
     return signals.exit_code()
 
 

@@ -11,7 +11,6 @@ import torch
 from torch import Tensor, distributed, nn
 
 from querysplat_cli.runtime.errors import QuerySplatError
-from querysplat_cli.runtime.torchrun import first_tells
 
 T = TypeVar("T")
 BARRIER_TIMEOUT = timedelta(hours=12)
@@ -94,8 +93,5 @@ def joined_processes(device: torch.device) -> Iterator[Processes]:
         ) from error
     try:
         yield Processes(distributed.get_rank(), world, int(os.environ.get("LOCAL_RANK", "0")))
-    except Exception:
-        first_tells()
-        raise
     finally:
         distributed.destroy_process_group()
