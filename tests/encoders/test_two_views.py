@@ -57,7 +57,7 @@ def matches(
 
 
 def mapped(found: Matches, agreement: Callable[[SparseModel], float] = lambda model: 0.0) -> SparseModel | None:
-    two = map_two_photos(found.pairs[0], found.sizes, found.focals, found.usual_focals, agreement)
+    two = map_two_photos(found.pairs[0], found.sizes, found.focals, found.expected_focals, agreement)
     return two[0] if two else None
 
 

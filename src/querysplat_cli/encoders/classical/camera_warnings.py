@@ -9,6 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from querysplat_cli.encoders.classical.epipolar import epipolar_support
+from querysplat_cli.encoders.classical.focal_from_lines import told_by_lines
 from querysplat_cli.encoders.classical.matches import Matches
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
 from querysplat_cli.encoders.classical.sparse_model import SparseModel
@@ -111,7 +112,7 @@ def _focal_warnings(model: SparseModel, matches: Matches, *, known: bool) -> lis
             f"the photos seem to span {min(fields):.0f}° to {max(fields):.0f}°, unusual for a lens",
         ),
         (
-            not known and len(model.cameras) == 2 and not ratios,
+            not known and len(model.cameras) == 2 and not ratios and not _lines_tell(model, matches),
             "two photos without a stated focal length hardly determine it, so proportions in depth may be wrong",
         ),
         (
@@ -119,6 +120,10 @@ def _focal_warnings(model: SparseModel, matches: Matches, *, known: bool) -> lis
             f"the focal length found differs by {furthest:+.0%} from the one that the photos state",
         ),
     ]
+
+
+def _lines_tell(model: SparseModel, matches: Matches) -> bool:
+    return all(told_by_lines(matches.expected_focals[photo]) for photo in model.cameras)
 
 
 def _behind(model: SparseModel) -> list[tuple[bool, str]]:

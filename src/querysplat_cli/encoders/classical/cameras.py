@@ -10,6 +10,7 @@ import numpy as np
 from querysplat_cli.encoders.base import CameraRequest, Matching, PosedViews
 from querysplat_cli.encoders.classical.camera_warnings import camera_warnings
 from querysplat_cli.encoders.classical.epipolar import median_epipolar_error
+from querysplat_cli.encoders.classical.focal_from_lines import expected_focals, told_by_lines
 from querysplat_cli.encoders.classical.matches import Matches, matched
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
 from querysplat_cli.encoders.classical.pure_rotation import placed_alone, placed_by_rotation
@@ -46,15 +47,15 @@ def estimate_cameras(
 
     The camera of the first photo used is the origin. The median depth of the points, over all views that observe
     them, is 1. Known cameras keep their poses up to this origin and unit. Where the camera turned without moving,
-    all cameras stand at one place and there are no points. A single photo gets EXIF's field of view, or else 45°.
-    `choice` of the matcher counts where cameras are unknown. Where no two photos can be related, one of two to four is
-    used; raises ImpossibleScene where there are more.
+    all cameras stand at one place and there are no points. A single photo gets the field of view that EXIF states,
+    or that its straight lines tell, or else 45°. `choice` of the matcher counts where cameras are unknown. Where no two
+    photos can be related, one of two to four is used; raises ImpossibleScene where there are more.
     """
     originals, copies = _without_copies(photos, request.known)
     if request.known is not None:
         placement = _place_known(originals, request.known, seed=request.seed, progress=progress)
     elif len(originals) == 1:
-        placement = _place_alone(originals[0])
+        placement = _place_alone(originals[0], seed=request.seed)
     else:
         placement = _place(originals, choice, seed=request.seed, progress=progress)
     progress("removing lens distortion", 0.9)
@@ -121,7 +122,7 @@ def _place(photos: Sequence[Photo], choice: MatcherChoice, *, seed: int, progres
         sentence = "the camera turned but did not move, so distances cannot be measured"
         return Placement(turned, _left_out(photos, matches, turned), (sentence,))
     if model is None:
-        return _place_clearest(photos, found)
+        return _place_clearest(photos, found, seed)
     return Placement(
         model,
         _left_out(photos, matches, model),
@@ -132,7 +133,7 @@ def _place(photos: Sequence[Photo], choice: MatcherChoice, *, seed: int, progres
     )
 
 
-def _place_clearest(photos: Sequence[Photo], found: Found) -> Placement:
+def _place_clearest(photos: Sequence[Photo], found: Found, seed: int) -> Placement:
     """Of a few photos that nothing relates, the one with the most detail, alone. More photos are refused."""
     matches = found.matches
     count, hint = len(photos), "photos that overlap by at least half, from places a step apart, make one scene"
@@ -144,19 +145,24 @@ def _place_clearest(photos: Sequence[Photo], found: Found) -> Placement:
         raise ImpossibleScene(why, f"{hint.capitalize()}.")
     clearest = int(np.argmax(matches.features))
     name = photos[clearest].name
-    alone = _place_alone(photos[clearest], clearest)
+    alone = _place_alone(photos[clearest], clearest, seed=seed)
     left_out = tuple(LeftOut(photo.name, f"nothing places it beside {name}") for photo in photos if photo.name != name)
     warnings = f"{why}, so only {name} is used: {hint}", *alone.warnings
     return replace(alone, left_out=left_out, warnings=warnings, matching=found.matching)
 
 
-def _place_alone(photo: Photo, number: int = 0) -> Placement:
-    longer = max(photo.height, photo.width)
-    focal = photo.focal or CAMERA_POLICY.assumed_focal * longer
-    field = np.degrees(2 * np.arctan(longer / focal / 2))
-    source = "taken from EXIF" if photo.focal else "assumed"
-    sentence = f"one photo has no parallax, and its field of view ({field:.0f}°) is {source}"
-    return Placement(placed_alone(focal, (photo.height, photo.width), number), (), (sentence,))
+def _place_alone(photo: Photo, number: int = 0, *, seed: int) -> Placement:
+    size = photo.height, photo.width
+    expected = expected_focals([photo], [size], seed=seed)[0]
+    if photo.focal:
+        focal, source = photo.focal, "is taken from EXIF"
+    elif told_by_lines(expected):
+        focal, source = expected.pixels, "follows from its straight lines"
+    else:
+        focal, source = CAMERA_POLICY.assumed_focal * max(size), "is assumed"
+    field = np.degrees(2 * np.arctan(max(size) / focal / 2))
+    sentence = f"one photo has no parallax, and its field of view ({field:.0f}°) {source}"
+    return Placement(placed_alone(focal, size, number), (), (sentence,))
 
 
 def _place_known(

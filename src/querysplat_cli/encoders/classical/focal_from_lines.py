@@ -29,7 +29,7 @@ def usual_focals(photos: Sequence[Photo], sizes: Sequence[tuple[int, int]]) -> t
 def expected_focals(
     photos: Sequence[Photo], sizes: Sequence[tuple[int, int]], *, seed: int
 ) -> tuple[ExpectedFocal, ...]:
-    """The usual focal lengths, and for a few photos without EXIF those that their lines make of them.
+    """The usual focal lengths, or of a few photos without EXIF those that their lines tell.
 
     Photos of one size have one lens. Pixels are those of the photos at their (height, width) in `sizes`.
     """
@@ -48,6 +48,11 @@ def expected_focals(
     return tuple(expected)
 
 
+def told_by_lines(expected: ExpectedFocal) -> bool:
+    """Whether the lines of the photo determine its focal length."""
+    return expected.spread < LINES_POLICY.told_spread
+
+
 def tried_focals(usual: ExpectedFocal) -> np.ndarray:
     """Focal lengths [f] around the usual one, in pixels."""
     reach = LINES_POLICY.reach * usual.spread
@@ -55,19 +60,20 @@ def tried_focals(usual: ExpectedFocal) -> np.ndarray:
 
 
 def combined(usual: ExpectedFocal, tried: np.ndarray, evidence: Sequence[np.ndarray]) -> ExpectedFocal:
-    """The mean and the spread of the usual focal length times the likelihood of the `tried` ones [f], in pixels.
+    """What lines make of the usual focal length, or the same where they do not tell one.
 
-    `evidence` has the logarithms [f] of that likelihood for each photo.
+    It is the mean of the usual distribution times the likelihood of the `tried` focal lengths [f], in pixels.
+    `evidence` has the logarithms [f] of that likelihood for each photo. Their mean counts: photos of one place share
+    what is not at right angles there.
     """
-    policy = LINES_POLICY
-    total = min(len(evidence), policy.most_photos) * np.mean(evidence, axis=0)
     logarithms = np.log(tried)
-    chances = total - 0.5 * ((logarithms - np.log(usual.pixels)) / usual.spread) ** 2
+    chances = np.mean(evidence, axis=0) - 0.5 * ((logarithms - np.log(usual.pixels)) / usual.spread) ** 2
     weights = np.exp(chances - chances.max())
     weights /= weights.sum()
     mean = float(weights @ logarithms)
     spread = float(np.sqrt(weights @ (logarithms - mean) ** 2))
-    return ExpectedFocal(float(np.exp(mean)), min(float(np.hypot(spread, policy.least_spread)), usual.spread))
+    found = ExpectedFocal(float(np.exp(mean)), float(np.hypot(spread, LINES_POLICY.least_spread)))
+    return found if told_by_lines(found) else usual
 
 
 def _evidence(photo: Photo, tried: np.ndarray, seed: int) -> np.ndarray:
