@@ -84,7 +84,7 @@ def decode(path: Path, max_side: int) -> Decoded:
         if image.format in ANIMATED and getattr(image, "is_animated", False):
             raise ValueError("an animation; save it as an MP4 film")
         focal, panorama, gps = focal_length(image), says_panorama(image), gps_place(image)
-        orientation = image.getexif().get(ExifTags.Base.Orientation, 1)
+        orientation = _orientation(image)
         # JPEG is read faster at a fraction of its size, but what is no whole multiple would be stretched by a pixel.
         parts = [n for n in JPEG_PARTS if width % n == height % n == 0 and max(width, height) >= n * max_side]
         if parts:
@@ -92,7 +92,7 @@ def decode(path: Path, max_side: int) -> Decoded:
         upright = ImageOps.exif_transpose(image)
         pixels = reduced(_rgb(upright), max_side)
         opaque = np.asarray(upright.convert("RGBA").getchannel("A")) >= HALF_OPAQUE if _has_alpha(upright) else None
-    full = (width, height) if orientation in ON_THEIR_SIDE else (height, width)
+    full = _upright(width, height, orientation)
     focal = focal and focal * max(pixels.shape) / max(width, height)
     return Decoded(pixels, full, focal, opaque, panorama, gps, orientation)
 
@@ -161,10 +161,7 @@ def upright_size(file: Traversable) -> tuple[int, int] | None:
     _reads_heif()
     try:
         with file.open("rb") as stream, Image.open(stream) as image:
-            width, height = image.size
-            return (
-                (width, height) if image.getexif().get(ExifTags.Base.Orientation) in ON_THEIR_SIDE else (height, width)
-            )
+            return _upright(*image.size, _orientation(image))
     except Exception:  # damage can raise anything in Pillow's decoders
         return None
 
@@ -173,9 +170,20 @@ def orientation_of(path: Path) -> int:
     """EXIF's orientation of the picture in a file; 1, which is upright, where it states none."""
     try:
         with _opened(path) as image:
-            return int(image.getexif().get(ExifTags.Base.Orientation, 1))
+            return int(_orientation(image))
     except UnidentifiedImageError:
         return 1
+
+
+def _orientation(image: Image.Image) -> int:
+    """EXIF's, as it stands there; 1, which is upright, where it states none."""
+    orientation: int = image.getexif().get(ExifTags.Base.Orientation, 1)
+    return orientation
+
+
+def _upright(width: int, height: int, orientation: int) -> tuple[int, int]:
+    """(height, width) of the upright picture, of one that is stored with this width and height."""
+    return (width, height) if orientation in ON_THEIR_SIDE else (height, width)
 
 
 def _opened(path: Path) -> Image.Image:
