@@ -7,7 +7,8 @@ from dataclasses import dataclass
 class LinesPolicy:
     """Which lines are looked for, how exact they are, and which focal lengths are tried.
 
-    Lengths are in longer sides of the picture. The values follow from what LSD measures, and were not fitted to photos.
+    Lengths are in longer sides of the picture. The values were set by what LSD measures, and not fitted; `told_spread`
+    alone was chosen (docs/tried.md).
     """
 
     size: int = 800

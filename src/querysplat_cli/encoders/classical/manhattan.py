@@ -101,7 +101,8 @@ def focal_evidence(lines: Lines, focals: np.ndarray, *, seed: int) -> np.ndarray
     if len(lines.ends) < LINES_POLICY.fewest:
         return np.zeros(len(focals))
     generator = np.random.default_rng(seed)
-    drawn = [_drawn_frames(lines, focal, generator) for focal in focals]
+    straight = _Straightened.of(lines, 0.0)
+    drawn = [_drawn_frames(lines, straight, focal, generator) for focal in focals]
     best = []
     for place, focal in enumerate(focals):
         near = [frame for some in drawn[max(place - 1, 0) : place + 2] for frame in some]
@@ -113,10 +114,9 @@ def focal_evidence(lines: Lines, focals: np.ndarray, *, seed: int) -> np.ndarray
     return np.array([value for _, value in best])
 
 
-def _drawn_frames(lines: Lines, focal: float, generator: np.random.Generator) -> list[_Frame]:
-    """The frames that explain most lines, of those that three lines at a time determine."""
+def _drawn_frames(lines: Lines, straight: _Straightened, focal: float, generator: np.random.Generator) -> list[_Frame]:
+    """The frames that explain most lines, of those that three lines at a time determine. `straight` is undistorted."""
     policy = LINES_POLICY
-    straight = _Straightened.of(lines, 0.0)
     planes = straight.planes(focal)
     chances = lines.weights / lines.weights.sum()
     one, two, three = planes[generator.choice(len(planes), (policy.triples, 3), p=chances)].transpose(1, 0, 2)
