@@ -11,6 +11,7 @@ import numpy as np
 from PIL import ExifTags, Image, ImageOps, TiffImagePlugin, UnidentifiedImageError
 
 from querysplat_cli.runtime.optional_parts import install_command
+from querysplat_cli.scene.colour_profiles import in_srgb, stated_profile
 from querysplat_cli.scene.exif import Gps, focal_length, gps_place, says_panorama
 
 HEIF_SUFFIXES = {".heic", ".heif"}
@@ -90,23 +91,23 @@ def decode(path: Path, max_side: int) -> Decoded:
         if parts:
             image.draft("RGB", (width // parts[0], height // parts[0]))
         upright = ImageOps.exif_transpose(image)
-        pixels = reduced(_rgb(upright), max_side)
+        pixels = in_srgb(reduced(_stored(upright), max_side), stated_profile(image))
         opaque = np.asarray(upright.convert("RGBA").getchannel("A")) >= HALF_OPAQUE if _has_alpha(upright) else None
     full = _upright(width, height, orientation)
     focal = focal and focal * max(pixels.shape) / max(width, height)
     return Decoded(pixels, full, focal, opaque, panorama, gps, orientation)
 
 
-def _rgb(image: Image.Image) -> np.ndarray:
+def _stored(image: Image.Image) -> np.ndarray:
+    """8-bit pixels in the colour space of the file: grey [height, width], RGB [height, width, 3], or CMYK."""
     if image.mode.startswith("I"):
-        high = np.asarray(image, dtype=np.int64) >> 8
-        return np.repeat(high.clip(0, 255).astype(np.uint8)[..., None], 3, axis=2)
+        return (np.asarray(image, dtype=np.int64) >> 8).clip(0, 255).astype(np.uint8)
     if image.mode == "F":
         raise ValueError("floating-point pixels have no agreed white")
     if _has_alpha(image):
         colour = image.convert("RGBA")
         image = Image.alpha_composite(Image.new("RGBA", colour.size, "white"), colour)
-    return np.array(image.convert("RGB"))
+    return np.array(image if image.mode in ("L", "CMYK") else image.convert("RGB"))
 
 
 def _has_alpha(image: Image.Image) -> bool:
@@ -122,7 +123,7 @@ def _decode_deep_tiff(path: Path) -> np.ndarray:
 
 
 def reduced(pixels: np.ndarray, max_side: int) -> np.ndarray:
-    """Pixels [height, width] or [height, width, 3] whose longer side is at most `max_side` (area filter)."""
+    """Pixels [height, width] or [height, width, channels] whose longer side is at most `max_side` (area filter)."""
     height, width = pixels.shape[:2]
     scale = max_side / max(height, width)
     if scale >= 1:
