@@ -14,6 +14,7 @@ import torch
 from querysplat_cli.cli import run
 from querysplat_cli.runtime.errors import ExitCode
 from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.film_colours import BT709, LIMITED
 from querysplat_cli.scene.formats.known import read_known_cameras
 from querysplat_cli.scene.formats.ply import read_ply, write_ply
 from querysplat_cli.scene.formats.transforms import write_cameras
@@ -169,6 +170,21 @@ def test_the_cameras_of_a_file_are_not_squashed_into_the_shape_of_the_first(
     assert not film.exists()
     assert run([*command, str(ball.with_name("frames"))]) == 0
     assert run([*command, str(film), "--seconds", "0.2"]) == 0
+
+
+@pytest.mark.parametrize("size", ["64x48", "960x720"])
+def test_a_film_has_the_colours_of_the_scene(ball: Path, size: str) -> None:
+    film = ball.with_name("film.mp4")
+    give_cameras(ball, ("left.jpg", "right.jpg"))
+    options = ["--seconds", "0.1", "--size", size, "--background", "0.1,0.9,0.2"]
+    assert run(["render", str(ball), "-o", str(film), "-q", *options]) == 0
+    with av.open(str(film)) as opened:
+        frame = next(opened.decode(video=0))
+        codec = opened.streams.video[0].codec_context
+        stated = codec.colorspace, codec.color_primaries, codec.color_trc, codec.color_range
+    assert stated == (BT709, BT709, BT709, LIMITED)
+    background = frame.to_ndarray(format="rgb24", src_colorspace=BT709)[2:8, 2:8].reshape(-1, 3).mean(0)
+    assert background == pytest.approx([25.5, 229.5, 51], abs=4)
 
 
 def test_a_film_of_one_camera_is_an_orbit(ball: Path) -> None:

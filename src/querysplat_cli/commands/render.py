@@ -21,6 +21,7 @@ from querysplat_cli.runtime.limits import require_memory
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera, rescaled, same_shape
 from querysplat_cli.scene.files import FolderKind, atomic_folder, atomic_path, refuse_existing, with_name
+from querysplat_cli.scene.film_colours import bt709_frame, state_bt709
 from querysplat_cli.scene.formats.transforms import (
     NamedCameras,
     listed_files,
@@ -246,6 +247,7 @@ def _write_film(path: Path, pictures: Iterator[tuple[Rendering, SurfaceDepth | N
             if stream is None:
                 stream = film.add_stream("libx264", rate=fps, options={"crf": "18"})
                 stream.height, stream.width, stream.pix_fmt = frame.shape[0], frame.shape[1], "yuv420p"
-            film.mux(stream.encode(av.VideoFrame.from_ndarray(np.ascontiguousarray(frame), format="rgb24")))
+                state_bt709(stream)
+            film.mux(stream.encode(bt709_frame(frame)))
         if stream is not None:
             film.mux(stream.encode())

@@ -1,4 +1,4 @@
-"""Colours of film frames: 8-bit sRGB from any bit depth, tone-mapped from HDR."""
+"""Colours of film frames: 8-bit sRGB from any bit depth, tone-mapped from HDR, and back."""
 
 from functools import cache
 
@@ -10,6 +10,8 @@ PQ, HLG = 16, 18
 """Transfer characteristics of HDR films (ITU-T H.273)."""
 UNTAGGED = 2
 BT709 = 1
+LIMITED = 1
+"""Luma from 16 to 235, as players expect it."""
 HD_HEIGHT = 720
 """Films that do not state their colour matrix have BT.709 from this height on, and BT.601 below, as players assume."""
 EXACTLY = 2 | 1 << 13 | 1 << 18
@@ -25,6 +27,19 @@ REC2020_TO_REC709 = np.array(
     [[1.660491, -0.587641, -0.072850], [-0.124550, 1.132900, -0.008349], [-0.018151, -0.100579, 1.118730]], np.float32
 )
 REC2020_LUMA = np.array([[0.2627, 0.6780, 0.0593]], np.float32)
+
+
+def state_bt709(film: av.VideoStream) -> None:
+    """State in a new film that its frames are those of `bt709_frame`. Players guess where nothing is stated."""
+    codec = film.codec_context
+    codec.colorspace = codec.color_primaries = codec.color_trc = BT709
+    codec.color_range = LIMITED
+
+
+def bt709_frame(pixels: np.ndarray) -> av.VideoFrame:
+    """A film frame, yuv420p of limited range by BT.709, of 8-bit sRGB [height, width, 3]."""
+    frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(pixels), format="rgb24")
+    return frame.reformat(format="yuv420p", dst_colorspace=BT709, dst_color_range=LIMITED, interpolation=EXACTLY)
 
 
 def rgb_of(frame: av.VideoFrame, transfer: int) -> np.ndarray:
