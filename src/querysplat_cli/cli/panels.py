@@ -11,7 +11,10 @@ PANELS = {
         *("quality", "budget", "tto", "tto_target", "tto_space", "steps", "lr", "space"),
         *("queries", "prune", "densify", "backdrop", "keep_everything"),
     ),
-    "Cameras": ("poses", "metres_by", "refine_cameras", "holdout_cameras", "cameras", "colmap", "matcher"),
+    "Cameras": (
+        *("poses", "depth_maps", "metres_by", "refine_cameras", "holdout_cameras"),
+        *("cameras", "colmap", "matcher"),
+    ),
     "Model": (
         "preset",
         "encoder",

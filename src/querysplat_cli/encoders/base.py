@@ -88,7 +88,8 @@ class PosedViews:
     `photo_cameras` are the cameras of the photos before undistortion, in the same frame; None where the views show
     the photos without resampling. `epipolar_error_px` is the median distance of the matches from their epipolar
     lines, in pixels of the views; None where it was not measured. `matching` says how photos were matched again, if any
-    was. `chance_pairs` of photos matched by chance and were left out.
+    was. `chance_pairs` of photos matched by chance and were left out. `depth_maps` are those that came with the
+    photos, as the views see them: camera z in any unit, 0 where there is none.
     """
 
     views: Views
@@ -102,6 +103,19 @@ class PosedViews:
     matching: Matching | None = None
     keypoints: tuple[Tensor, ...] | None = None
     chance_pairs: int = 0
+    depth_maps: Float[Tensor, "views height width"] | None = None
+
+
+@dataclass(frozen=True)
+class UsedDepthMaps:
+    """How many views came with a depth map, how many of these maps are used, and how far those are off.
+
+    `difference` is the median relative difference to depth that the photos confirm; None where they confirm none.
+    """
+
+    given: int
+    used: int
+    difference: float | None
 
 
 @dataclass(frozen=True)
@@ -111,7 +125,7 @@ class Geometry:
     `depth` is camera z in scene units, positive everywhere inside the view's mask. `confidence` is in [0, 1]; 0
     marks a depth that was filled in. Both are None where no depth was asked for. `features` holds one tensor for
     each cached layer, with a row for each token of each view. In a patch-only encoder the tokens are the patches,
-    row by row. A patch is `patch` pixels square.
+    row by row. A patch is `patch` pixels square. `depth_maps` says what became of `PosedViews.depth_maps`.
     """
 
     depth: Float[Tensor, "views height width"] | None
@@ -119,6 +133,7 @@ class Geometry:
     features: tuple[Float[Tensor, "views tokens channels"], ...]
     patch: int
     warnings: tuple[str, ...] = ()
+    depth_maps: UsedDepthMaps | None = None
 
 
 @runtime_checkable

@@ -12,6 +12,7 @@ from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.pipeline.budget import Budget, OptimisingTime
 from querysplat_cli.pipeline.distinct import distinct_views
 from querysplat_cli.pipeline.full_size import FullSize, LargePhotos, machine_pace, take_to_full_size
+from querysplat_cli.pipeline.given_depth import depth_of_views
 from querysplat_cli.pipeline.optimise import optimise_start
 from querysplat_cli.pipeline.perceptual import optimisation_lpips
 from querysplat_cli.pipeline.policy import PIPELINE_POLICY
@@ -133,7 +134,8 @@ def encode_and_build_all(
     The encoder is freed then: its weights make room for the decoders.
     """
     with stages("depth") as progress:
-        geometry = encoder.estimate_geometry(posed, seed=settings.seed, progress=progress)
+        given = replace(posed, depth_maps=depth_of_views(posed, allowance.sources))
+        geometry = encoder.estimate_geometry(given, seed=settings.seed, progress=progress)
     encoder.free()
     start = make_start(posed, geometry, model, settings, stages)
     geometry = replace(geometry, features=())  # they are large, and optimisation needs the memory

@@ -36,12 +36,13 @@ def load_parts(settings: ReconstructSettings, device: torch.device) -> tuple[Que
 
 
 def with_absolute_parts(settings: ReconstructSettings) -> ReconstructSettings:
-    """The settings with absolute paths of a checkpoint and of weights.
+    """The settings with absolute paths of a checkpoint, of weights and of depth maps.
 
     The scene may be taken further elsewhere, and workers make its regions in other folders.
     """
     preset = settings.preset
     if preset not in preset_names() and Path(preset).is_file():
         preset = str(Path(preset).absolute())
-    weights, lpips = (path and path.absolute() for path in (settings.weights, settings.lpips))
-    return replace(settings, preset=preset, weights=weights, lpips=lpips)
+    paths = settings.weights, settings.lpips, settings.depth_maps
+    weights, lpips, depth_maps = (path and path.absolute() for path in paths)
+    return replace(settings, preset=preset, weights=weights, lpips=lpips, depth_maps=depth_maps)

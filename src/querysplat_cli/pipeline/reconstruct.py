@@ -16,6 +16,7 @@ from querysplat_cli.pipeline.distinct import duplicates
 from querysplat_cli.pipeline.first_sight import first_sight
 from querysplat_cli.pipeline.full_size import LargePhotos, full_size_quality
 from querysplat_cli.pipeline.gaussian_files import check_target, folder_of_scene
+from querysplat_cli.pipeline.given_depth import photos_with_depth
 from querysplat_cli.pipeline.given_frame import given_frame
 from querysplat_cli.pipeline.memory import MemoryNeeds, within_memory
 from querysplat_cli.pipeline.metric import check_scale, in_metres, metres_of
@@ -181,8 +182,9 @@ def _read_inputs(settings: ReconstructSettings, device: torch.device, stages: St
         model, encoder = load_parts(settings, device)
         optimisation_lpips(settings.lpips, official=model.config.queries == "learned")  # a damaged file ends it here
         known = read_known_cameras(settings.poses, fisheye=True) if settings.poses else None
-        known = cameras_of_photos(photos, known) if known else None
+        given, known = known, cameras_of_photos(photos, known) if known else None
         photos, known = pinhole_photos(photos, known, settings.lens, keep)
+        photos = photos_with_depth(photos, settings, given, encoder.name)
         budget = Budget(settings.budget, stages.elapsed) if settings.budget else None
         size = settings.max_size or encoder.size
         adjustable = encoder.name == "classical" and not settings.max_size

@@ -181,6 +181,15 @@ class ReconstructSettings:
             default="estimated from the photos",
         ),
     ] = None
+    depth_maps: Annotated[
+        Path | None,
+        Option(
+            "Depth maps of the photos, from LiDAR or a network: 16-bit PNG, float TIFF or .npy, in any unit, with the "
+            "names of the photos.",
+            metavar="DIR",
+            default="those that --poses lists",
+        ),
+    ] = None
     frame: Annotated[
         FileFrame,
         Option(

@@ -127,7 +127,8 @@ def _made_of(settings: ReconstructSettings, photos: Sequence[Photo], size: int) 
         "working size": size,
         "the files of --poses": _states_of_poses(settings.poses) if settings.poses else None,
     }
-    return {"cameras": {"version": querysplat_cli.__version__, **seen, **cameras}, "regions": given}
+    maps = [_state(photo.depth_map) for photo in photos]
+    return {"cameras": {"version": querysplat_cli.__version__, **seen, **cameras}, "regions": {**given, "maps": maps}}
 
 
 def _state(file: Path | None) -> list[int] | None:

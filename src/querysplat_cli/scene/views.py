@@ -19,13 +19,14 @@ class PhotoSource:
     """Where a photo comes from: a picture file, or the frame of a film with this presentation time stamp.
 
     `view` is the part of it that the photo shows, where its lens is too wide for a pinhole camera. `overlay` is what
-    lies over the whole picture.
+    lies over the whole picture. `depth_map` is the file of a depth map that came with it.
     """
 
     path: Path
     pts: int | None = None
     view: PinholeView | None = None
     overlay: Overlay | None = None
+    depth_map: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,7 @@ class Photo:
     `panorama` is whether the file says that it shows 360°, `gps` where it was taken. `view` is the part of a wide photo
     that this one shows. `cut_from` is the (height, width), in pixels of this photo, of the picture that it is
     the middle of, where the program cut it. `orientation` is EXIF's, by which the stored pixels were turned. `overlay`
-    is what lies over the whole picture; `mask` has it.
+    is what lies over the whole picture; `mask` has it. `depth_map` is the file of a depth map that came with the photo.
     """
 
     name: str
@@ -53,10 +54,11 @@ class Photo:
     cut_from: tuple[int, int] | None = None
     orientation: int = 1
     overlay: Overlay | None = None
+    depth_map: Path | None = None
 
     @property
     def source(self) -> PhotoSource:
-        return PhotoSource(self.path, self.pts, self.view, self.overlay)
+        return PhotoSource(self.path, self.pts, self.view, self.overlay, self.depth_map)
 
     def under(self, overlay: Overlay | None) -> "Photo":
         """The same photo, in which what `overlay` covers takes no part."""

@@ -1,6 +1,7 @@
 """Depth of every view by classical multi-view stereo, from photos with cameras."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -13,6 +14,7 @@ from querysplat_cli.encoders.classical.contrast import stretch
 from querysplat_cli.encoders.classical.depth_policy import DEPTH_POLICY
 from querysplat_cli.encoders.classical.depth_warnings import depth_warnings
 from querysplat_cli.encoders.classical.fill_depth import fill_depth
+from querysplat_cli.encoders.classical.given_depth import fit_depth_maps
 from querysplat_cli.encoders.classical.neighbours import choose_sources, inverse_range, nearest_views
 from querysplat_cli.encoders.classical.patch_features import PATCH, patch_features
 from querysplat_cli.encoders.classical.patchmatch import Source
@@ -28,6 +30,7 @@ def estimate_geometry(posed: PosedViews, *, seed: int, progress: Progress) -> Ge
     does, and 0 where the depth was filled in: from what other views measured, from wider windows (`wide_windows.py`),
     and from the surroundings. A filled depth never stands in front of what other views measured.
     Without parallax, the depth is constant with confidence 0. `warnings` says so, and where a few photos hardly agree.
+    Where the photos came with depth maps, these count where stereo finds nothing (`given_depth.py`).
     `seed` is unused: nothing is random here.
     """
     del seed
@@ -35,7 +38,7 @@ def estimate_geometry(posed: PosedViews, *, seed: int, progress: Progress) -> Ge
     masks = views.masks.numpy()
     sources = choose_sources(posed)
     ranges = [inverse_range(posed, v) for v in range(len(views))]
-    if not any(sources):
+    if not any(sources) and posed.depth_maps is None:
         depth = torch.stack([torch.full(masks.shape[1:], 1 / limits.middle) for limits in ranges])
         warning = "depth is a guess: there is no parallax to measure it by"
         return _geometry(posed, depth, torch.zeros_like(depth), (warning,))
@@ -43,6 +46,9 @@ def estimate_geometry(posed: PosedViews, *, seed: int, progress: Progress) -> Ge
     each = [_stretched(picture, mask) for picture, mask in zip(pictures, masks, strict=True)]
     photos = _as_sources(posed, each)
     found = measure(photos, sources, ranges, lambda what, share: progress(what, 0.85 * share))
+    given = None if posed.depth_maps is None else fit_depth_maps(posed.depth_maps.numpy(), found, ranges)
+    if given:
+        found, ranges = given.beside(found, photos, sources), given.ranges(ranges)
     progress("wide windows", 0.85)
     wide = measure_wide(photos, sources, ranges, found)
     inverse, confidence = found.inverse, found.confidence
@@ -60,7 +66,8 @@ def estimate_geometry(posed: PosedViews, *, seed: int, progress: Progress) -> Ge
     least = [limits.far for limits in ranges]
     inverse = carve(maps, photos, nearest, least)
     depth, sure = torch.from_numpy(1 / inverse), torch.from_numpy(confidence)
-    return _geometry(posed, depth, sure, depth_warnings(posed, depth, sure))
+    warnings = (*depth_warnings(posed, depth, sure), *(given.warnings(views.names) if given else ()))
+    return replace(_geometry(posed, depth, sure, warnings), depth_maps=given.used if given else None)
 
 
 def _geometry(posed: PosedViews, depth: Tensor, confidence: Tensor, warnings: tuple[str, ...]) -> Geometry:

@@ -130,6 +130,31 @@ class DepthPolicy:
     lent_confidence: float = 0.3
     """What another view measured, seen from a view that measured nothing there, weighs so much."""
 
+    # Depth maps that came with the photos (given_depth.py).
+    given_sure: float = 0.75
+    """Confidence from which stereo's depth stands, and a map is compared with it. A white wall has up to 1/2: its
+    views agree, and match badly."""
+    given_pixels: int = 200
+    """A map is compared with stereo where that is sure of so many pixels."""
+    given_gain: float = 0.8
+    """A scale of its own, or a shift too, is taken where it leaves this share of the difference or less."""
+    given_fine: float = 0.02
+    """But not where the mean difference, relative to depth, is as small as this."""
+    given_scale: float = 4.0
+    """Such a scale differs from that of all maps by less than this factor: where stereo spreads a thing beyond its
+    edges, a map of one depth would fit best."""
+    given_lines: int = 300
+    given_samples: int = 5000
+    """Scale and shift are the best of so many lines through two pixels, as judged by so many pixels."""
+    given_difference: float = 0.1
+    """A map that differs by more, in the median and relative to depth, contradicts the photos, and is not used."""
+    given_confidence: float = 0.5
+    """Of a map's depth that no view confirms: that of a depth which one view confirms."""
+    given_edge: int = 5
+    """Pixels of the square in which such a map must be smooth. LiDAR of phones has 256 pixels a side."""
+    given_step: float = 0.1
+    """Relative difference of depth in it from which there is an edge."""
+
     # A warning (depth_warnings.py).
     agreeing_share: float = 0.3
     """Photos that agree on the depth of less of what they share are warned of. Of 90 pairs of the sets that are tuned

@@ -66,6 +66,13 @@ def listed_paths(path: Path) -> dict[str, str]:
     return {name: with_slashes(str(frame["file_path"])) for name, frame in _named_frames(path, _load(path)).items()}
 
 
+def depth_map_files(path: Path) -> dict[str, Path]:
+    """The depth maps that `path` lists (`depth_file_path`), by the names of `read_transforms`. Raises like it."""
+    frames = _named_frames(path, _load(path))
+    stated = {name: frame.get("depth_file_path") for name, frame in frames.items()}
+    return {name: path.parent / with_slashes(file) for name, file in stated.items() if isinstance(file, str)}
+
+
 def listed_files(folder: Path) -> set[str]:
     """The cameras.json of `folder` and the pictures that it lists, by their paths in the folder.
 

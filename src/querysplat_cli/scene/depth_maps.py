@@ -1,0 +1,111 @@
+"""Depth maps that come with photos: from a sensor such as LiDAR, or from a network.
+
+A map holds camera z in any unit, and may have fewer pixels than its photo. The encoder finds the unit.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+
+from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.scene.cameras import PhotoCamera, rescaled, same_shape
+from querysplat_cli.scene.decoding import orientation_of
+from querysplat_cli.scene.masks import QUARTER_TURNS
+from querysplat_cli.scene.views import Photo, PhotoSource
+
+KINDS = (".npy", ".png", ".tif", ".tiff")
+ONE_SURFACE = 0.1
+"""Relative difference up to which the pixels around one are of its surface, and are interpolated."""
+NAMES = "Maps have the names of their photos: a.png, a.npy, a.tif, a.jpg.png or a_depth.png for a.jpg."
+
+
+def with_depth_maps(photos: Sequence[Photo], folder: Path | None, listed: Mapping[str, Path]) -> list[Photo]:
+    """The photos with the depth maps of `folder`; None: those that are `listed` by photo name, where they exist.
+
+    Raises QuerySplatError where the folder has none, and where a map cannot be read or has another shape than its
+    photo. Views of panoramas and frames of films have none.
+    """
+    if folder and not folder.is_dir():
+        raise QuerySplatError(f"--depth-maps {folder}: no such folder", "Give the folder of the depth maps.")
+    found = []
+    for photo in photos:
+        whole = photo.view is None and photo.pts is None
+        file = (_file_in(folder, photo.path) if folder else listed.get(photo.name)) if whole else None
+        if file and file.is_file():
+            depth_of_photo(file, photo.source, (photo.height, photo.width))
+            photo = replace(photo, depth_map=file.absolute())
+        found.append(photo)
+    if folder and all(photo.depth_map is None for photo in found):
+        raise QuerySplatError(f"--depth-maps {folder}: no map of any of the {len(found)} photos in it", NAMES)
+    return found
+
+
+def _file_in(folder: Path, photo: Path) -> Path | None:
+    names = (f"{start}{kind}" for start in (photo.name, photo.stem, f"{photo.stem}_depth") for kind in KINDS)
+    return next((folder / name for name in names if (folder / name).is_file()), None)
+
+
+def depth_of_photo(file: Path, source: PhotoSource, size: tuple[int, int]) -> Float[np.ndarray, "rows columns"]:
+    """The map of an upright photo of `size` (height, width): camera z in the map's unit; 0 where it has none.
+
+    Maps are upright, or turned as the stored pixels of the photo. Raises QuerySplatError where there is no such map.
+    """
+    depth = _read(file)
+    if not same_shape(depth.shape, size):
+        depth = np.rot90(depth, QUARTER_TURNS.get(orientation_of(source.path), 0))
+    if not same_shape(depth.shape, size):
+        shapes = f"{depth.shape[1]} × {depth.shape[0]} pixels, another shape than {source.path.name}"
+        raise QuerySplatError(f"{file}: a depth map of {shapes}", "Give maps that show what the photos show.")
+    return np.where(np.isfinite(depth) & (depth > 0), depth, 0).astype(np.float32)
+
+
+def _read(file: Path) -> np.ndarray:
+    hint = "Depth maps are 16-bit PNG, float TIFF, or .npy of numbers, [height, width]."
+    try:
+        if file.suffix.lower() == ".npy":
+            depth = np.load(file, allow_pickle=False)
+        else:
+            depth = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+    except (OSError, ValueError, EOFError, cv2.error):
+        depth = None
+    if depth is None:
+        raise QuerySplatError(f"{file}: this depth map cannot be read", hint)
+    if depth.ndim == 3 and depth.shape[2] == 1:
+        depth = depth[..., 0]
+    if depth.ndim != 2 or depth.dtype.kind not in "fiu" or depth.dtype.itemsize == 1:
+        kind = " × ".join(map(str, depth.shape)) + f" of {depth.dtype}"
+        raise QuerySplatError(f"{file}: no depth map ({kind})", hint)
+    return depth.astype(np.float64)
+
+
+def depth_of_view(
+    depth: Float[np.ndarray, "rows columns"], photo: PhotoCamera, K: Float[np.ndarray, "3 3"], size: tuple[int, int]
+) -> Float[np.ndarray, "height width"]:
+    """What a view without distortion sees of a photo's depth map; 0 where that is nothing.
+
+    `photo` is the photo's camera, and `K` that of the view, of `size` (height, width). Within a surface, inverse depth
+    is interpolated. At edges the nearest pixel counts, since a mean of both sides lies on neither.
+    """
+    lens = rescaled(photo, *depth.shape)
+    # OpenCV counts pixels from their centres, so both principal points lie half a pixel lower there.
+    half = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
+    maps = cv2.initUndistortRectifyMap(
+        lens.K - half, np.array(lens.distortion), None, K - half, size[::-1], cv2.CV_32FC1
+    )
+    inverse = np.divide(1, depth, out=np.zeros_like(depth), where=depth > 0)
+    around = np.ones((3, 3))
+    smooth = cv2.dilate(inverse, around) <= (1 + ONE_SURFACE) * cv2.erode(inverse, around)
+    nearest, mean, within = (
+        cv2.remap(values, *maps, how, borderMode=cv2.BORDER_REPLICATE)
+        for values, how in (
+            (inverse, cv2.INTER_NEAREST),
+            (inverse, cv2.INTER_LINEAR),
+            (smooth.astype(np.float32), cv2.INTER_NEAREST),
+        )
+    )
+    seen = np.where(within > 0, mean, nearest)
+    return np.divide(1, seen, out=np.zeros_like(seen), where=seen > 0)
