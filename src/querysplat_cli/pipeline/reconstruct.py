@@ -16,7 +16,7 @@ from querysplat_cli.pipeline.distinct import duplicates
 from querysplat_cli.pipeline.first_sight import first_sight
 from querysplat_cli.pipeline.full_size import LargePhotos, full_size_quality
 from querysplat_cli.pipeline.gaussian_files import check_target, folder_of_scene
-from querysplat_cli.pipeline.given_frame import given_frame
+from querysplat_cli.pipeline.given_frame import given_frame, rounding_warnings
 from querysplat_cli.pipeline.memory import MemoryNeeds, within_memory
 from querysplat_cli.pipeline.metric import check_scale, in_metres, metres_of
 from querysplat_cli.pipeline.omitted import omissions_of
@@ -251,6 +251,7 @@ def _report(
     stages: Stages,
 ) -> Report:
     expected, further = inputs.bytes_expected, scene.full_size
+    warnings = [*passes.warnings, *scene.geometry.warnings, *colourless_warning(scene.posed.views)]
     return Report(
         ply=str(settings.ply),
         scene=str(folder_of_scene(settings.ply)),
@@ -263,7 +264,7 @@ def _report(
             **({"full_size": scores.large} if scores.large else {}),
         },
         left_out=[asdict(omission) for omission in omissions_of(settings, scene, inputs.finest, inputs.overlaid)],
-        warnings=[*passes.warnings, *scene.geometry.warnings, *colourless_warning(scene.posed.views)],
+        warnings=[*warnings, *rounding_warnings(passes.split.inputs, inputs.known, scene.gaussians)],
         tto=[*tto_entries(scene.adapted.runs), *(further.runs if further else [])],
         settings=settings_entry(asdict(settings)),
         peak_memory_gib=round(peak_gib(), 2),
