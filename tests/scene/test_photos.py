@@ -84,8 +84,22 @@ def test_the_largest_pictures_of_a_scene_folder_are_taken(tmp_path: Path, scene:
         (lambda folder: (folder / "album.zip").write_text("x") and folder, "no pictures", "album.zip: an archive"),
         (lambda folder: save(folder / "holiday" / "a.png") and folder, "no pictures", "holiday"),
         (lambda folder: all(save(folder / day / "a.png") for day in "12") and folder, "no pictures", "folders 1, 2"),
+        (
+            lambda folder: all(save(folder / f"images/cam{n}/a.png") for n in "01") and folder,
+            "no pictures",
+            "images/cam1",
+        ),
     ],
-    ids=["missing", "empty", "no pictures", "raw photos", "an archive", "pictures further down", "in several folders"],
+    ids=[
+        "missing",
+        "empty",
+        "no pictures",
+        "raw photos",
+        "an archive",
+        "pictures further down",
+        "in several folders",
+        "by camera",
+    ],
 )
 def test_inputs_without_pictures_are_refused(
     tmp_path: Path, make: Callable[[Path], Path], message: str, hint: str

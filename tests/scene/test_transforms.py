@@ -251,6 +251,22 @@ def test_missing_known_cameras(tmp_path: Path) -> None:
             read_known_cameras(path)
 
 
+def test_a_folder_of_splits_is_refused_with_their_names(tmp_path: Path) -> None:
+    """As in NeRF's synthetic scenes, whose cameras are in a file for each split."""
+    for split in ("test", "train"):
+        (tmp_path / f"transforms_{split}.json").write_text("{}")
+    with pytest.raises(QuerySplatError, match="neither") as caught:
+        read_known_cameras(tmp_path)
+    assert caught.value.hint == "Give one of its files: transforms_test.json, transforms_train.json."
+
+
+def test_the_mark_that_windows_puts_before_a_text_is_no_damage(tmp_path: Path) -> None:
+    write(tmp_path / "transforms.json", frame())
+    content = (tmp_path / "transforms.json").read_bytes()
+    (tmp_path / "transforms.json").write_bytes(b"\xef\xbb\xbf" + content)
+    assert list(read_known_cameras(tmp_path)) == ["1.png"]
+
+
 def test_dl3dv(real_photos: Path) -> None:
     """The cameras of a real capture all have one point in front of them."""
     found = read_known_cameras(real_photos / "dl3dv" / "fox")

@@ -2,22 +2,20 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
 
 import torch
 
 from querysplat_cli.encoders.base import CameraRequest, Encoder, PosedViews
-from querysplat_cli.encoders.holdout import HoldoutCameras, PosedSplit, estimate_holdout_cameras
+from querysplat_cli.encoders.holdout import HoldoutCameras, estimate_holdout_cameras
 from querysplat_cli.encoders.registry import ENCODERS
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.pipeline.budget import Budget, working_size
 from querysplat_cli.pipeline.build import Allowance, BuiltScene, encode_and_build
 from querysplat_cli.pipeline.distinct import duplicates
 from querysplat_cli.pipeline.first_sight import first_sight
-from querysplat_cli.pipeline.full_size import LargePhotos, full_size_quality
 from querysplat_cli.pipeline.gaussian_files import check_target, folder_of_scene
 from querysplat_cli.pipeline.given_depth import photos_with_depth
-from querysplat_cli.pipeline.given_frame import given_frame
+from querysplat_cli.pipeline.given_frame import given_frame, rounding_warnings
 from querysplat_cli.pipeline.memory import MemoryNeeds, within_memory
 from querysplat_cli.pipeline.metric import check_scale, in_metres, metres_of
 from querysplat_cli.pipeline.omitted import omissions_of
@@ -27,6 +25,7 @@ from querysplat_cli.pipeline.policy import PIPELINE_POLICY
 from querysplat_cli.pipeline.regions.build import build_regions, check_regions, region_count
 from querysplat_cli.pipeline.scene_folder import SCENE_FOLDER, StoredScene, check_picture_names, write_scene
 from querysplat_cli.pipeline.scene_points import scene_points
+from querysplat_cli.pipeline.scene_scores import SceneScores, heldout_photos, score_scene
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.pipeline.unfinished import Unfinished, check_name, is_long, unfinished
 from querysplat_cli.prune.resolution import Blurred, blurred
@@ -43,8 +42,6 @@ from querysplat_cli.reporting.report import (
     tto_entries,
     views_entry,
 )
-from querysplat_cli.reporting.unseen import Unseen, unseen
-from querysplat_cli.reporting.view_scores import Quality, score
 from querysplat_cli.runtime.cluster import find_engine
 from querysplat_cli.runtime.compiler import SCENE_KERNELS, start_compiling
 from querysplat_cli.runtime.device import find_device, free_bytes, peak_gib
@@ -61,7 +58,6 @@ from querysplat_cli.scene.lenses import pinhole_photos
 from querysplat_cli.scene.masks import MaskedShare
 from querysplat_cli.scene.match_cameras import cameras_of_photos
 from querysplat_cli.scene.overlays import without_overlays
-from querysplat_cli.scene.photo_files import photo_files
 from querysplat_cli.scene.photos import find_photos, unread_folders
 from querysplat_cli.scene.views import LeftOut, Photo, PhotoSource, forget_pixels
 
@@ -85,16 +81,6 @@ class _Inputs:
     def sources(self) -> dict[str, PhotoSource]:
         """Where the photos come from, by name."""
         return {photo.name: photo.source for photo in self.photos}
-
-
-@dataclass(frozen=True)
-class _Scores:
-    """Of the inputs, of held-out views and at the size of large photos (None without any), and what no photo saw."""
-
-    inputs: Quality
-    heldout: Quality | None
-    large: dict[str, Any] | None
-    unseen: Unseen | None
 
 
 def reconstruct(settings: ReconstructSettings, stages: Stages | None = None) -> Report:
@@ -154,7 +140,7 @@ def _made(inputs: _Inputs, settings: ReconstructSettings, stages: Stages, work: 
     else:
         allowance = Allowance(inputs.budget, inputs.sources)
         scene = encode_and_build(posed, inputs.encoder, inputs.model, settings, stages, allowance)
-    scores = _score(inputs, passes.split, scene, stages)
+    scores = score_scene(scene, passes.split, inputs.sources, stages)
     with stages("write"):
         report = _report(inputs, passes, scene, scores, settings, stages)
         report = replace(report, resumed=list(work.notes) if work else [])
@@ -181,8 +167,8 @@ def _read_inputs(settings: ReconstructSettings, device: torch.device, stages: St
     with stages("model") as progress:
         model, encoder = load_parts(settings, device)
         optimisation_lpips(settings.lpips, official=model.config.queries == "learned")  # a damaged file ends it here
-        known = read_known_cameras(settings.poses, fisheye=True) if settings.poses else None
-        given, known = known, cameras_of_photos(photos, known) if known else None
+        given = read_known_cameras(settings.poses, fisheye=True) if settings.poses else None
+        known = cameras_of_photos(photos, given) if given else None
         photos, known = pinhole_photos(photos, known, settings.lens, keep)
         photos = photos_with_depth(photos, settings, given, encoder.name)
         budget = Budget(settings.budget, stages.elapsed) if settings.budget else None
@@ -219,40 +205,16 @@ def _find_cameras(inputs: _Inputs, settings: ReconstructSettings, stages: Stages
     )
 
 
-def _score(inputs: _Inputs, split: PosedSplit, scene: BuiltScene, stages: Stages) -> _Scores:
-    with stages("score"):
-        quality = score(scene.gaussians, scene.posed.views, scene.adapted.cameras)
-        heldout = scene.heldout(split)
-        scored = score(scene.gaussians, *heldout) if heldout else None
-        film = unseen(scene.gaussians, scene.adapted.cameras, scene.posed.views.sizes)
-    return _Scores(quality, scored, _score_large(inputs, split, scene, stages), film)
-
-
-def _score_large(inputs: _Inputs, cameras: PosedSplit, scene: BuiltScene, stages: Stages) -> dict[str, Any] | None:
-    """Scores at the size of the large photos, where the scene was optimised on photos larger than the working ones."""
-    if scene.full_size is None or scene.full_size.size <= scene.inputs.working:
-        return None
-    with stages("full size score"):
-        heldout = _heldout_photos(inputs, cameras, scene)
-        return full_size_quality(scene.gaussians, scene.full_size.size, scene.inputs, heldout)
-
-
-def _heldout_photos(inputs: _Inputs, cameras: PosedSplit, scene: BuiltScene) -> LargePhotos | None:
-    heldout = scene.heldout(cameras)
-    if heldout is None:
-        return None
-    return LargePhotos(*heldout, photo_files(heldout[0].names, cameras.heldout_photo_cameras, inputs.sources))
-
-
 def _report(
     inputs: _Inputs,
     passes: HoldoutCameras,
     scene: BuiltScene,
-    scores: _Scores,
+    scores: SceneScores,
     settings: ReconstructSettings,
     stages: Stages,
 ) -> Report:
     expected, further = inputs.bytes_expected, scene.full_size
+    warnings = [*passes.warnings, *scene.geometry.warnings, *colourless_warning(scene.posed.views)]
     return Report(
         ply=str(settings.ply),
         scene=str(folder_of_scene(settings.ply)),
@@ -265,7 +227,7 @@ def _report(
             **({"full_size": scores.large} if scores.large else {}),
         },
         left_out=[asdict(omission) for omission in omissions_of(settings, scene, inputs.finest, inputs.overlaid)],
-        warnings=[*passes.warnings, *scene.geometry.warnings, *colourless_warning(scene.posed.views)],
+        warnings=[*warnings, *rounding_warnings(passes.split.inputs, inputs.known, scene.gaussians)],
         tto=[*tto_entries(scene.adapted.runs), *(further.runs if further else [])],
         settings=settings_entry(asdict(settings)),
         peak_memory_gib=round(peak_gib(), 2),
@@ -276,11 +238,12 @@ def _report(
         unseen=scores.unseen.entry() if scores.unseen else None,
         backdrop=len(scene.backdrop) if scene.backdrop else 0,
         matching=matching_entry(passes.split.inputs.matching),
+        depth_maps=scene.geometry.depth_maps and asdict(scene.geometry.depth_maps),
     )
 
 
 def _stored(inputs: _Inputs, passes: HoldoutCameras, scene: BuiltScene, settings: ReconstructSettings) -> StoredScene:
-    heldout = _heldout_photos(inputs, passes.split, scene)
+    heldout = heldout_photos(scene, passes.split, inputs.sources)
     files = [*scene.files, *(heldout.files if heldout else ())]
     return StoredScene(
         scene.posed.views,

@@ -17,7 +17,7 @@ def read_json(path: Path, hint: str = "Export the file again.") -> Any:
     of too many digits.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        text = path.read_text(encoding="utf-8-sig")  # with or without the mark that Windows puts before it
         content = json.loads(text)
         if "\\u" in text:
             # A lone surrogate in a file's name crashes native libraries.

@@ -182,9 +182,15 @@ def _folder_photos(folder: Path) -> list[Path]:
             return files
     if not any(folder.iterdir()):
         raise QuerySplatError(f"{folder}: an empty folder", "Put the photos there, or give another folder.")
-    inside = [each.name for each in sorted(folder.iterdir()) if each.is_dir() and _holds_pictures(each)]
+    inside = _picture_folders(folder, "*") or _picture_folders(folder, "*/*")
     others = [f"{file.name}: {why}." for file in _visible_files(folder) if (why := no_photo(file))]
     raise QuerySplatError(f"{folder}: no pictures in this folder", _where_pictures_are(inside, others))
+
+
+def _picture_folders(folder: Path, pattern: str) -> list[str]:
+    """The folders with pictures that match, by their paths in `folder`."""
+    found = sorted(each for each in folder.glob(pattern) if each.is_dir() and _holds_pictures(each))
+    return [each.relative_to(folder).as_posix() for each in found]
 
 
 def _where_pictures_are(folders: list[str], others: list[str]) -> str:

@@ -4,7 +4,7 @@ import shutil
 import zipfile
 import zlib
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from importlib.resources.abc import Traversable
@@ -181,30 +181,28 @@ def _scene(place: Traversable, name: str, pictures: str) -> CapturedScene | None
     for home in (inside(place, part) for part in HOMES):
         folders = [folder for folder in (pictures, *DATASET_FOLDERS) if inside(home, folder).is_dir()]
         if (home / "transforms.json").is_file() or folders:
-            return _read(home, name, folders[0] if folders else None, pictures)
+            return _read(home, name, folders or [""], pictures)
     if any(_is_picture(entry) for entry in place.iterdir()):
-        return _read(place, name, None, pictures)
+        return _read(place, name, [""], pictures)
     return None
 
 
-def _read(home: Traversable, name: str, folder: str | None, wanted: str) -> CapturedScene:
+def _read(home: Traversable, name: str, folders: Sequence[str], wanted: str) -> CapturedScene:
+    """The scene with the pictures of the first of `folders` that has one which the dataset lists."""
     notes = []
-    place = inside(home, folder or "")
     cameras, paths = _cameras(home)
-    if cameras and folder not in (None, wanted):
-        notes.append(f"no {wanted}: its pictures are those of {folder}")
+    folder = folders[0]
     if cameras:
-        frames = []
-        for index, (short, path) in enumerate(zip(cameras, paths, strict=True)):
-            # The folder in the file is that of the full-size pictures, which often are not there.
-            candidates = (place, path), (place, short), (home, path)
-            file = next(filter(None, (listed_picture(*candidate) for candidate in candidates)), None)
-            if file is not None:
-                frames.append(_frame(index, short, folder, file))
+        read = ((each, _listed_frames(home, each, cameras, paths)) for each in folders)
+        folder, frames = next(filter(lambda found: found[1], read), (folder, []))
+        if folder not in ("", wanted):
+            missing = "none of the listed pictures in" if wanted in folders else "no"
+            notes.append(f"{missing} {wanted}: its pictures are those of {folder}")
         if len(frames) < len(cameras):
             notes.append(f"{len(cameras) - len(frames)} of {len(cameras)} listed frames are not on disk")
     else:
-        files = sorted(filter(_is_picture, place.iterdir()), key=lambda entry: natural_key(Path(entry.name)))
+        entries = filter(_is_picture, inside(home, folder).iterdir())
+        files = sorted(entries, key=lambda entry: natural_key(Path(entry.name)))
         frames = [_frame(index, entry.name, folder, entry) for index, entry in enumerate(files)]
     rigid = {short: camera for short, camera in cameras.items() if is_rigid(camera.w2c)}
     if len(rigid) < len(cameras):
@@ -213,10 +211,22 @@ def _read(home: Traversable, name: str, folder: str | None, wanted: str) -> Capt
     return CapturedScene(name, tuple(ordered), rigid, tuple(notes))
 
 
-def _frame(index: int, name: str, folder: str | None, file: Traversable) -> Frame:
+def _listed_frames(home: Traversable, folder: str, names: Iterable[str], paths: Sequence[str]) -> list[Frame]:
+    """The frames with these short `names` and listed `paths` whose pictures are there."""
+    place, frames = inside(home, folder), []
+    for index, (short, path) in enumerate(zip(names, paths, strict=True)):
+        # The folder in the file is that of the full-size pictures, which often are not there.
+        candidates = (place, path), (place, short), (home, path)
+        file = next(filter(None, (listed_picture(*candidate) for candidate in candidates)), None)
+        if file is not None:
+            frames.append(_frame(index, short, folder, file))
+    return frames
+
+
+def _frame(index: int, name: str, folder: str, file: Traversable) -> Frame:
     if isinstance(file, zipfile.Path):
-        return Frame(index, name, folder or "", ZipMember(Path(str(file.root.filename)), file.at))
-    return Frame(index, name, folder or "", Path(str(file)))
+        return Frame(index, name, folder, ZipMember(Path(str(file.root.filename)), file.at))
+    return Frame(index, name, folder, Path(str(file)))
 
 
 def _cameras(home: Traversable) -> tuple[dict[str, PhotoCamera], list[str]]:

@@ -44,8 +44,11 @@ def find_known_cameras(path: Path) -> Path:
     listing = next((path / name for name in JSON_NAMES if (path / name).is_file()), None)
     found = listing or find_model(path)
     if found is None:
+        parts = ", ".join(sorted(file.name for file in path.glob("transforms_*.json")))  # of NeRF's synthetic scenes
         raise QuerySplatError(
             f"{path}: neither a transforms.json nor a COLMAP model in it",
-            "Give a transforms.json, or the folder with COLMAP's cameras and images files.",
+            f"Give one of its files: {parts}."
+            if parts
+            else "Give a transforms.json, or the folder with COLMAP's cameras and images files.",
         )
     return found

@@ -18,9 +18,13 @@ def inside(place: Traversable, part: str) -> Traversable:
 
 
 def listed_picture(place: Traversable, path: str) -> Traversable | None:
-    """The file of a listed frame, if it is there. NeRF's synthetic scenes list files without their suffixes."""
-    suffixes = ("", *sorted(SUFFIXES)) if Path(path).suffix.lower() not in SUFFIXES else ("",)
-    return next((file for suffix in suffixes if (file := inside(place, path + suffix)).is_file()), None)
+    """The file of a listed frame, if it is there: as it is listed, or else with another suffix of pictures.
+
+    NeRF's synthetic scenes list files without suffixes. Smaller copies are often PNG files where the list has JPEG.
+    """
+    stem = path.removesuffix(Path(path).suffix) if Path(path).suffix.lower() in SUFFIXES else path
+    others = (stem + ending for suffix in sorted(SUFFIXES) for ending in (suffix, suffix.upper()))
+    return next((file for name in (path, *others) if (file := inside(place, name)).is_file()), None)
 
 
 def with_size(frame: Mapping[str, Any], path: str, home: Traversable) -> Mapping[str, Any]:

@@ -1,0 +1,38 @@
+"""The pictures of a dataset whose names are not quite those that its list of cameras has."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from querysplat_cli.scene.formats.dataset import find_scenes
+
+
+def write_scene(home: Path, listed: list[str], pictures: list[str]) -> None:
+    frames = [{"file_path": path, "transform_matrix": np.eye(4).tolist()} for path in listed]
+    home.mkdir(parents=True)
+    (home / "transforms.json").write_text(json.dumps({"w": 64, "h": 48, "fl_x": 50, "frames": frames}))
+    for picture in pictures:
+        (home / picture).parent.mkdir(exist_ok=True)
+        cv2.imwrite(str(home / picture), np.zeros((48, 64, 3), np.uint8))
+
+
+@pytest.mark.parametrize("listed", [".jpg", ".JPG", ".png", ""])
+@pytest.mark.parametrize("there", [".png", ".PNG"])
+def test_pictures_may_have_another_suffix_than_the_listed_ones(tmp_path: Path, listed: str, there: str) -> None:
+    """Smaller copies are often PNG files where the list has JPEG, and `--poses` matches them as well."""
+    write_scene(tmp_path / "scene1", [f"images/a{listed}", f"images/b{listed}"], [f"images_4/{n}{there}" for n in "ab"])
+    (scene,) = find_scenes([tmp_path])
+    assert [frame.file for frame in scene.frames] == [tmp_path / "scene1" / "images_4" / f"{n}{there}" for n in "ab"]
+    assert all(frame.name in scene.cameras for frame in scene.frames)
+    assert scene.notes == ()
+
+
+def test_a_folder_with_other_names_is_passed_over(tmp_path: Path) -> None:
+    """As in LLFF's scenes, whose images_4 has image000.png where images has IMG_4026.JPG."""
+    write_scene(tmp_path / "fern", ["IMG_4026.JPG"], ["images/IMG_4026.jpg", "images_4/image000.png"])
+    (scene,) = find_scenes([tmp_path])
+    assert [frame.folder for frame in scene.frames] == ["images"]
+    assert scene.notes == ("none of the listed pictures in images_4: its pictures are those of images",)
