@@ -196,6 +196,7 @@ def test_an_orbit_takes_the_lens_of_the_inputs(ball: Path) -> None:
         (["--cameras", "nowhere.json"], "no cameras there"),
         (["-o", "film.mp4", "--depth"], "not films"),
         (["-o", "film.mp4", "--size", "3x1"], "at least 2 pixels"),
+        (["-o", "film.mp4", "--size", "64x16386", "--frames", "1"], "at most 16,384"),
         (["-o", "film.mp4", "--frames", "5", "--seconds", "1"], "Leave one of them out"),
         (["-o", "film.mov"], "films into an .mp4"),
         (["-o", "frames", "--seconds", "2"], "is for films"),

@@ -49,8 +49,8 @@ OTHER_KINDS = {".avi", ".mov", ".mkv", ".webm", ".gif", ".png", ".jpg", ".jpeg",
 """Endings of files, in a target, that are no films and no names of folders."""
 BESIDE = ("_depth.png", "_alpha.png", "_depth.npy", "_confidence.npy")
 """Endings of the files beside a picture, in place of its .png."""
-LEAST_SIDE = 2
-"""Pixels of a film's side: H.264 needs even ones."""
+FILM_SIDES = 2, 16_384
+"""The fewest and the most pixels of a film's side: H.264 needs even ones, and libx264 takes no more."""
 PIXEL_BYTES = 100
 """About the memory of one pixel while a picture is rendered and written."""
 
@@ -91,6 +91,8 @@ def render_file(request: RenderRequest, stages: Stages) -> Rendered:
             gaussians, cameras = transform_gaussians(gaussians, frame.inverse()), cameras.transformed(frame.inverse())
         unit = frame.scale if frame else 1.0
     height, width = request.size or (max(side) for side in zip(*sizes, strict=True))
+    if request.is_film:
+        _check_film(height, width)
     require_memory(PIXEL_BYTES * height * width, f"pictures of {width:,} × {height:,} pixels")
     with stages("render") as progress:
         pictures = _render_each(gaussians, cameras, sizes, request, progress)
@@ -112,14 +114,19 @@ def _check_target(request: RenderRequest) -> None:
         raise QuerySplatError("depth and --alpha are pictures, not films", "Write to a folder instead of an .mp4.")
     if request.seconds and not request.is_film:
         raise QuerySplatError("--seconds is for films", "Write to an .mp4, or leave it out.")
-    if request.is_film and request.size and min(request.size) < LEAST_SIDE:
-        raise QuerySplatError("--size: films have sides of at least 2 pixels", "Ask for a larger size.")
     if request.seconds and request.frames:
         raise QuerySplatError("--frames and --seconds both set the length of an orbit", "Leave one of them out.")
     if request.target.suffix.lower() in OTHER_KINDS:
         raise QuerySplatError(
             f"{request.target}: frames go into a folder, and films into an .mp4", "Choose another output."
         )
+
+
+def _check_film(height: int, width: int) -> None:
+    fewest, most = FILM_SIDES
+    if not fewest <= min(height, width) <= max(height, width) <= most:
+        why = f"a film of {width:,} × {height:,} pixels: its sides have at least {fewest} pixels and at most {most:,}"
+        raise QuerySplatError(why, "Ask for another --size, or write to a folder.")
 
 
 def _check_names(names: list[str], request: RenderRequest) -> None:
