@@ -1,5 +1,6 @@
 """What `render` does: a .ply and cameras become pictures or a film."""
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -130,8 +131,15 @@ def _check_film(height: int, width: int) -> None:
 
 
 def _check_names(names: list[str], request: RenderRequest) -> None:
-    """Raise QuerySplatError where two pictures would have one name, as the depth of `a` and a camera `a_depth`."""
-    given = set(names)
+    """Raise QuerySplatError where two pictures would have one name: that of two cameras, or a depth's and a camera's.
+
+    The frames of a film have no names.
+    """
+    given = Counter(names)
+    twice = next((name for name, count in given.items() if count > 1), None)
+    if twice and not request.is_film:
+        why = f"--cameras: several cameras are called {twice}, and each picture has the name of its camera"
+        raise QuerySplatError(why, "Give each frame a file_path of its own, or write a film.")
     for part, wanted in (("depth", request.depth), ("alpha", request.alpha)):
         both = [name for name in names if wanted and f"{name}_{part}" in given]
         if both:
