@@ -65,6 +65,13 @@ def test_bad_options(arguments: list[str], tmp_path: Path, capsys: pytest.Captur
     one_error(capsys)
 
 
+@pytest.mark.parametrize("arguments", [["a" * 300], ["info", f"--{'a' * 300}/b"]])
+def test_a_word_that_is_too_long_for_a_file(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    """Words are looked up among files, to say what was meant."""
+    assert run(arguments) == ExitCode.BAD_INPUT
+    one_error(capsys)
+
+
 def test_an_unknown_preset_and_encoder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     picture = str(photo(tmp_path / "p.png"))
     for option in ("--preset", "--encoder"):

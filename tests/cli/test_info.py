@@ -1,12 +1,14 @@
 """`querysplat info`: the numbers of a scene whose oddities are known."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
 
 from querysplat_cli.cli import run
+from querysplat_cli.cli.info import _rows
 from querysplat_cli.commands.info import describe
 from querysplat_cli.reporting.report import Report
 from querysplat_cli.reporting.stored_report import backdrop_of
@@ -70,6 +72,20 @@ def test_the_backdrop_is_no_oddity(tmp_path: Path, capsys: pytest.CaptureFixture
         assert run(["convert", str(tmp_path / "grid.ply"), str(made), "--no-backdrop", "--json", "-q", "--force"]) == 0
         (step,) = json.loads(capsys.readouterr().out)["steps"]
         assert (step["what"], step["gaussians"], len(read_ply(made))) == ("no-backdrop", behind, 216 - behind)
+
+
+def test_a_scene_of_nothing_but_its_backdrop_is_described() -> None:
+    """`convert --crop` may leave no more of a scene."""
+    found = describe(grid(), None, 216)
+    assert {**found, "backdrop": 0} == describe(grid(), None)
+    assert ("backdrop", "216 behind everything, and nothing else") in _rows({**found, "file": "", "bytes": 0})
+
+
+def test_coordinates_whose_squares_are_beyond_float32(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    gaussians = grid()
+    write_ply(tmp_path / "far.ply", replace(gaussians, means=1e36 * gaussians.means))
+    assert run(["info", str(tmp_path / "far.ply"), "--json", "-q", "--plot", str(tmp_path / "far.png")]) == 0
+    assert json.loads(capsys.readouterr().out)["extent"]["diagonal"] == pytest.approx(75**0.5 * 1e36)
 
 
 def test_one_gaussian_is_a_scene() -> None:

@@ -90,6 +90,18 @@ def test_two_pictures_of_one_name_are_refused(ball: Path, part: str, capsys: pyt
     assert run(command) == ExitCode.DONE
 
 
+def test_two_cameras_of_one_name_are_refused_but_for_a_film(ball: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A path whose frames all name one picture: each picture replaced the one before, without a word."""
+    give_cameras(ball, ("a.jpg", "b.jpg"))
+    path = ball.parent / "path.json"
+    path.write_text((ball.with_suffix("") / "cameras.json").read_text().replace("b.jpg", "a.jpg"))
+    command = ["render", str(ball), "--cameras", str(path), "-q", "-o"]
+    assert run([*command, str(ball.parent / "frames")]) == ExitCode.BAD_INPUT
+    assert "several cameras are called a.jpg" in capsys.readouterr().err
+    assert not (ball.parent / "frames").exists()
+    assert run([*command, str(ball.parent / "film.mp4")]) == ExitCode.DONE
+
+
 def test_a_film_of_a_scene_without_cameras(ball: Path) -> None:
     film = ball.parent / "film.mp4"
     assert run(["render", str(ball), "-o", str(film), "--frames", "8", "--fps", "24", "--size", "81x61", "-q"]) == 0
@@ -212,6 +224,7 @@ def test_an_orbit_takes_the_lens_of_the_inputs(ball: Path) -> None:
         (["--cameras", "nowhere.json"], "no cameras there"),
         (["-o", "film.mp4", "--depth"], "not films"),
         (["-o", "film.mp4", "--size", "3x1"], "at least 2 pixels"),
+        (["-o", "film.mp4", "--size", "64x16386", "--frames", "1"], "at most 16,384"),
         (["-o", "film.mp4", "--frames", "5", "--seconds", "1"], "Leave one of them out"),
         (["-o", "film.mov"], "films into an .mp4"),
         (["-o", "frames", "--seconds", "2"], "is for films"),

@@ -93,6 +93,19 @@ def test_photos_without_a_usable_camera_are_named(photos: list[Photo]) -> None:
     assert len(found.points) == 0
 
 
+def test_a_photo_of_which_the_mask_leaves_no_pixel(photos: list[Photo]) -> None:
+    """Known cameras place it, whatever it shows. It had a score of NaN, and so had the whole scene."""
+    line = np.zeros(photos[0].pixels.shape[:2], bool)
+    line[100] = True
+    found = place([replace(photos[0], mask=line), *photos[1:]], given(CAMERAS))
+    assert [(each.name, each.why) for each in found.left_out] == [
+        ("0.png", "its mask hides all of it at the working size")
+    ]
+    assert found.views.names == ("1.png", "2.png", "3.png")
+    with pytest.raises(ImpossibleScene, match=r"the mask of 0\.png hides all of it"):
+        place([replace(photo, mask=line) for photo in photos], given(CAMERAS))
+
+
 def test_names_that_do_not_match(photos: list[Photo]) -> None:
     with pytest.raises(ImpossibleScene, match="none of the 4 photos"):
         place(photos, {"a.png": CAMERAS[0]})

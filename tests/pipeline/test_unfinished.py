@@ -190,3 +190,13 @@ def test_a_name_that_leaves_no_room_for_the_folder_is_refused_at_once(tmp_path: 
     with pytest.raises(QuerySplatError, match="the name of the output is too long"):
         reconstruct(settings)
     assert not (tmp_path / "new").exists()
+
+
+def test_a_run_that_is_refused_removes_nothing_of_the_other_one(tmp_path: Path) -> None:
+    """It removed the folder in which another process had not kept its cameras yet."""
+    (tmp_path / "a.jpg").write_bytes(b"a photo")
+    settings = ReconstructSettings((tmp_path,), tmp_path / "scene.ply", regions=2)
+    with unfinished(settings, [photo(tmp_path)], 64) as work:
+        with pytest.raises(QuerySplatError, match="another process"), unfinished(settings, [photo(tmp_path)], 64):
+            pytest.fail("two runs have one folder")
+        assert work.folder.is_dir()

@@ -26,7 +26,7 @@ def _rows(found: dict[str, Any]) -> list[tuple[str, str]]:
     cameras = "none beside it" if found["cameras"] is None else str(found["cameras"])
     return [
         ("Gaussians", f"{found['gaussians']:,}, SH degree {found['sh_degree']}, {found['bytes'] / 2**20:.2f} MiB"),
-        ("backdrop", f"{found['backdrop']:,} behind everything, left out below" if found["backdrop"] else "none"),
+        ("backdrop", _backdrop(found["backdrop"], found["gaussians"])),
         ("extent", f"{sides} units (x, y, z), without the outer 5 % at either end"),
         ("opacity", f"{_bars(found['opacity'])} 0 to 1, median {found['opacity']['quantiles']['0.5']:.2f}"),
         ("size", f"{_bars(found['size'])} {_range(found['size'])}"),
@@ -37,6 +37,12 @@ def _rows(found: dict[str, Any]) -> list[tuple[str, str]]:
         ("see-through", _share(odd["see_through"], "of opacity below 0.05")),
         ("floaters", _share(odd["floaters"], "far from all others")),
     ]
+
+
+def _backdrop(behind: int, whole: int) -> str:
+    if not behind:
+        return "none"
+    return f"{behind:,} behind everything, {'left out below' if behind < whole else 'and nothing else'}"
 
 
 def _bars(histogram: dict[str, Any]) -> str:

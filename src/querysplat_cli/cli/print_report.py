@@ -5,7 +5,7 @@ from pathlib import Path
 from shlex import quote
 from typing import Any
 
-from querysplat_cli.cli.terminal import say
+from querysplat_cli.cli.terminal import print_json, say
 from querysplat_cli.cli.verb import Printing
 from querysplat_cli.cli.words import decibels, left_out
 from querysplat_cli.reporting.omissions import OVERLAYS, PRECISION, TRANSIENTS
@@ -22,8 +22,7 @@ FURTHER = {None: "", "standard": " --quality high", "high": " --quality max"}
 
 def print_report(report: Report, printing: Printing) -> None:
     """The report as JSON for programs; for people what was made, how good, how long it took, where, and what next."""
-    if printing.json:
-        print(report.json())
+    print_json(report.as_dict(), printing)
     for line in lines(report):
         say(line, printing)
 

@@ -1,8 +1,8 @@
 """Wrong usage of the command line, in two lines: what is wrong, and what was probably meant."""
 
 import difflib
-from glob import escape
-from pathlib import Path
+import os
+from contextlib import suppress
 from typing import Any
 
 CLOSE = 0.7
@@ -23,15 +23,18 @@ def explained(error: Any) -> tuple[str, str]:
         return f"{path.partition(' ')[2] or path} has no option {option}", hint
     message = error.format_message()
     word = message.partition("'")[2].partition("'")[0]
-    if message.startswith("No such command") and word and Path(word).exists():
+    if message.startswith("No such command") and word and os.path.exists(word):
         return message.partition(" Did you mean")[0], f"To make a scene of it: querysplat reconstruct {word}"
     return message, see
 
 
 def _file_meant(option: str) -> str:
     """A file of the current folder whose name was taken for `option`, of which the parser may have read one letter."""
-    file = next(Path().glob(f"{escape(option)}*"), None)
-    return f"For the file {file}, write ./{file}. " if file else ""
+    start = option.partition("/")[0]
+    with suppress(OSError):
+        file = min((name for name in os.listdir() if name.startswith(start)), default=None)
+        return f"For the file {file}, write ./{file}. " if file else ""
+    return ""
 
 
 def _meant(option: str, context: Any) -> str:

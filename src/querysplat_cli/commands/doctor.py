@@ -43,7 +43,7 @@ class Optional:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What was found. Memory and disk are free GiB; `compiled` counts kernels, of `kernels`.
+    """What was found. Memory and disk are in GiB; `compiled` counts kernels, of `kernels`.
 
     `cuda` is the name of the GPU, or why there is none. `encoders` and `splatters` are the names of all that are
     installed, those of other packages too. Each of `problems` is a sentence that says what to do.

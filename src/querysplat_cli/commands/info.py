@@ -67,10 +67,13 @@ def scene_info(request: InfoRequest) -> dict[str, Any]:
 def describe(gaussians: Gaussians, inputs: NamedCameras | None, backdrop: int = 0) -> dict[str, Any]:
     """Everything about the Gaussians that needs no file. Lengths are in scene units, angles in degrees.
 
-    The last `backdrop` Gaussians stand behind everything (`queries/backdrop.py`). They count as Gaussians only.
+    The last `backdrop` Gaussians stand behind everything (`queries/backdrop.py`). They count as Gaussians only, unless
+    there are no others.
     """
-    count, gaussians = len(gaussians), gaussians[: len(gaussians) - backdrop]
-    low, high = _box(opaque_centres(gaussians), 0.05)
+    count = len(gaussians)
+    gaussians = gaussians[: count - backdrop or count]
+    # In float64: squares of coordinates from 1e19 on are beyond float32.
+    low, high = _box(opaque_centres(gaussians).double(), 0.05)
     extent = float((high - low).norm())
     longest = gaussians.scales.amax(1)
     odd = _odd(gaussians, extent)

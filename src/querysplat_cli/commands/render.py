@@ -1,5 +1,6 @@
 """What `render` does: a .ply and cameras become pictures or a film."""
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -50,8 +51,8 @@ OTHER_KINDS = {".avi", ".mov", ".mkv", ".webm", ".gif", ".png", ".jpg", ".jpeg",
 """Endings of files, in a target, that are no films and no names of folders."""
 BESIDE = ("_depth.png", "_alpha.png", "_depth.npy", "_confidence.npy")
 """Endings of the files beside a picture, in place of its .png."""
-LEAST_SIDE = 2
-"""Pixels of a film's side: H.264 needs even ones."""
+FILM_SIDES = 2, 16_384
+"""The fewest and the most pixels of a film's side: H.264 needs even ones, and libx264 takes no more."""
 PIXEL_BYTES = 100
 """About the memory of one pixel while a picture is rendered and written."""
 
@@ -92,6 +93,8 @@ def render_file(request: RenderRequest, stages: Stages) -> Rendered:
             gaussians, cameras = transform_gaussians(gaussians, frame.inverse()), cameras.transformed(frame.inverse())
         unit = frame.scale if frame else 1.0
     height, width = request.size or (max(side) for side in zip(*sizes, strict=True))
+    if request.is_film:
+        _check_film(height, width)
     require_memory(PIXEL_BYTES * height * width, f"pictures of {width:,} × {height:,} pixels")
     with stages("render") as progress:
         pictures = _render_each(gaussians, cameras, sizes, request, progress)
@@ -113,8 +116,6 @@ def _check_target(request: RenderRequest) -> None:
         raise QuerySplatError("depth and --alpha are pictures, not films", "Write to a folder instead of an .mp4.")
     if request.seconds and not request.is_film:
         raise QuerySplatError("--seconds is for films", "Write to an .mp4, or leave it out.")
-    if request.is_film and request.size and min(request.size) < LEAST_SIDE:
-        raise QuerySplatError("--size: films have sides of at least 2 pixels", "Ask for a larger size.")
     if request.seconds and request.frames:
         raise QuerySplatError("--frames and --seconds both set the length of an orbit", "Leave one of them out.")
     if request.target.suffix.lower() in OTHER_KINDS:
@@ -123,9 +124,23 @@ def _check_target(request: RenderRequest) -> None:
         )
 
 
+def _check_film(height: int, width: int) -> None:
+    fewest, most = FILM_SIDES
+    if not fewest <= min(height, width) <= max(height, width) <= most:
+        why = f"a film of {width:,} × {height:,} pixels: its sides have at least {fewest} pixels and at most {most:,}"
+        raise QuerySplatError(why, "Ask for another --size, or write to a folder.")
+
+
 def _check_names(names: list[str], request: RenderRequest) -> None:
-    """Raise QuerySplatError where two pictures would have one name, as the depth of `a` and a camera `a_depth`."""
-    given = set(names)
+    """Raise QuerySplatError where two pictures would have one name: that of two cameras, or a depth's and a camera's.
+
+    The frames of a film have no names.
+    """
+    given = Counter(names)
+    twice = next((name for name, count in given.items() if count > 1), None)
+    if twice and not request.is_film:
+        why = f"--cameras: several cameras are called {twice}, and each picture has the name of its camera"
+        raise QuerySplatError(why, "Give each frame a file_path of its own, or write a film.")
     for part, wanted in (("depth", request.depth), ("alpha", request.alpha)):
         both = [name for name in names if wanted and f"{name}_{part}" in given]
         if both:

@@ -74,8 +74,8 @@ class StoredScene:
     Gaussians, as many as `backdrop` says, are the backdrop. `exposures` are the colour transforms of the input views
     (None: they show the scene's own colours). `points` are those of structure from motion (None: there are none).
 
-    Everything here is in the frame in which the scene was made. `frame` maps it to that of the files, where this is
-    another one: not with `--frame vgm`, without given cameras and without a scale.
+    Everything here is in the frame in which the scene was made. `frame` maps it to that of the files. It is None where
+    the two are one: with `--frame vgm`, unless cameras are given or the scene is in metres.
     """
 
     views: Views

@@ -73,7 +73,6 @@ class ReconstructSettings:
     ] = None
     holdout_cameras: Annotated[
         HoldoutProtocol,
-        Lens,
         Option(
             "With --holdout-every: estimate the cameras of the scene from the inputs alone (isolated, the paper's "
             "protocol), or from all photos at once (joint)."

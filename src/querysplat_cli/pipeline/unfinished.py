@@ -102,15 +102,15 @@ def unfinished(settings: ReconstructSettings, photos: Sequence[Photo], size: int
     """
     folder = _working_folder(settings)
     folder.mkdir(parents=True, exist_ok=True)
-    try:
-        with sole_writer(folder):
+    with sole_writer(folder):
+        try:
             yield Unfinished(folder, _notes(folder, _made_of(settings, photos, size)))
             shutil.rmtree(folder)
-    finally:
-        if (folder / CAMERAS).is_file():
-            signals.keep(f"What is finished is kept in {folder}, and the same command goes on with it.")
-        elif folder.is_dir():
-            shutil.rmtree(folder, ignore_errors=True)
+        finally:
+            if (folder / CAMERAS).is_file():
+                signals.keep(f"What is finished is kept in {folder}, and the same command goes on with it.")
+            elif folder.is_dir():
+                shutil.rmtree(folder, ignore_errors=True)
 
 
 def _working_folder(settings: ReconstructSettings) -> Path:

@@ -1,6 +1,5 @@
 """The report of a run: the object that `--json` prints and `report.json` keeps."""
 
-import json
 import platform
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -81,9 +80,6 @@ class Report:
         """The inverse of `as_dict`; reads reports that have only `doubts`, too."""
         rest = {name: entry for name, entry in entries.items() if name not in ("doubts", "warnings")}
         return cls(**rest, warnings=entries.get("warnings", entries.get("doubts", [])))
-
-    def json(self) -> str:
-        return json.dumps(self.as_dict(), indent=2)
 
 
 def views_entry(used: Sequence[str], left_out: Sequence[LeftOut]) -> dict[str, Any]:

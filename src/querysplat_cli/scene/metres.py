@@ -101,7 +101,11 @@ def metres_by_distances(centres: Mapping[str, np.ndarray], lengths: Sequence[tup
 
 
 def local_metres(places: Sequence[Gps]) -> np.ndarray:
-    """East, north and up [n, 3] in metres around the middle of the places (WGS 84, tangent plane)."""
+    """East, north and up [n, 3] in metres (WGS 84, plane at the median latitude).
+
+    East counts from the first place, north from the median latitude, and up from sea level; up is 0 for all places
+    where one of them has no height.
+    """
     latitude, longitude = np.radians([[place.latitude, place.longitude] for place in places]).T
     heights = [place.height for place in places]
     known = [height for height in heights if height is not None]

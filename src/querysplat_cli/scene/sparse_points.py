@@ -73,7 +73,10 @@ def read_sparse_points(folder: Path, names: Sequence[str], photos: Mapping[str, 
 
 
 def _fault(tensors: dict[str, Tensor], photos: Sequence[PhotoFile | None]) -> str:
-    """Why these are no points of a scene of these photos, or ""; None where photos.json does not list one."""
+    """Why these are no points of a scene, or "".
+
+    `photos` are those of its views; None stands for one that photos.json does not list.
+    """
     if tensors.keys() != {field.name for field in fields(SparsePoints)}:
         return "it holds other tensors than those of points"
     n, m = len(tensors["places"]), len(tensors["view"])

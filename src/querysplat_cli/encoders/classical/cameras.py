@@ -17,6 +17,7 @@ from querysplat_cli.encoders.classical.pure_rotation import placed_alone, placed
 from querysplat_cli.encoders.classical.search import AUTOMATIC, Found, MatcherChoice, search
 from querysplat_cli.encoders.classical.sparse_model import SparseModel, as_posed_views
 from querysplat_cli.encoders.classical.triangulation import triangulated
+from querysplat_cli.encoders.holdout import select_views
 from querysplat_cli.runtime.errors import ImpossibleScene
 from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.scene.cameras import PhotoCamera
@@ -45,11 +46,12 @@ def estimate_cameras(
 ) -> PosedViews:
     """Cameras of the photos, and the photos undistorted. Photos keep their order.
 
-    The camera of the first photo used is the origin. The median depth of the points, over all views that observe
+    The camera of the first photo placed is the origin. The median depth of the points, over all views that observe
     them, is 1. Known cameras keep their poses up to this origin and unit. Where the camera turned without moving,
     all cameras stand at one place and there are no points. A single photo gets the field of view that EXIF states,
     or that its straight lines tell, or else 45°. `choice` of the matcher counts where cameras are unknown. Where no two
-    photos can be related, one of two to four is used; raises ImpossibleScene where there are more.
+    photos can be related, one of two to four is used; raises ImpossibleScene where there are more, and where masks hide
+    all of every photo.
     """
     originals, copies = _without_copies(photos, request.known)
     if request.known is not None:
@@ -59,16 +61,30 @@ def estimate_cameras(
     else:
         placement = _place(originals, choice, seed=request.seed, progress=progress)
     progress("removing lens distortion", 0.9)
-    posed = as_posed_views(placement.model, originals, request.max_size)
+    posed, hidden = _without_hidden(as_posed_views(placement.model, originals, request.max_size))
     longer_side = max(posed.cameras.height, posed.cameras.width)
     return replace(
         posed,
-        left_out=(*copies, *placement.left_out),
+        left_out=(*copies, *placement.left_out, *hidden),
         warnings=placement.warnings,
         epipolar_error_px=placement.epipolar_error and placement.epipolar_error * longer_side,
         matching=placement.matching,
         chance_pairs=placement.chance_pairs,
     )
+
+
+def _without_hidden(posed: PosedViews) -> tuple[PosedViews, list[LeftOut]]:
+    """The views of which at least one pixel takes part, and the others: there is nothing to score them on.
+
+    A mask of specks or of a thin line has no pixel left where the picture is reduced or straightened.
+    """
+    names, rows = posed.views.names, [row for row, mask in enumerate(posed.views.masks) if mask.any()]
+    if not rows:
+        raise ImpossibleScene(f"the mask of {names[0]} hides all of it", "White pixels of a mask take part.")
+    if len(rows) == len(names):
+        return posed, []
+    why = "its mask hides all of it at the working size"
+    return select_views(posed, rows), [LeftOut(name, why) for row, name in enumerate(names) if row not in rows]
 
 
 def _without_copies(
