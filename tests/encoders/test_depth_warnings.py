@@ -50,6 +50,20 @@ def test_the_share_is_that_of_the_pixels_that_another_photo_shows() -> None:
     assert agreeing_share(moved(found, shift=2 * width), wall, confidence) == 1
 
 
+def test_beside_a_smaller_photo_there_is_nothing_to_agree_on() -> None:
+    """A photo and its own left half: what only the whole one shows was taken for shared."""
+    found, depth = posed(SLANTED, BESIDE)
+    wall = torch.full(depth.shape, 3.0)
+    half = found.cameras.width // 2
+    masks = found.views.masks.clone()
+    masks[1, :, half:] = False
+    sizes = (found.views.sizes[0], (found.cameras.height, half))
+    narrow = moved(replace(found, views=replace(found.views, masks=masks, sizes=sizes)), shift=0.0)
+    confidence = torch.zeros_like(wall)
+    confidence[:, :, :half] = 1
+    assert agreeing_share(narrow, wall, confidence) == 1
+
+
 def test_many_photos_are_not() -> None:
     places = [(0.1 * i, 0, 0) for i in range(CAMERA_POLICY.few_photos + 1)]
     many, depth = posed(SLANTED, places)

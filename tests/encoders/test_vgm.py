@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from hypothesis import given
@@ -182,6 +183,24 @@ def test_cameras_relative_to_the_first_view_are_moved_rigidly(tmp_path: Path) ->
     torch.testing.assert_close(
         before.cameras.local(before.points, 2), after.cameras.local(after.points, 2), atol=1e-4, rtol=1e-4
     )
+
+
+def test_no_point_comes_from_what_is_padded_or_masked(tmp_path: Path) -> None:
+    """The network's depth of white padding means nothing, but it was taken for points of the scene."""
+    write_vgm(tmp_path / "vggt_omega_1b_512.safetensors")
+    encoder = find_encoder("vggt_omega", EncoderOptions(tmp_path, fit="pad"))
+    mask = np.ones((112, 112), bool)
+    mask[:, :50] = False
+    pictures = [
+        Photo(f"{i}.png", Path(f"{i}.png"), np.full((*size, 3), 90, np.uint8), mask=part)
+        for i, (size, part) in enumerate([((112, 64), None), ((64, 112), None), ((112, 112), mask)])
+    ]
+    found = encoder.estimate_cameras(pictures, CameraRequest(112, 0), lambda text, fraction: None)
+    assert sum(map(len, found.visibility)) == len(found.points) > 0
+    for view, rows in enumerate(found.visibility):
+        x, y, _ = found.cameras.project(found.points[rows], view)
+        assert len(rows) == int(found.views.masks[view, 8::16, 8::16].sum())
+        assert found.views.masks[view, y.long(), x.long()].all()
 
 
 def test_missing_weights_name_their_source(tmp_path: Path) -> None:

@@ -163,6 +163,23 @@ def test_photos_of_folders_and_zips(pictures: Path, kind: str) -> None:
         open_source(posed).capture(0, 0)
 
 
+@pytest.mark.parametrize("kind", ["alpha", "file"])
+def test_masks_of_captured_photos_are_kept(pictures: Path, kind: str) -> None:
+    """They were dropped, so that training took what is masked for a part of the scene."""
+    shown = np.zeros((70, 90), np.uint8)
+    shown[:, 30:] = 255
+    for file in sorted(pictures.iterdir()):
+        if kind == "alpha":
+            cv2.imwrite(str(file), np.dstack([cv2.imread(str(file)), shown]))
+        else:
+            (pictures.parent / "masks").mkdir(exist_ok=True)
+            cv2.imwrite(str(pictures.parent / "masks" / file.name), shown)
+    source = open_source(SourceSettings("captured", (str(pictures),), inputs=(2, 2), targets=2, interval=(1, 2)))
+    for photo in source.capture(0, 0).photos:
+        assert photo.mask is not None
+        np.testing.assert_array_equal(photo.mask, shown > 0)
+
+
 def test_notes_name_what_is_unusual_about_scenes_once(pictures: Path) -> None:
     """Training left a damaged scene out without a word."""
     shutil.copytree(pictures, pictures.parent / "all" / "good")

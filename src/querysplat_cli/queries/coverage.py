@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional as F
 
@@ -71,17 +71,6 @@ def compare_views(
     supporters, hidden = counts.unbind(-1)
     hiding = hidden > supporters + cells.confidence
     return ViewComparison(hiding, colours[..., :3] / colours[..., 3:], supporters, hidden)
-
-
-def find_pixels(
-    points: Float[Tensor, "n 3"], view: int, views: Views, cameras: Cameras
-) -> tuple[Bool[Tensor, "n"], Int[Tensor, "n"], Int[Tensor, "n"], Float[Tensor, "n"]]:
-    """Whether points fall on the photo, occluded or not; the row and column of their pixel, and camera z."""
-    x, y, z = cameras.project(points, view)
-    inside = (z > NEAREST_DEPTH) & (x >= 0) & (y >= 0) & (x < cameras.width) & (y < cameras.height)
-    column = x.clamp(0, cameras.width - 1).long()
-    row = y.clamp(0, cameras.height - 1).long()
-    return inside & views.masks[view, row, column], row, column, z.clamp_min(NEAREST_DEPTH)
 
 
 def choose_blocks(

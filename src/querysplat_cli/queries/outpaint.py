@@ -10,9 +10,10 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from querysplat_cli.queries.cells import CELLS, Cells, measure_cells
-from querysplat_cli.queries.coverage import find_pixels, uncovered
+from querysplat_cli.queries.coverage import uncovered
 from querysplat_cli.queries.policy import QUERY_POLICY
 from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.find_pixels import find_pixels
 from querysplat_cli.scene.views import Views
 
 

@@ -5,6 +5,7 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Protocol, runtime_checkable
@@ -136,10 +137,7 @@ class Captured:
             loaded, unread = load_photos(fetch(frames, scratch), TRAINING_POLICY.longest_side)
         if unread:
             raise QuerySplatError(f"{place.name}: {unread[0].name}: {unread[0].why}", "Download the scene again.")
-        named = [
-            Photo(frame.name, photo.path, photo.pixels, photo.focal)
-            for frame, photo in zip(frames, loaded, strict=True)
-        ]
+        named = [replace(photo, name=frame.name) for frame, photo in zip(frames, loaded, strict=True)]
         if settings.cameras == "posed" and not place.cameras:
             raise QuerySplatError(f"{place.name} has no cameras", 'Use cameras = "free" for it.')
         known = None

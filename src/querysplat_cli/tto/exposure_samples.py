@@ -9,9 +9,9 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from querysplat_cli.encoders.base import Geometry
-from querysplat_cli.queries.coverage import find_pixels
 from querysplat_cli.queries.policy import QUERY_POLICY
 from querysplat_cli.scene.cameras import Cameras, nearest_first
+from querysplat_cli.scene.find_pixels import find_pixels
 from querysplat_cli.scene.views import Views
 from querysplat_cli.tto.exposure_policy import EXPOSURE_POLICY
 

@@ -8,6 +8,7 @@ from querysplat_cli.encoders.base import PosedViews
 from querysplat_cli.encoders.classical.depth_policy import DEPTH_POLICY
 from querysplat_cli.encoders.classical.patch_features import PATCH
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
+from querysplat_cli.scene.find_pixels import find_pixels
 
 
 def depth_warnings(
@@ -40,6 +41,7 @@ def agreeing_share(
     shared = torch.zeros_like(inside)
     for own, places in enumerate(posed.cameras.patch_places(depth, PATCH)):
         for other in set(range(len(inside))) - {own}:
-            shared[own] |= posed.cameras.sees(places.flatten(0, 1), other).view(places.shape[:2])
+            seen = find_pixels(places.flatten(0, 1), other, posed.views, posed.cameras)[0]
+            shared[own] |= seen.view(places.shape[:2])
     shared &= inside
     return float(sure[shared].float().mean()) if shared.any() else 1.0

@@ -44,8 +44,8 @@ class FeedForwardEncoder:
     def estimate_cameras(self, photos: Sequence[Photo], request: CameraRequest, progress: Progress) -> PosedViews:
         """The cameras that the network predicts, for photos cut or padded to its size.
 
-        Points come from the depth maps; there are none without depth. Raises QuerySplatError for known cameras or a
-        size below a patch, and ImpossibleScene when a camera is not finite.
+        Points come from the depth maps, inside the masks; there are none without depth. Raises QuerySplatError for
+        known cameras or a size below a patch, and ImpossibleScene when a camera is not finite.
         """
         if request.known is not None:
             raise QuerySplatError(
@@ -65,9 +65,9 @@ class FeedForwardEncoder:
         points, visibility = torch.zeros(0, 3), (torch.zeros(0, dtype=torch.long),) * len(views)
         if found.depth is not None:
             rows, columns = (torch.arange(POINT_SPACING // 2, side, POINT_SPACING) for side in found.depth.shape[1:])
-            depth = found.depth[:, rows[:, None], columns]
-            points = cameras.unproject(depth, columns + 0.5, rows + 0.5).flatten(0, 2)
-            visibility = torch.arange(len(points)).split(depth[0].numel())
+            depth, shown = (each[:, rows[:, None], columns] for each in (found.depth, views.masks))
+            points = cameras.unproject(depth, columns + 0.5, rows + 0.5)[shown]
+            visibility = torch.arange(len(points)).split(shown.sum((1, 2)).tolist())
         if self._options.frame == "first_view":
             move = rigid(cameras.w2c[0])
             cameras, points = cameras.transformed(move), move.apply(points)
