@@ -41,6 +41,8 @@ def lines(report: Report) -> Iterator[str]:
     yield from (f"left out: {entry['saved']}, where {entry['why']}" for entry in hidden)
     if report.matching and not report.quality.get("before"):
         yield _matching(report.matching)
+    if report.depth_maps:
+        yield _depth_maps(report.depth_maps)
     yield from report.resumed
     if report.regions:
         yield _regions(report.regions, report.seams)
@@ -86,6 +88,12 @@ def _matching(matching: dict[str, Any]) -> str:
         f"{pairs} matched again by {matching['matcher']} in {matching['seconds']:.1f} s: {before:,} → {after:,} matches"
     )
     return found if matching["kept"] else f"{found}, which did not improve the cameras"
+
+
+def _depth_maps(maps: dict[str, Any]) -> str:
+    off = maps["difference"]
+    beside = "" if off is None else f"; they differ by {off:.1%} from the depth that photos confirm"
+    return f"{maps['used']} of {counted(maps['given'], 'depth map')} used{beside}"
 
 
 def _quality(report: Report) -> Iterator[str]:

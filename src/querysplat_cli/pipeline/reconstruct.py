@@ -238,7 +238,7 @@ def _report(
         unseen=scores.unseen.entry() if scores.unseen else None,
         backdrop=len(scene.backdrop) if scene.backdrop else 0,
         matching=matching_entry(passes.split.inputs.matching),
-        depth_maps=scene.geometry.depth_maps and asdict(scene.geometry.depth_maps),
+        depth_maps=asdict(used) if (used := scene.geometry.depth_maps) else None,
     )
 
 

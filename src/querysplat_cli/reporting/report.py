@@ -36,9 +36,9 @@ class Report:
     the backdrop, the last ones of the file. `scale` says where metres come from (None: lengths are in no unit).
     `unseen` is how much of a film around the scene no photo saw (None where there is no film). `matching` says what a
     network did, or would have done, for photos that SIFT matches badly. `depth_maps` counts those that came with the
-    photos and those that are used, with their `difference` from what the photos confirm (None: none came). `bytes` is the size of the file `ply` (None: in
-    reports of earlier versions). `regions` has one entry for each region, and `seams` for every two that overlap (both
-    empty where there is one region). `resumed` says what came from an unfinished run.
+    photos and those that are used, and says how far these are off (None: none came). `bytes` is the size of the file
+    `ply` (None: in reports of earlier versions). `regions` has one entry for each region, and `seams` for every two
+    that overlap (both empty where there is one region). `resumed` says what came from an unfinished run.
     """
 
     ply: str

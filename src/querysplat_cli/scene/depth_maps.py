@@ -45,7 +45,7 @@ def with_depth_maps(photos: Sequence[Photo], folder: Path | None, listed: Mappin
 
 
 def _file_in(folder: Path, photo: Path) -> Path | None:
-    names = (f"{start}{kind}" for start in (photo.name, photo.stem, f"{photo.stem}_depth") for kind in KINDS)
+    names = (f"{start}{kind}" for start in (f"{photo.stem}_depth", photo.name, photo.stem) for kind in KINDS)
     return next((folder / name for name in names if (folder / name).is_file()), None)
 
 
