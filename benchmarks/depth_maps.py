@@ -2,7 +2,8 @@
 
     python benchmarks/depth_maps.py [--rooms 1 2 3] [--json results.json] [--keep DIR]
 
-Photos are ray-cast pictures of procedural rooms, so their depth is known. Every 4th is held out, and the cameras of all
+Photos are ray-cast pictures of procedural rooms, so their depth is known. The walls of each room are as they are, of
+bricks or rough plaster, or plain, as in most homes. Every 4th photo is held out, and the cameras of all
 are found together. Each row is one run of the command: without depth maps, with maps like those of a phone's LiDAR
 (millimetres at a fifth of the photo's size, noise of 1 %), and with maps like those of a network (inverse depth of an
 unknown scale and shift for each photo, blurred). Scores are over grey, of held-out photos.
@@ -10,6 +11,8 @@ unknown scale and shift for each photo, blurred). Scores are over grey, of held-
 
 import argparse
 from collections.abc import Callable
+from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +25,7 @@ from common.output import Table, write_json
 from common.samples import HOLDOUT_EVERY, SEED
 from querysplat_cli.training.photographer import cast, walk
 from querysplat_cli.training.rooms import make_room
+from querysplat_cli.training.solids import Scene
 
 PHOTOS = 11
 SIZE = (360, 480)
@@ -51,30 +55,39 @@ SENSORS: dict[str, Callable[[np.ndarray, np.random.Generator], np.ndarray] | Non
 }
 
 
-def take_photos(room: int, folder: Path) -> None:
-    """Write photos of a room into `photos`, and the maps of each sensor into a folder of its name."""
-    chance = np.random.default_rng([SEED, room])
+def furnished(room: int, walls: str) -> Scene:
+    """A room; with `walls` "plain", walls and ceiling have one colour each."""
     scene = make_room(room)
+    if walls != "plain":
+        return scene
+    solids = (replace(each, paint="plain") if each.paint in ("brick", "plaster") else each for each in scene.solids)
+    return replace(scene, solids=tuple(solids))
+
+
+def take_photos(room: int, walls: str, folder: Path) -> None:
+    """Write photos of a room into `photos`, and the maps of each sensor into `SENSOR-maps`."""
+    chance = np.random.default_rng([SEED, room])
+    scene = furnished(room, walls)
     pictures, depth = cast(scene, walk(scene, PHOTOS, room).resized(*SIZE))
-    for name in ("photos", *(sensor for sensor, make in SENSORS.items() if make)):
+    for name in ("photos", *(f"{sensor}-maps" for sensor, make in SENSORS.items() if make)):
         (folder / name).mkdir(parents=True, exist_ok=True)
     for number, (picture, z) in enumerate(zip(pictures, depth.numpy(), strict=True)):
         colours = (picture * 255).round().byte().permute(1, 2, 0).numpy()
         cv2.imwrite(str(folder / "photos" / f"{number:02}.png"), np.ascontiguousarray(colours[..., ::-1]))
         for sensor, make in SENSORS.items():
             if make:
-                np.save(folder / sensor / f"{number:02}.npy", make(z, chance))
+                np.save(folder / f"{sensor}-maps" / f"{number:02}.npy", make(z, chance))
 
 
-def measure(room: int, folder: Path) -> list[dict[str, Any]]:
+def measure(room: int, walls: str, folder: Path) -> list[dict[str, Any]]:
     """The rows of one room."""
-    take_photos(room, folder)
+    take_photos(room, walls, folder)
     rows = []
     for sensor, make in SENSORS.items():
         options = ["--holdout-every", str(HOLDOUT_EVERY), "--holdout-cameras", "joint"]
-        options += ["--depth-maps", str(folder / sensor)] if make else []
+        options += ["--depth-maps", str(folder / f"{sensor}-maps")] if make else []
         report = reconstructed([folder / "photos"], folder / f"{sensor}.ply", *options)
-        labels = {"room": room, "maps": sensor}
+        labels = {"room": room, "walls": walls, "maps": sensor}
         if "error" in report:
             rows.append({**labels, **report})
             continue
@@ -92,13 +105,13 @@ def main() -> None:
     parser.add_argument("--keep", type=Path, help="keep photos, maps and scenes in this folder")
     options = parser.parse_args()
     columns = {"dB": ".2f", "SSIM": ".3f", "used": "", "difference": ".1%", "s": ".0f"}
-    table, rows = Table({"room": "", "maps": "", **columns}), []
+    table, rows = Table({"room": "", "walls": "", "maps": "", **columns}), []
     with folder_or_scratch(options.keep) as folder:
-        for room in options.rooms:
-            for row in measure(room, folder / str(room)):
+        for room, walls in product(options.rooms, ("patterned", "plain")):
+            for row in measure(room, walls, folder / f"{room}-{walls}"):
                 rows.append(row)
                 names = "psnr_grey", "ssim", "used", "difference", "seconds"
-                table.add(row["room"], row["maps"], *(row.get(name) for name in names))
+                table.add(room, walls, row["maps"], *(row.get(name) for name in names))
     write_json(options.json, rows=rows)
 
 

@@ -109,6 +109,13 @@ class _Omission:
 
 
 @dataclass(frozen=True)
+class _DepthMaps:
+    given: Count
+    used: Count
+    difference: float | None
+
+
+@dataclass(frozen=True)
 class _Report:
     """What a later run reads of a report. Other entries are kept as they are."""
 
@@ -132,6 +139,7 @@ class _Report:
     scale: _Scale | None = None
     backdrop: Count = 0
     matching: _Matching | None = None
+    depth_maps: _DepthMaps | None = None
     bytes: Annotated[int, Ge(0)] | None = None
     regions: tuple[_Region, ...] = ()
     seams: tuple[_Seam, ...] = ()
