@@ -50,13 +50,13 @@ def test_a_white_wall_stands_where_the_map_says(white_wall, sensor):
     assert geometry.warnings == ()
 
 
-def test_a_map_that_contradicts_the_photos_is_not_used_and_named(white_wall):
+def test_a_map_that_does_not_fit_the_photos_is_not_used_and_named(white_wall):
     scene, truth = white_wall
     maps = truth.copy()
     maps[1] = np.random.default_rng(0).uniform(1, 9, truth[1].shape)
     geometry = seen_depth(with_maps(scene, maps))
     assert (geometry.depth_maps.given, geometry.depth_maps.used) == (4, 3)
-    assert geometry.warnings == ("depth maps that contradict what the photos show are not used: 1 (1.png)",)
+    assert geometry.warnings == ("depth maps that do not fit what the photos show are not used: 1 (1.png)",)
     assert np.mean(error(geometry, truth)[[0, 2, 3]] > 0.05) < 0.1
 
 
@@ -89,3 +89,21 @@ def test_views_without_a_map_are_as_good_as_before(white_wall):
     for view in (2, 3):
         now, then = (np.mean(error(each, truth)[view][wall[view]] > 0.05) for each in (geometry, before))
         assert now <= then
+
+
+def test_a_map_that_cannot_be_compared_needs_the_unit_of_the_others(white_wall):
+    scene, truth = white_wall
+    hidden = scene.views.masks.clone()
+    hidden[3] &= torch.from_numpy(truth[3] > 4.5)
+    lone = replace(scene, views=replace(scene.views, masks=hidden))
+    for units, used in (([1, 1, 1, 1], 4), ([1, 2, 3, 4], 3)):
+        maps = truth * np.array(units)[:, None, None] * hidden.numpy()
+        geometry = seen_depth(with_maps(lone, maps))
+        assert (geometry.depth_maps.given, geometry.depth_maps.used) == (4, used)
+
+
+def test_maps_without_a_single_distance_change_nothing(white_wall):
+    scene, truth = white_wall
+    found, plain = seen_depth(with_maps(scene, 0 * truth)), seen_depth(scene)
+    assert (found.depth_maps.given, found.depth_maps.used) == (0, 0)
+    assert torch.equal(found.depth, plain.depth)

@@ -17,7 +17,6 @@ FIRST = ["--tto", "0", "--max-size", "128"]
 
 @pytest.fixture
 def photos(tmp_path: Path) -> Path:
-    """A room; in the middle of each photo, a white sheet hides it."""
     take_photos(tmp_path / "photos", 3)
     return tmp_path / "photos"
 
@@ -54,14 +53,15 @@ def test_the_maps_of_another_scene_of_the_same_photos_are_used(
 
 
 def test_maps_of_nothing_are_named_and_not_used(photos: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    maps = photos.parent / "maps"
+    maps = photos / "depth"
     maps.mkdir()
     chance = np.random.default_rng(0)
-    for file in photos.iterdir():
+    for file in photos.glob("*.png"):
         cv2.imwrite(str(maps / f"{file.stem}.png"), chance.integers(1, 60000, (30, 40), np.uint16))
     report = made(photos, "wrong", capsys, "--depth-maps", str(maps))
     assert report["depth_maps"] == {"given": PHOTOS, "used": 0, "difference": None}
-    assert any("depth maps that contradict what the photos show" in warning for warning in report["warnings"])
+    assert report["views"]["left_out"] == []
+    assert any("depth maps that do not fit what the photos show" in warning for warning in report["warnings"])
 
 
 def test_folders_without_maps_and_encoders_with_depth_of_their_own_are_refused(

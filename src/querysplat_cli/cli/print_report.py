@@ -41,7 +41,7 @@ def lines(report: Report) -> Iterator[str]:
     yield from (f"left out: {entry['saved']}, where {entry['why']}" for entry in hidden)
     if report.matching and not report.quality.get("before"):
         yield _matching(report.matching)
-    if report.depth_maps:
+    if report.depth_maps and not report.quality.get("before"):
         yield _depth_maps(report.depth_maps)
     yield from report.resumed
     if report.regions:

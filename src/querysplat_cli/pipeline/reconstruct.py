@@ -159,7 +159,8 @@ def _read_inputs(settings: ReconstructSettings, device: torch.device, stages: St
         keep = FiledPixels(without_steps(settings.ply).parent, PIPELINE_POLICY.pixel_bytes)
         paths = find_photos(settings.inputs)
         photos, unread = load_inputs(paths, settings.film_frames, progress=progress, keep=keep)
-        unread = [*unread_folders(settings.inputs), *unread]
+        folders = [*settings.inputs, *([settings.depth_maps] if settings.depth_maps else [])]
+        unread = [*unread_folders(folders), *unread]
         keeps = settings.overlays == "off" or settings.keep_everything
         photos, overlaid = (photos, None) if keeps else without_overlays(photos)
     if device.type == "cpu":

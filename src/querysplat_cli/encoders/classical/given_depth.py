@@ -23,7 +23,7 @@ from querysplat_cli.encoders.classical.stereo import Measurement
 class FittedDepth:
     """The maps as inverse depth [views, height, width] in 1 / scene units; 0 where there is none.
 
-    `used` says what became of the maps, and `refused` are the views whose maps contradict the photos.
+    `used` says what became of the maps, and `refused` are the views whose maps do not fit the photos.
     """
 
     inverse: np.ndarray
@@ -44,7 +44,7 @@ class FittedDepth:
         if not self.refused:
             return ()
         some = ", ".join(names[view] for view in self.refused[:3]) + (", …" if self.refused[3:] else "")
-        return (f"depth maps that contradict what the photos show are not used: {len(self.refused)} ({some})",)
+        return (f"depth maps that do not fit what the photos show are not used: {len(self.refused)} ({some})",)
 
     def beside(self, found: Measurement, photos: Sequence[Source], sources: Sequence[list[int]]) -> Measurement:
         """What stereo found, and the maps where it found nothing, or where they differ from what one view confirms.
@@ -70,39 +70,38 @@ def fit_depth_maps(
     """The maps `depth` (camera z in any unit, 0 where there is none) in the unit of what stereo `found`.
 
     One unit for all maps is taken where that fits, else one for each map, else a scale and a shift of inverse depth for
-    each. Maps that nothing confirms have the unit of all. Where no map has
-    confirmed depth, the middles of the maps lie where those of the `ranges` do.
+    each. Maps with which stereo has little in common have the unit of all, and are refused where other maps have no
+    common one. Where stereo found nothing, the middles of the maps lie where those of the `ranges` do.
     """
     given = np.divide(1, depth, out=np.zeros_like(depth), where=depth > 0)
     sure = (found.confidence >= DEPTH_POLICY.given_sure) & (given > 0)
-    with_map = np.flatnonzero((given > 0).any((1, 2)))
+    with_map = np.flatnonzero((given > 0).any((1, 2))).tolist()
     unit = _unit(given, found, sure, ranges, with_map)
-    fitted, refused, differences = np.zeros_like(given), [], []
-    for view in with_map:
-        pixels = sure[view]
-        own, theirs = given[view][pixels].astype(np.float64), found.inverse[view][pixels].astype(np.float64)
-        scale, shift, difference = unit, 0.0, 0.0
-        if len(own) >= DEPTH_POLICY.given_pixels:
-            scale, shift, difference = _best(own, theirs, unit)
-            differences.append(difference)
-        if difference > DEPTH_POLICY.given_difference:
-            refused.append(int(view))
-            continue
+    compared = [view for view in with_map if sure[view].sum() >= DEPTH_POLICY.given_pixels]
+    fits = {
+        view: _best(*(each[view][sure[view]].astype(np.float64) for each in (given, found.inverse)), unit)
+        for view in compared
+    }
+    fits = {view: fit for view, fit in fits.items() if fit[2] <= DEPTH_POLICY.given_difference}
+    differences = [difference for _, _, difference in fits.values()]
+    if all(fit[:2] == (unit, 0.0) for fit in fits.values()):
+        fits |= {view: (unit, 0.0, 0.0) for view in with_map if view not in compared}
+    fitted = np.zeros_like(given)
+    for view, (scale, shift, _) in fits.items():
         there = given[view] > 0
         fitted[view][there] = np.maximum(scale * given[view][there] + shift, 0)
-    kept = [difference for difference in differences if difference <= DEPTH_POLICY.given_difference]
-    median = float(np.median(kept)) if kept else None
-    used = UsedDepthMaps(len(with_map), len(with_map) - len(refused), median)
-    return FittedDepth(fitted, used, tuple(refused))
+    used = UsedDepthMaps(len(with_map), len(fits), float(np.median(differences)) if differences else None)
+    return FittedDepth(fitted, used, tuple(view for view in with_map if view not in fits))
 
 
 def _unit(
-    given: np.ndarray, found: Measurement, sure: np.ndarray, ranges: Sequence[InverseRange], with_map: np.ndarray
+    given: np.ndarray, found: Measurement, sure: np.ndarray, ranges: Sequence[InverseRange], with_map: Sequence[int]
 ) -> float:
     """One factor from inverse depth of all maps to that of the scene."""
     if sure.any():
         return float(np.median(found.inverse[sure] / given[sure]))
-    return float(np.median([ranges[view].middle / np.median(given[view][given[view] > 0]) for view in with_map]))
+    middles = [ranges[view].middle / float(np.median(given[view][given[view] > 0])) for view in with_map]
+    return float(np.median(middles)) if middles else 1.0
 
 
 def _best(given: np.ndarray, wanted: np.ndarray, unit: float) -> tuple[float, float, float]:
