@@ -1,6 +1,6 @@
 """What depth maps that come with photos bring to a scene.
 
-    python benchmarks/depth_maps.py [--rooms 1 2 3] [--json results.json] [--keep DIR]
+    python benchmarks/depth_maps.py [--rooms 1 2 3] [--photos 11] [--json results.json] [--keep DIR]
 
 Photos are ray-cast pictures of procedural rooms, so their depth is known. The walls of each room are as they are, of
 bricks or rough plaster, or plain, as in most homes. Every 4th photo is held out, and the cameras of all
@@ -27,7 +27,6 @@ from querysplat_cli.training.photographer import cast, walk
 from querysplat_cli.training.rooms import make_room
 from querysplat_cli.training.solids import Scene
 
-PHOTOS = 11
 SIZE = (360, 480)
 LIDAR_NOISE = 0.01
 LIDAR_STEP = 5
@@ -64,11 +63,11 @@ def furnished(room: int, walls: str) -> Scene:
     return replace(scene, solids=tuple(solids))
 
 
-def take_photos(room: int, walls: str, folder: Path) -> None:
-    """Write photos of a room into `photos`, and the maps of each sensor into `SENSOR-maps`."""
+def take_photos(room: int, walls: str, count: int, folder: Path) -> None:
+    """Write so many photos of a room into `photos`, and the maps of each sensor into `SENSOR-maps`."""
     chance = np.random.default_rng([SEED, room])
     scene = furnished(room, walls)
-    pictures, depth = cast(scene, walk(scene, PHOTOS, room).resized(*SIZE))
+    pictures, depth = cast(scene, walk(scene, count, room).resized(*SIZE))
     for name in ("photos", *(f"{sensor}-maps" for sensor, make in SENSORS.items() if make)):
         (folder / name).mkdir(parents=True, exist_ok=True)
     for number, (picture, z) in enumerate(zip(pictures, depth.numpy(), strict=True)):
@@ -79,15 +78,15 @@ def take_photos(room: int, walls: str, folder: Path) -> None:
                 np.save(folder / f"{sensor}-maps" / f"{number:02}.npy", make(z, chance))
 
 
-def measure(room: int, walls: str, folder: Path) -> list[dict[str, Any]]:
+def measure(room: int, walls: str, count: int, folder: Path) -> list[dict[str, Any]]:
     """The rows of one room."""
-    take_photos(room, walls, folder)
+    take_photos(room, walls, count, folder)
     rows = []
     for sensor, make in SENSORS.items():
         options = ["--holdout-every", str(HOLDOUT_EVERY), "--holdout-cameras", "joint"]
         options += ["--depth-maps", str(folder / f"{sensor}-maps")] if make else []
         report = reconstructed([folder / "photos"], folder / f"{sensor}.ply", *options)
-        labels = {"room": room, "walls": walls, "maps": sensor}
+        labels = {"room": room, "photos": count, "walls": walls, "maps": sensor}
         if "error" in report:
             rows.append({**labels, **report})
             continue
@@ -101,6 +100,7 @@ def measure(room: int, walls: str, folder: Path) -> list[dict[str, Any]]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--rooms", nargs="*", type=int, default=[1, 2, 3], metavar="SEED")
+    parser.add_argument("--photos", type=int, default=11, help="of each room, those that are held out among them")
     parser.add_argument("--json", type=Path, help="also write the results here")
     parser.add_argument("--keep", type=Path, help="keep photos, maps and scenes in this folder")
     options = parser.parse_args()
@@ -108,7 +108,7 @@ def main() -> None:
     table, rows = Table({"room": "", "walls": "", "maps": "", **columns}), []
     with folder_or_scratch(options.keep) as folder:
         for room, walls in product(options.rooms, ("patterned", "plain")):
-            for row in measure(room, walls, folder / f"{room}-{walls}"):
+            for row in measure(room, walls, options.photos, folder / f"{room}-{walls}"):
                 rows.append(row)
                 names = "psnr_grey", "ssim", "used", "difference", "seconds"
                 table.add(room, walls, row["maps"], *(row.get(name) for name in names))
