@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
+from querysplat_cli.encoders.base import Geometry, UsedDepthMaps
 from querysplat_cli.pipeline.kept_parts import read_part, write_part
 from querysplat_cli.runtime.errors import QuerySplatError
 
@@ -23,3 +24,9 @@ def test_a_full_disk_is_said(tmp_path: Path, room: int) -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
     assert torch.equal(read_part(path)[0], torch.ones(2))
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_regions_geometry_is_kept_with_what_became_of_its_depth_maps(tmp_path: Path) -> None:
+    geometry = Geometry(None, None, (), 8, depth_maps=UsedDepthMaps(9, 8, 0.01))
+    write_part(tmp_path / "depth.pt", geometry)
+    assert read_part(tmp_path / "depth.pt") == geometry

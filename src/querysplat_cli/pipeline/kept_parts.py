@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from numpy._core.multiarray import _reconstruct
 
-from querysplat_cli.encoders.base import Geometry, Matching, PosedViews
+from querysplat_cli.encoders.base import Geometry, Matching, PosedViews, UsedDepthMaps
 from querysplat_cli.encoders.holdout import HoldoutCameras, PoseDifference, PosedSplit
 from querysplat_cli.model.anchors import Anchors, Neighbours, Reading
 from querysplat_cli.model.memories import Memories
@@ -28,7 +28,7 @@ from querysplat_cli.scene.resample import PinholeView
 from querysplat_cli.scene.views import LeftOut, PhotoSource, Views
 
 CLASSES: list[Any] = [
-    *(Geometry, Matching, PosedViews, HoldoutCameras, PosedSplit, PoseDifference),
+    *(Geometry, UsedDepthMaps, Matching, PosedViews, HoldoutCameras, PosedSplit, PoseDifference),
     *(Anchors, Neighbours, Reading, Memories, MemoryMap, PreparedQueries, Gaussians, Exposures, Cameras, PhotoCamera),
     *(Views, LeftOut, PhotoSource, PinholeView, Overlay, RegionTask, RegionScene, ReconstructSettings),
     *(PosixPath, WindowsPath, np.ndarray, np.dtype, type(np.dtype(np.float64)), _reconstruct),
