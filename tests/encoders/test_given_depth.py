@@ -31,14 +31,14 @@ def white_wall() -> tuple[PosedViews, np.ndarray]:
 
 
 @pytest.mark.parametrize(
-    "sensor",
+    ("sensor", "unit"),
     [
-        pytest.param(lambda z, views: 1000 * z, id="millimetres"),
-        pytest.param(lambda z, views: z * (1 + views / 4), id="a unit for each"),
-        pytest.param(lambda z, views: 1 / (0.4 / z + 0.05), id="inverse depth with a shift"),
+        pytest.param(lambda z, views: 1000 * z, 1000, id="millimetres"),
+        pytest.param(lambda z, views: z * (1 + views / 4), None, id="a unit for each"),
+        pytest.param(lambda z, views: 1 / (0.4 / z + 0.05), None, id="inverse depth with a shift"),
     ],
 )
-def test_a_white_wall_stands_where_the_map_says(white_wall, sensor):
+def test_a_white_wall_stands_where_the_map_says(white_wall, sensor, unit):
     scene, truth = white_wall
     wall = truth > 4.5
     assert np.mean(error(seen_depth(scene), truth)[wall] > 0.05) > 0.3
@@ -46,6 +46,7 @@ def test_a_white_wall_stands_where_the_map_says(white_wall, sensor):
     assert np.mean(error(geometry, truth)[wall] > 0.03) < 0.1  # stereo spreads the pictures a little
     assert geometry.depth_maps.given == geometry.depth_maps.used == len(truth)
     assert geometry.depth_maps.difference < 0.01
+    assert geometry.depth_maps.per_unit == (pytest.approx(unit, rel=0.01) if unit else None)
     assert float(geometry.confidence[torch.from_numpy(wall)].median()) >= 0.5
     assert geometry.warnings == ()
 

@@ -28,6 +28,10 @@ def made(photos: Path, name: str, capsys: pytest.CaptureFixture[str], *more: str
     return report
 
 
+def centres(file: Path) -> np.ndarray:
+    return np.array([frame["transform_matrix"] for frame in json.loads(file.read_text())["frames"]])[:, :3, 3]
+
+
 def test_the_maps_of_another_scene_of_the_same_photos_are_used(
     photos: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -39,10 +43,15 @@ def test_the_maps_of_another_scene_of_the_same_photos_are_used(
     assert run(["render", str(scene), "-o", str(maps), "--cameras", "inputs", "--float-depth", "-q"]) == 0
     for file in maps.glob("*_depth.npy"):
         np.save(file, 12.5 * np.load(file))
-    found = made(photos, "found", capsys, "--depth-maps", str(maps))
+    found = made(photos, "found", capsys, "--depth-maps", str(maps), "--scale", "depth")
     assert found["depth_maps"]["given"] == found["depth_maps"]["used"] == PHOTOS
     assert found["depth_maps"]["difference"] < 0.03
     assert found["quality"]["input"]["psnr"] > plain["quality"]["input"]["psnr"] - 0.5
+
+    assert found["scale"]["source"] == "depth"
+    one, other = (centres(scene.parent / name / "cameras.json") for name in ("plain", "found"))
+    ratio = np.linalg.norm(other[1:] - other[0], axis=1) / np.linalg.norm(one[1:] - one[0], axis=1)
+    np.testing.assert_allclose(ratio, 12.5, rtol=0.02)
 
     cameras = json.loads((maps / "cameras.json").read_text())
     for frame in cameras["frames"]:
@@ -58,9 +67,11 @@ def test_maps_of_nothing_are_named_and_not_used(photos: Path, capsys: pytest.Cap
     chance = np.random.default_rng(0)
     for file in photos.glob("*.png"):
         cv2.imwrite(str(maps / f"{file.stem}.png"), chance.integers(1, 60000, (30, 40), np.uint16))
-    report = made(photos, "wrong", capsys, "--depth-maps", str(maps))
-    assert report["depth_maps"] == {"given": PHOTOS, "used": 0, "difference": None}
+    report = made(photos, "wrong", capsys, "--depth-maps", str(maps), "--scale", "depth")
+    assert report["depth_maps"] == {"given": PHOTOS, "used": 0, "difference": None, "per_unit": None}
     assert report["views"]["left_out"] == []
+    assert report["scale"] is None
+    assert "the depth maps have no common unit, so lengths are not in metres" in report["warnings"]
     assert any("depth maps that do not fit what the photos show" in warning for warning in report["warnings"])
 
 
@@ -72,4 +83,6 @@ def test_folders_without_maps_and_encoders_with_depth_of_their_own_are_refused(
     assert "no map of any of the" in capsys.readouterr().err
     assert run([*command, str(photos.parent / "none")]) == ExitCode.BAD_INPUT
     assert "no such folder" in capsys.readouterr().err
+    assert run([*command[:-1], "--scale", "depth"]) == ExitCode.BAD_INPUT
+    assert "there are no depth maps" in capsys.readouterr().err
     assert not (photos.parent / "a.ply").exists()

@@ -48,7 +48,7 @@ def test_what_scale_can_be(text: str) -> None:
     "text", ["", "metres", "a.jpg=2", "a.jpg,b.jpg=-1", "a.jpg,b.jpg=x", "a,b=1;", "a,b=nan", "a,b=inf"]
 )
 def test_what_it_cannot_be(text: str) -> None:
-    with pytest.raises(QuerySplatError, match="neither gps nor a distance"):
+    with pytest.raises(QuerySplatError, match="neither gps, nor depth, nor a distance"):
         read_scale(text)
 
 

@@ -45,11 +45,14 @@ def write(path: Path, depth: np.ndarray) -> Path:
         ("a.tif", SLOPE.astype(np.float32)),
     ],
 )
-def test_a_map_is_found_by_the_name_of_its_photo(tmp_path: Path, name: str, stored: np.ndarray) -> None:
+def test_a_map_is_found_by_its_photos_name_and_whole_numbers_are_millimetres(
+    tmp_path: Path, name: str, stored: np.ndarray
+) -> None:
     file = write(tmp_path / "maps" / name, stored)
     (found,) = with_depth_maps([photo(tmp_path)], tmp_path / "maps", {})
     assert found.depth_map == found.source.depth_map == file
-    np.testing.assert_allclose(depth_of_photo(file, found.source, SIZE), SLOPE, atol=1)
+    metres = SLOPE / 1000 if stored.dtype.kind == "u" else SLOPE
+    np.testing.assert_allclose(depth_of_photo(file, found.source, SIZE), metres, rtol=1.1e-3)
 
 
 def test_what_is_no_distance_is_unknown(tmp_path: Path) -> None:

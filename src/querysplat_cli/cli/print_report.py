@@ -75,7 +75,7 @@ def _regions(regions: list[dict[str, Any]], seams: list[dict[str, Any]]) -> str:
 
 def _scale(scale: dict[str, Any]) -> str:
     off = "" if scale["residual_m"] is None else f", off by {scale['residual_m']:.3g} m in the median"
-    what = "photos" if scale["source"] == "gps" else "distances"
+    what = {"gps": "photos", "depth": "depth maps"}.get(scale["source"], "distances")
     return f"lengths are in metres, by {scale['source']} ({scale['count']} {what}{off})"
 
 

@@ -111,11 +111,13 @@ class UsedDepthMaps:
     """How many views came with a depth map, how many of these maps are used, and how far those are off.
 
     `difference` is the median relative difference to depth that the photos confirm; None where they confirm none.
+    `per_unit` is the length of a scene unit in that of the maps; None where they have no common one.
     """
 
     given: int
     used: int
     difference: float | None
+    per_unit: float | None
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from querysplat_cli.runtime.json_files import shown
 
 FIXED = {"inputs", "ply", "holdout_every", "holdout_cameras", "poses", "force", "seed", "device", "max_views", "fit"}
 FIXED |= {"budget", "refine_cameras", "regions", "cluster", "film_frames", "lens", "frame", "metres_by", "lpips"}
-FIXED |= {"overlays"}
+FIXED |= {"overlays", "depth_maps"}
 """Fields that do not change how the scene of a case is made, or that the protocol or another option decides."""
 Axis = tuple[str, tuple[Any, ...]]
 """The name of a field of ReconstructSettings, and its values."""

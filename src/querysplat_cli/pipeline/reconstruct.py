@@ -17,7 +17,7 @@ from querysplat_cli.pipeline.gaussian_files import check_target, folder_of_scene
 from querysplat_cli.pipeline.given_depth import photos_with_depth
 from querysplat_cli.pipeline.given_frame import given_frame, rounding_warnings
 from querysplat_cli.pipeline.memory import MemoryNeeds, within_memory
-from querysplat_cli.pipeline.metric import check_scale, in_metres, metres_of
+from querysplat_cli.pipeline.metric import check_scale, in_metres, in_metres_of_depth, metres_of
 from querysplat_cli.pipeline.omitted import omissions_of
 from querysplat_cli.pipeline.parts import load_parts, with_absolute_parts
 from querysplat_cli.pipeline.perceptual import optimisation_lpips
@@ -46,6 +46,7 @@ from querysplat_cli.runtime.cluster import find_engine
 from querysplat_cli.runtime.compiler import SCENE_KERNELS, start_compiling
 from querysplat_cli.runtime.device import find_device, free_bytes, peak_gib
 from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.lengths import BY_DEPTH
 from querysplat_cli.runtime.precision import check_precision, matrix_products
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import PhotoCamera
@@ -148,6 +149,8 @@ def _made(inputs: _Inputs, settings: ReconstructSettings, stages: Stages, work: 
         stored = _stored(inputs, passes, scene, settings)
         if metres:
             stored, report = in_metres(stored, report, metres)
+        elif settings.metres_by == BY_DEPTH:
+            stored, report = in_metres_of_depth(stored, report, scene.geometry.depth_maps)
         entries = report.as_dict()
         write_scene(settings.ply, stored, scene.gaussians, entries)
     return Report.from_dict(entries)

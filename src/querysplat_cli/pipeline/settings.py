@@ -199,10 +199,10 @@ class ReconstructSettings:
     metres_by: Annotated[
         str | None,
         Option(
-            "Make the unit of the scene a metre: by gps in EXIF, or by the distance between the places of two "
-            "photos, such as a.jpg,b.jpg=1.5.",
+            "Make the unit of the scene a metre: by gps in EXIF, by the depth of --depth-maps, or by the distance "
+            "between the places of two photos, such as a.jpg,b.jpg=1.5.",
             ("--scale",),
-            metavar="gps|A,B=M",
+            metavar="gps|depth|A,B=M",
             default="no metres",
             parse=read_scale,
         ),

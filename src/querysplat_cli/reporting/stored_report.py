@@ -113,6 +113,7 @@ class _DepthMaps:
     given: Count
     used: Count
     difference: float | None
+    per_unit: float | None
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from querysplat_cli.scene.masks import QUARTER_TURNS
 from querysplat_cli.scene.views import Photo, PhotoSource
 
 KINDS = (".npy", ".png", ".tif", ".tiff")
+MILLIMETRE = 0.001
 ONE_SURFACE = 0.1
 """Relative difference up to which the pixels around one are of its surface, and are interpolated."""
 NAMES = "Maps have the names of their photos: a.png, a.npy, a.tif, a.jpg.png or a_depth.png for a.jpg."
@@ -50,8 +51,9 @@ def _file_in(folder: Path, photo: Path) -> Path | None:
 
 
 def depth_of_photo(file: Path, source: PhotoSource, size: tuple[int, int]) -> Float[np.ndarray, "rows columns"]:
-    """The map of an upright photo of `size` (height, width): camera z in the map's unit; 0 where it has none.
+    """The map of an upright photo of `size` (height, width): camera z; 0 where it has none.
 
+    The unit is a metre where whole numbers are millimetres and others metres, as sensors write them.
     Maps are upright, or turned as the stored pixels of the photo. Raises QuerySplatError where there is no such map.
     """
     depth = _read(file)
@@ -79,7 +81,7 @@ def _read(file: Path) -> np.ndarray:
     if depth.ndim != 2 or depth.dtype.kind not in "fiu" or depth.dtype.itemsize == 1:
         kind = " × ".join(map(str, depth.shape)) + f" of {depth.dtype}"
         raise QuerySplatError(f"{file}: no depth map ({kind})", hint)
-    return depth.astype(np.float64)
+    return depth * (MILLIMETRE if depth.dtype.kind in "iu" else 1.0)
 
 
 def depth_of_view(

@@ -78,19 +78,18 @@ def fit_depth_maps(
     with_map = np.flatnonzero((given > 0).any((1, 2))).tolist()
     unit = _unit(given, found, sure, ranges, with_map)
     compared = [view for view in with_map if sure[view].sum() >= DEPTH_POLICY.given_pixels]
-    fits = {
-        view: _best(*(each[view][sure[view]].astype(np.float64) for each in (given, found.inverse)), unit)
-        for view in compared
-    }
+    fits = {view: _best(given[view][sure[view]], found.inverse[view][sure[view]], unit) for view in compared}
     fits = {view: fit for view, fit in fits.items() if fit[2] <= DEPTH_POLICY.given_difference}
     differences = [difference for _, _, difference in fits.values()]
-    if all(fit[:2] == (unit, 0.0) for fit in fits.values()):
+    common = all(fit[:2] == (unit, 0.0) for fit in fits.values())
+    if common:
         fits |= {view: (unit, 0.0, 0.0) for view in with_map if view not in compared}
     fitted = np.zeros_like(given)
     for view, (scale, shift, _) in fits.items():
         there = given[view] > 0
         fitted[view][there] = np.maximum(scale * given[view][there] + shift, 0)
-    used = UsedDepthMaps(len(with_map), len(fits), float(np.median(differences)) if differences else None)
+    difference = float(np.median(differences)) if differences else None
+    used = UsedDepthMaps(len(with_map), len(fits), difference, unit if common and fits else None)
     return FittedDepth(fitted, used, tuple(view for view in with_map if view not in fits))
 
 
@@ -107,6 +106,7 @@ def _unit(
 def _best(given: np.ndarray, wanted: np.ndarray, unit: float) -> tuple[float, float, float]:
     """Scale, shift and median relative difference of the simplest fit that is hardly worse than the others."""
     policy, best, least = DEPTH_POLICY, (unit, 0.0), np.inf
+    given, wanted = given.astype(np.float64), wanted.astype(np.float64)
     for scale, shift in ((unit, 0.0), (float(np.median(wanted / given)), 0.0), _line(given, wanted)):
         cost = _cost(given, wanted, scale, shift)
         possible = least > policy.given_fine and 1 / policy.given_scale < scale / unit < policy.given_scale

@@ -19,6 +19,7 @@ from querysplat_cli.runtime import signals
 from querysplat_cli.runtime.cluster import check_cluster
 from querysplat_cli.runtime.engine import Engine
 from querysplat_cli.runtime.errors import QuerySplatError
+from querysplat_cli.runtime.lengths import BY_DEPTH
 from querysplat_cli.runtime.progress import StageProgress, Stages
 from querysplat_cli.scene.views import PhotoSource
 
@@ -31,6 +32,7 @@ def region_count(settings: ReconstructSettings, photos: int, encoder: Encoder) -
     """
     wanted, asked = settings.regions, f"--regions {settings.regions}"
     alone = encoder.own_frame or settings.budget is not None or bool(settings.refine_cameras)
+    alone = alone or settings.metres_by == BY_DEPTH
     if wanted is None:
         alone = alone or photos <= PIPELINE_POLICY.undivided_photos
         return 1 if alone else -(-photos // PIPELINE_POLICY.region_photos)
@@ -41,7 +43,8 @@ def region_count(settings: ReconstructSettings, photos: int, encoder: Encoder) -
             f"{asked}: the encoder {encoder.name} takes all photos at once", "Use --encoder classical."
         )
     if alone:
-        raise QuerySplatError(f"{asked}: --budget and --refine-cameras are for one region", "Leave one of them out.")
+        others = "--budget, --refine-cameras and --scale depth"
+        raise QuerySplatError(f"{asked}: {others} are for one region", "Leave one of them out.")
     most = photos // PIPELINE_POLICY.fewest_region_photos
     if wanted > most:
         raise QuerySplatError(
