@@ -140,6 +140,8 @@ class DepthPolicy:
     """A scale of its own, or a shift too, is taken where it leaves this share of the difference or less."""
     given_fine: float = 0.02
     """But not where the mean difference, relative to depth, is as small as this."""
+    given_common: float = 0.04
+    """The maps have a common unit where none differs by more with it, in the mean and relative to depth."""
     given_scale: float = 4.0
     """Such a scale differs from that of all maps by less than this factor: where stereo spreads a thing beyond its
     edges, a map of one depth would fit best."""

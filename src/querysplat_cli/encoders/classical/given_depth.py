@@ -73,18 +73,19 @@ def fit_depth_maps(
     each. Maps with which stereo has little in common have the unit of all, and are refused where other maps have no
     common one. Where stereo found nothing, the middles of the maps lie where those of the `ranges` do.
     """
-    given = np.divide(1, depth, out=np.zeros_like(depth), where=depth > 0)
+    given = np.divide(1, depth, out=np.zeros(depth.shape), where=depth > 0)
     sure = (found.confidence >= DEPTH_POLICY.given_sure) & (given > 0)
     with_map = np.flatnonzero((given > 0).any((1, 2))).tolist()
     unit = _unit(given, found, sure, ranges, with_map)
-    compared = [view for view in with_map if sure[view].sum() >= DEPTH_POLICY.given_pixels]
-    fits = {view: _best(given[view][sure[view]], found.inverse[view][sure[view]], unit) for view in compared}
+    pairs = {view: (given[view][sure[view]], found.inverse[view][sure[view]]) for view in with_map}
+    compared = {view: pair for view, pair in pairs.items() if len(pair[0]) >= DEPTH_POLICY.given_pixels}
+    fits = {view: _best(*pair, unit) for view, pair in compared.items()}
     fits = {view: fit for view, fit in fits.items() if fit[2] <= DEPTH_POLICY.given_difference}
     differences = [difference for _, _, difference in fits.values()]
-    common = all(fit[:2] == (unit, 0.0) for fit in fits.values())
+    common = all(_cost(*compared[view], unit, 0.0) <= DEPTH_POLICY.given_common for view in fits)
     if common:
         fits |= {view: (unit, 0.0, 0.0) for view in with_map if view not in compared}
-    fitted = np.zeros_like(given)
+    fitted = np.zeros(given.shape, np.float32)
     for view, (scale, shift, _) in fits.items():
         there = given[view] > 0
         fitted[view][there] = np.maximum(scale * given[view][there] + shift, 0)
@@ -106,7 +107,6 @@ def _unit(
 def _best(given: np.ndarray, wanted: np.ndarray, unit: float) -> tuple[float, float, float]:
     """Scale, shift and median relative difference of the simplest fit that is hardly worse than the others."""
     policy, best, least = DEPTH_POLICY, (unit, 0.0), np.inf
-    given, wanted = given.astype(np.float64), wanted.astype(np.float64)
     for scale, shift in ((unit, 0.0), (float(np.median(wanted / given)), 0.0), _line(given, wanted)):
         cost = _cost(given, wanted, scale, shift)
         possible = least > policy.given_fine and 1 / policy.given_scale < scale / unit < policy.given_scale
