@@ -9,12 +9,13 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import PhotoCamera, rescaled, same_shape
 from querysplat_cli.scene.decoding import orientation_of
 from querysplat_cli.scene.masks import QUARTER_TURNS
+from querysplat_cli.scene.undistort import places_in_photo
 from querysplat_cli.scene.views import Photo, PhotoSource
 
 KINDS = (".npy", ".png", ".tif", ".tiff")
@@ -92,15 +93,9 @@ def depth_of_view(
     `photo` is the photo's camera, and `K` that of the view, of `size` (height, width). Within a surface, inverse depth
     is interpolated. At edges the nearest pixel counts, since a mean of both sides lies on neither.
     """
-    lens = rescaled(photo, *depth.shape)
-    # OpenCV counts pixels from their centres, so both principal points lie half a pixel lower there.
-    half = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
-    maps = cv2.initUndistortRectifyMap(
-        lens.K - half, np.array(lens.distortion), None, K - half, size[::-1], cv2.CV_32FC1
-    )
+    maps = places_in_photo(rescaled(photo, *depth.shape), K, *size)
     inverse = np.divide(1, depth, out=np.zeros_like(depth), where=depth > 0)
-    around = np.ones((3, 3))
-    smooth = cv2.dilate(inverse, around) <= (1 + ONE_SURFACE) * cv2.erode(inverse, around)
+    smooth = of_one_surface(inverse, 3, ONE_SURFACE)
     nearest, mean, within = (
         cv2.remap(values, *maps, how, borderMode=cv2.BORDER_REPLICATE)
         for values, how in (
@@ -111,3 +106,12 @@ def depth_of_view(
     )
     seen = np.where(within > 0, mean, nearest)
     return np.divide(1, seen, out=np.zeros_like(seen), where=seen > 0)
+
+
+def of_one_surface(
+    inverse: Float[np.ndarray, "height width"], side: int, step: float
+) -> Bool[np.ndarray, "height width"]:
+    """Where inverse depths in a square of `side` pixels are known (not 0) and differ by a share of at most `step`."""
+    square = np.ones((side, side))
+    highest, lowest = cv2.dilate(inverse, square), cv2.erode(inverse, square)
+    return np.asarray((lowest > 0) & (highest <= (1 + step) * lowest))

@@ -90,11 +90,22 @@ def _straightened(pixels: np.ndarray, camera: PhotoCamera) -> tuple[np.ndarray, 
     height, width = pixels.shape[:2]
     fx, fy = width / (right - left), height / (bottom - top)
     straight = np.array([[fx, 0, -fx * left], [0, fy, -fy * top], [0, 0, 1.0]])
+    maps = places_in_photo(camera, straight, height, width)
+    return cv2.remap(pixels, *maps, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE), straight
+
+
+def places_in_photo(camera: PhotoCamera, K: np.ndarray, height: int, width: int) -> tuple[np.ndarray, np.ndarray]:
+    """Column and row [height, width] in the photo of `camera` for each pixel of a view with matrix K [3, 3].
+
+    The view has no distortion and looks as the photo does. Places count as OpenCV's `remap` takes them.
+    """
     # OpenCV counts pixels from their centres, so both principal points lie half a pixel lower there.
     half = np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]])
     distortion = np.array(camera.distortion)
-    maps = cv2.initUndistortRectifyMap(K - half, distortion, None, straight - half, (width, height), cv2.CV_32FC1)
-    return cv2.remap(pixels, *maps, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE), straight
+    columns, rows = cv2.initUndistortRectifyMap(
+        camera.K - half, distortion, None, K - half, (width, height), cv2.CV_32FC1
+    )
+    return columns, rows
 
 
 def _inscribed(camera: PhotoCamera, K: np.ndarray) -> tuple[float, float, float, float]:

@@ -1,14 +1,13 @@
 """Depth of every view by classical multi-view stereo, from photos with cameras."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import cv2
 import numpy as np
 import torch
 from torch import Tensor
 
-from querysplat_cli.encoders.base import Geometry, PosedViews
+from querysplat_cli.encoders.base import Geometry, PosedViews, UsedDepthMaps
 from querysplat_cli.encoders.classical.consistency import DepthMaps, blurred, carve, lent
 from querysplat_cli.encoders.classical.contrast import stretch
 from querysplat_cli.encoders.classical.depth_policy import DEPTH_POLICY
@@ -67,11 +66,17 @@ def estimate_geometry(posed: PosedViews, *, seed: int, progress: Progress) -> Ge
     inverse = carve(maps, photos, nearest, least)
     depth, sure = torch.from_numpy(1 / inverse), torch.from_numpy(confidence)
     warnings = (*depth_warnings(posed, depth, sure), *(given.warnings(views.names) if given else ()))
-    return replace(_geometry(posed, depth, sure, warnings), depth_maps=given.used if given else None)
+    return _geometry(posed, depth, sure, warnings, given.used if given else None)
 
 
-def _geometry(posed: PosedViews, depth: Tensor, confidence: Tensor, warnings: tuple[str, ...]) -> Geometry:
-    return Geometry(depth, confidence, (patch_features(posed, depth, confidence),), PATCH, warnings)
+def _geometry(
+    posed: PosedViews,
+    depth: Tensor,
+    confidence: Tensor,
+    warnings: tuple[str, ...],
+    depth_maps: UsedDepthMaps | None = None,
+) -> Geometry:
+    return Geometry(depth, confidence, (patch_features(posed, depth, confidence),), PATCH, warnings, depth_maps)
 
 
 def _stretched(pictures: np.ndarray, masks: np.ndarray) -> np.ndarray:

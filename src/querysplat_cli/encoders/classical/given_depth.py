@@ -7,7 +7,6 @@ up to a scale and a shift. So each map is fitted to the depth that the photos co
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 from jaxtyping import Float
 
@@ -17,6 +16,7 @@ from querysplat_cli.encoders.classical.depth_policy import DEPTH_POLICY
 from querysplat_cli.encoders.classical.neighbours import InverseRange
 from querysplat_cli.encoders.classical.patchmatch import Source
 from querysplat_cli.encoders.classical.stereo import Measurement
+from querysplat_cli.scene.depth_maps import of_one_surface
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,8 @@ class FittedDepth:
         inverse = np.where(instead, self.inverse, found.inverse)
         shown = np.stack([photo.grey >= 0 for photo in photos])
         agreed = confirm(inverse, shown, np.zeros_like(inverse), photos, sources)
-        alone = np.stack([_of_one_surface(each) for each in self.inverse]) * np.float32(policy.given_confidence)
+        smooth = [of_one_surface(each, policy.given_edge, policy.given_step) for each in self.inverse]
+        alone = np.stack(smooth) * np.float32(policy.given_confidence)
         confidence = np.where(instead & shown, np.maximum(agreed, alone), found.confidence)
         return Measurement(inverse, confidence.astype(np.float32))
 
@@ -140,10 +141,3 @@ def _cost(given: np.ndarray, wanted: np.ndarray, scale: float, shift: float) -> 
     """The mean relative difference, of which large ones count as much as those that refuse a map."""
     differences = np.abs(scale * given + shift - wanted) / wanted
     return float(np.minimum(differences, DEPTH_POLICY.given_difference).mean())
-
-
-def _of_one_surface(inverse: np.ndarray) -> np.ndarray:
-    """True [height, width] where a map and all pixels around it have nearly one inverse depth."""
-    square = np.ones((DEPTH_POLICY.given_edge,) * 2)
-    highest, lowest = cv2.dilate(inverse, square), cv2.erode(inverse, square)
-    return (lowest > 0) & (highest <= (1 + DEPTH_POLICY.given_step) * lowest)

@@ -31,8 +31,8 @@ def region_count(settings: ReconstructSettings, photos: int, encoder: Encoder) -
     once, or another option that is for one region alone.
     """
     wanted, asked = settings.regions, f"--regions {settings.regions}"
-    alone = encoder.own_frame or settings.budget is not None or bool(settings.refine_cameras)
-    alone = alone or settings.metres_by == BY_DEPTH
+    for_one = settings.budget is not None or bool(settings.refine_cameras) or settings.metres_by == BY_DEPTH
+    alone = encoder.own_frame or for_one
     if wanted is None:
         alone = alone or photos <= PIPELINE_POLICY.undivided_photos
         return 1 if alone else -(-photos // PIPELINE_POLICY.region_photos)
