@@ -9,7 +9,7 @@ import torch
 
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.splat.smoothing import SMOOTHING_POLICY, bounded, convolved, hold_above, least_scales
+from querysplat_cli.splat.smoothing import SMOOTHING_POLICY, bounded, convolved, held, least_scales
 
 FOCAL, SIZE = 60.0, 64
 
@@ -134,13 +134,16 @@ def test_a_gaussian_that_is_large_enough_stays_as_it_is() -> None:
     assert torch.equal(after.opacities, before.opacities)
 
 
-def test_a_held_scale_can_still_grow_but_not_shrink() -> None:
-    least = torch.tensor([1.0, 1.0])
-    scales = torch.tensor([[0.5, 0.5, 2.0], [0.5, 0.5, 2.0]], requires_grad=True)
-    held = hold_above(scales, least)
-    torch.testing.assert_close(held.detach(), torch.tensor([[1.0, 1.0, 2.0]] * 2))
-    held.backward(torch.tensor([[1.0, -1.0, 1.0], [0.0, -2.0, -1.0]]))
-    torch.testing.assert_close(scales.grad, torch.tensor([[0.0, -1.0, 1.0], [0.0, -2.0, -1.0]]))
+def test_a_held_scale_can_come_back_but_go_no_farther() -> None:
+    least, largest = torch.tensor([1.0, 1.0]), torch.tensor([3.0, 0.5])
+    scales = torch.tensor([[0.5, 2.0, 4.0], [0.5, 2.0, 4.0]], requires_grad=True)
+    within = held(scales, least, largest)
+    # Where the bounds contradict each other, the lower one holds.
+    torch.testing.assert_close(within.detach(), torch.tensor([[1.0, 2.0, 3.0], [1.0, 1.0, 1.0]]))
+    (smaller,) = torch.autograd.grad(within, scales, torch.ones_like(scales), retain_graph=True)
+    (larger,) = torch.autograd.grad(within, scales, -torch.ones_like(scales))
+    torch.testing.assert_close(smaller, torch.tensor([[0.0, 1.0, 1.0], [0.0, 1.0, 1.0]]))
+    torch.testing.assert_close(larger, -torch.tensor([[1.0, 1.0, 0.0], [1.0, 0.0, 0.0]]))
 
 
 def test_gaussians_at_a_camera_have_no_bound_and_stay_finite() -> None:

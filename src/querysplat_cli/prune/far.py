@@ -23,11 +23,32 @@ def drawn_in(gaussians: Gaussians, cameras: Cameras) -> Gaussians:
     time changes nothing.
     """
     centre = cameras.centres.mean(0)
-    distance = (gaussians.means - centre).norm(dim=1)
-    near = distance.kthvalue(max(1, round(PRUNE_POLICY.near_share * len(distance)))).values
+    near = _near((gaussians.means - centre).norm(dim=1))
     if near == 0:
         return gaussians
     return _without_giants(_nearer(gaussians, centre, near), centre, near)
+
+
+def largest_scales(means: Float[Tensor, "n 3"], cameras: Cameras) -> Float[Tensor, "n"]:
+    """The standard deviation, in scene units, beyond which `drawn_in` takes a Gaussian with such a centre for a giant.
+
+    Where the centre is one of the farthest, it is that of the place that it is drawn in to at most. Infinite where all
+    centres are the cameras' middle.
+    """
+    distance = (means - cameras.centres.mean(0)).norm(dim=1)
+    near = _near(distance)
+    if near == 0:
+        return torch.full_like(distance, torch.inf)
+    return _largest(distance.clamp_max(PRUNE_POLICY.farthest * near), near)
+
+
+def _near(distance: Float[Tensor, "n"]) -> Float[Tensor, ""]:
+    """The distance from the middle of the farthest Gaussian that stays where it is."""
+    return distance.kthvalue(max(1, round(PRUNE_POLICY.near_share * len(distance)))).values
+
+
+def _largest(distance: Tensor, near: Float[Tensor, ""]) -> Tensor:
+    return (PRUNE_POLICY.reach * near - distance) / 2
 
 
 def _nearer(gaussians: Gaussians, centre: Float[Tensor, "3"], near: Float[Tensor, ""]) -> Gaussians:
@@ -50,7 +71,7 @@ def _nearer(gaussians: Gaussians, centre: Float[Tensor, "3"], near: Float[Tensor
 
 def _without_giants(gaussians: Gaussians, centre: Float[Tensor, "3"], near: Float[Tensor, ""]) -> Gaussians:
     distance = (gaussians.means - centre).norm(dim=1, keepdim=True)
-    largest = (PRUNE_POLICY.reach * near - distance) / 2
+    largest = _largest(distance, near)
     if bool((gaussians.scales <= largest * (1 + 1e-4)).all()):
         return gaussians
     return replace(gaussians, scales=torch.minimum(gaussians.scales, largest))

@@ -70,22 +70,25 @@ def bounded(gaussians: Gaussians, cameras: Cameras) -> Gaussians:
     return _rescaled(gaussians, torch.maximum(gaussians.scales, least_scales(gaussians.means, cameras)[:, None]))
 
 
-def hold_above(scales: Float[Tensor, "n 3"], least: Float[Tensor, "n"]) -> Float[Tensor, "n 3"]:
-    """max(scales, least), for optimisation: a scale below the bound still gets the gradient that enlarges it."""
-    held: Tensor = _Held.apply(scales, least[:, None])
-    return held
+def held(scales: Float[Tensor, "n 3"], least: Float[Tensor, "n"], largest: Float[Tensor, "n"]) -> Float[Tensor, "n 3"]:
+    """Scales within bounds, for optimisation: one beyond a bound still gets the gradient that takes it back.
+
+    Where the bounds contradict each other, `least` holds.
+    """
+    within: Tensor = _Held.apply(scales, least[:, None], torch.maximum(least, largest)[:, None])
+    return within
 
 
 class _Held(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, values: Tensor, least: Tensor) -> Tensor:
-        ctx.save_for_backward(values > least)
-        return torch.maximum(values, least)
+    def forward(ctx: Any, values: Tensor, least: Tensor, largest: Tensor) -> Tensor:
+        ctx.save_for_backward(values > least, values < largest)
+        return values.clamp(least, largest)
 
     @staticmethod
-    def backward(ctx: Any, slope: Tensor) -> tuple[Tensor, None]:
-        (free,) = ctx.saved_tensors
-        return torch.where(free | (slope < 0), slope, 0), None
+    def backward(ctx: Any, slope: Tensor) -> tuple[Tensor, None, None]:
+        may_shrink, may_grow = ctx.saved_tensors
+        return torch.where(torch.where(slope > 0, may_shrink, may_grow), slope, 0), None, None
 
 
 def _rescaled(gaussians: Gaussians, scales: Float[Tensor, "n 3"]) -> Gaussians:

@@ -14,6 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional as F
 
+from querysplat_cli.prune.far import drawn_in
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.tensor_dataclass import TensorDataclass
 from querysplat_cli.tto.densify import densify
@@ -21,7 +22,7 @@ from querysplat_cli.tto.optimise import TtoResult, optimise
 from querysplat_cli.tto.options import NO_CALLBACKS, Callbacks, TtoSettings
 from querysplat_cli.tto.policy import TTO_POLICY
 from querysplat_cli.tto.rendering_loss import RenderingLoss
-from querysplat_cli.tto.smoothing import bounding
+from querysplat_cli.tto.scale_bounds import bounding
 from querysplat_cli.tto.variables import Denser, Parametrisation
 
 LARGEST_CHANGE = 8.0
@@ -68,13 +69,15 @@ def optimise_gaussians(
 ) -> TtoResult[Changes]:
     """`optimise` for changes to `gaussians`, which are split on the way until there are `densify_to`.
 
-    No scale falls below the pixels of `target.finest`.
+    No scale falls below the pixels of `target.finest`, and none becomes a giant's (`tto/scale_bounds.py`).
 
     The variables of the result are the changes since the last split.
     """
 
     def denser(some: Gaussians, target: RenderingLoss, rounds: int) -> Denser[Changes]:
         assert densify_to
+        # What the end would do to far and giant Gaussians is done now, while the others can adapt to it.
+        some = drawn_in(some, target.finest) if target.finest else some
         more = densify(some, target, round(len(some) * (densify_to / len(some)) ** (1 / rounds)))
         return Denser(
             Changes.none(more.gaussians),

@@ -60,8 +60,8 @@ class RenderingLoss:
         colour. Values, which are compared with each other, have the one `background`.
     exposures: transforms from the scene's colours to those of each photo (None: they are the same). They are refitted
         to every render that a gradient is taken of.
-    finest: cameras whose pixels bound how thin optimisation may make a Gaussian (`splat/smoothing.py`; None: nothing
-        bounds that).
+    finest: cameras that bound how thin and how large optimisation may make a Gaussian (`tto/scale_bounds.py`; None:
+        nothing bounds that).
     perceptual: LPIPS with its weights (None: it is left out).
     halved: share of the gradients that have, beside the views, the same ones at half of the size, by `TtoPolicy.half`;
         `backgrounds` draws them. Gaussians smaller than a pixel are drawn larger than they are, so that a scene of many

@@ -1,4 +1,4 @@
-"""Optimisation makes no Gaussian thinner than the pixels of the photos."""
+"""Optimisation makes no Gaussian thinner than the pixels of the photos, and none as large as the scene."""
 
 from dataclasses import replace
 
@@ -6,6 +6,7 @@ import pytest
 import torch
 from tto_scenes import wall
 
+from querysplat_cli.prune.far import largest_scales
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians, joined
 from querysplat_cli.scene.views import Views
@@ -16,7 +17,7 @@ from querysplat_cli.tto.full_size_plan import FullSizePlan, FullSizeStage
 from querysplat_cli.tto.gaussians import optimise_gaussians
 from querysplat_cli.tto.options import TtoSettings
 from querysplat_cli.tto.rendering_loss import LossAndGradient, RenderingLoss
-from querysplat_cli.tto.smoothing import bounding
+from querysplat_cli.tto.scale_bounds import bounding
 
 SIZE = 48
 
@@ -120,3 +121,16 @@ def test_far_gaussians_that_are_drawn_in_are_no_thinner_than_pixels() -> None:
     result = optimise_full_size(joined(far, near), photos, FullSizePlan((stage,), 0.0), seed=0)
     assert float(result.gaussians.means.norm(dim=1).max()) < 100
     assert thinnest(result.gaussians, photos(SIZE)[1]) >= 1 - 1e-6
+
+
+def test_a_scene_that_wants_giants_still_fits_its_photos_when_it_is_done() -> None:
+    """A plain wall wants large Gaussians. Giants would become smaller at the end, and leave holes between them."""
+    views, cameras = photos()
+    views = replace(views, images=torch.full_like(views.images, 0.8))
+    few = replace(wall(3, size=1.2, opacity=0.1), sh=torch.zeros(9, 1, 3))
+    stage = FullSizeStage(SIZE, TtoSettings(120, 0.05, views_per_step=1), 9)
+    result = optimise_full_size(few, lambda size: (views, cameras), FullSizePlan((stage,), 0.0), seed=0)
+    reached = result.runs[0][1]
+    grey = RenderingLoss.for_solid_scenes(views, cameras, torch.Generator())
+    assert grey.value(result.gaussians, [0, 1, 2]) < 1.01 * grey.value(reached.gaussians, [0, 1, 2])
+    assert (reached.gaussians.scales <= 1.01 * largest_scales(reached.gaussians.means, cameras)[:, None]).all()
