@@ -16,7 +16,7 @@ from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import PhotoCamera, rescaled
 from querysplat_cli.scene.files import FolderKind, atomic_folder, refuse_existing, with_name
 from querysplat_cli.scene.formats.colmap import copy_colmap, write_colmap
-from querysplat_cli.scene.formats.known import MODEL_KINDS, find_known_cameras, read_known_cameras
+from querysplat_cli.scene.formats.known import MODEL_KINDS, find_known_cameras, is_llff, read_known_cameras
 from querysplat_cli.scene.formats.mesh import MESH_KINDS
 from querysplat_cli.scene.formats.transforms import write_transforms
 from querysplat_cli.scene.formats.transforms_frame import is_rigid
@@ -101,7 +101,7 @@ def _convert_cameras(request: Conversion) -> dict[str, Any]:
                 copy_colmap(source, draft, text=request.text)
             else:
                 points = None
-                if request.source.is_dir():
+                if request.source.is_dir() and not is_llff(source):
                     cameras = _with_lenses(source.parent, cameras)
                     points = observed_points(source, cameras) or points_without_photos(source.parent)
                 write_colmap(draft, cameras, points=points, text=request.text)

@@ -175,7 +175,7 @@ class ReconstructSettings:
     poses: Annotated[
         Path | None,
         Option(
-            "Known cameras: a transforms.json, or the folder of a COLMAP model.",
+            "Known cameras: a transforms.json, LLFF's poses_bounds.npy, or the folder of a COLMAP model.",
             metavar="FILE|DIR",
             default="estimated from the photos",
         ),
