@@ -33,6 +33,7 @@ from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.limits import check_address_space
 from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.files import atomic_together, refuse_existing
+from querysplat_cli.scene.formats.compressed import moved_to_border
 from querysplat_cli.scene.formats.mesh import MESH_KINDS, check_mesh_parts, write_mesh
 from querysplat_cli.scene.formats.point_cloud import points_of, write_points
 from querysplat_cli.scene.gaussians import Gaussians
@@ -129,8 +130,10 @@ def _write(path: Path, request: Conversion, found: _Edited, stages: Stages) -> t
             written = levels_entry(path, views)
         return written, written["levels"][0]["psnr"]
     with stages("write"):
-        count = write_gaussians(path, found.placed[found.kept], request.spz_version)
-        return {"gaussians": count}, views.psnr(views.here(read_gaussians(path)))
+        kept = found.placed[found.kept]
+        count = write_gaussians(path, kept, request.spz_version)
+        written = {"gaussians": count, "at_border": moved_to_border(path, kept)}
+        return written, views.psnr(views.here(read_gaussians(path)))
 
 
 def _write_folder(drafts: Sequence[Path], request: Conversion, found: _Edited, after: float) -> None:

@@ -144,7 +144,7 @@ def write_scene(target: Path, scene: StoredScene, gaussians: Gaussians, report: 
         report["bytes"], report["gaussians"] = target_draft.stat().st_size, written
         report["left_out"] = [
             *(entry for entry in report["left_out"] if entry["what"] != PRECISION),
-            *(asdict(each) for each in _lost_by_kind(target_draft, scene, gaussians, report)),
+            *(asdict(each) for each in _lost_by_kind(target_draft, scene, placed, report)),
         ]
         files = stored_names([name for views, _ in scene.groups.values() for name in views.names])
         for views, _ in scene.groups.values():
@@ -169,14 +169,14 @@ def write_scene(target: Path, scene: StoredScene, gaussians: Gaussians, report: 
     return written
 
 
-def _lost_by_kind(file: Path, scene: StoredScene, gaussians: Gaussians, report: dict[str, Any]) -> list[Omission]:
-    """What a written file of another kind than .ply loses on the input views."""
+def _lost_by_kind(file: Path, scene: StoredScene, placed: Gaussians, report: dict[str, Any]) -> list[Omission]:
+    """What a written file of another kind than .ply loses of the `placed` Gaussians on the input views."""
     if file.suffix.lower() == ".ply":
         return []
     found = read_gaussians(file)
     here = transform_gaussians(found, scene.frame.inverse()) if scene.frame else found
     after = score(here, scene.views, scene.cameras).summary()["psnr"]
-    return of_kind(file, gaussians, round(report["quality"]["input"]["psnr"] - after, 3))
+    return of_kind(file, placed, round(report["quality"]["input"]["psnr"] - after, 3))
 
 
 def check_picture_names(folder: Path, photos: Sequence[Photo]) -> None:
