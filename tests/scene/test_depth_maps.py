@@ -11,7 +11,7 @@ from PIL import ExifTags, Image
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.depth_maps import depth_of_photo, depth_of_view, with_depth_maps
-from querysplat_cli.scene.formats.transforms import depth_map_files
+from querysplat_cli.scene.formats.transforms import read_transforms
 from querysplat_cli.scene.photos import load_photos
 from querysplat_cli.scene.views import Photo, PhotoSource
 
@@ -163,7 +163,9 @@ def test_no_depth_lies_between_the_sides_of_an_edge() -> None:
 def test_nerfstudio_lists_maps_beside_its_frames(tmp_path: Path) -> None:
     frames = [
         {"file_path": "images/a.jpg", "depth_file_path": "depth\\a.png", "transform_matrix": np.eye(4).tolist()},
-        {"file_path": "images/b.jpg", "transform_matrix": np.eye(4).tolist()},
+        {"file_path": "images/b.jpg", "depth_file_path": 3, "transform_matrix": np.eye(4).tolist()},
+        {"file_path": "images/c.jpg", "transform_matrix": np.eye(4).tolist()},
     ]
-    (tmp_path / "transforms.json").write_text(json.dumps({"frames": frames}))
-    assert depth_map_files(tmp_path / "transforms.json") == {"a.jpg": tmp_path / "depth" / "a.png"}
+    (tmp_path / "transforms.json").write_text(json.dumps({"w": 128, "h": 96, "fl_x": 100, "frames": frames}))
+    listed = {name: camera.depth_map for name, camera in read_transforms(tmp_path / "transforms.json").items()}
+    assert listed == {"a.jpg": tmp_path / "depth" / "a.png", "b.jpg": None, "c.jpg": None}
