@@ -242,7 +242,7 @@ def _report(
         unseen=scores.unseen.entry() if scores.unseen else None,
         backdrop=len(scene.backdrop) if scene.backdrop else 0,
         matching=matching_entry(passes.split.inputs.matching),
-        depth_maps=asdict(used) if (used := scene.geometry.depth_maps) else None,
+        depth_maps=used.entry() if (used := scene.geometry.depth_maps) else None,
     )
 
 
