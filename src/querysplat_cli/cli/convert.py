@@ -32,6 +32,7 @@ def lines(result: dict[str, Any]) -> list[str]:
         f"{_content(result)}, {written:.2f} MiB (source {read:.2f} MiB): {result['target']}",
         *([_at_border(result)] if result.get("at_border") else []),
         *([f"with its folder: {result['scene']}"] if result["scene"] else []),
+        *(f"warning: {each}" for each in result.get("warnings", ())),
         *map(_step, result["steps"]),
         *[_level(number, level) for number, level in enumerate(result.get("levels", ()))],
         *([_cost(result["psnr"])] if result["psnr"] else []),

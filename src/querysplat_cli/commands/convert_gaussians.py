@@ -90,10 +90,11 @@ def convert_gaussians(request: Conversion, stages: Stages) -> dict[str, Any]:
     with ExitStack() as stack:
         drafts = stack.enter_context(atomic_together(request.target, *([folder] if folder else [])))
         written, after = _write(drafts[0], request, found, stages)
+        warning = ""
         size = bytes_of(drafts[0])
         if folder:
             with stages("score"):
-                _write_folder(drafts, request, found, after)
+                warning = _write_folder(drafts, request, found, after)
                 keep_others(folder, drafts[1])
     return {
         "target": str(request.target),
@@ -103,6 +104,7 @@ def convert_gaussians(request: Conversion, stages: Stages) -> dict[str, Any]:
         "bytes": {"source": source_size, "target": size},
         "steps": [{**step, "against": views.kind} for step in found.entries],
         "psnr": None if request.geometry else _psnr_entry(views, found.levels[0], after),
+        "warnings": [warning] if warning else [],
     }
 
 
@@ -136,15 +138,18 @@ def _write(path: Path, request: Conversion, found: _Edited, stages: Stages) -> t
         return written, views.psnr(views.here(read_gaussians(path)))
 
 
-def _write_folder(drafts: Sequence[Path], request: Conversion, found: _Edited, after: float) -> None:
-    """Write the scene's folder for the Gaussians in the first draft, whose PSNR is `after`, to the second one."""
+def _write_folder(drafts: Sequence[Path], request: Conversion, found: _Edited, after: float) -> str:
+    """Write the scene's folder for the Gaussians in the first draft, whose PSNR is `after`, to the second one.
+
+    Returns a warning as `write_moved_folder`.
+    """
     bands = found.here.sh.shape[1]
     gone = [by_conversion(step["what"], step["gaussians"], bands, step["lost"]) for step in found.entries]
     if request.target.suffix.lower() in WRITERS:
         gone += of_kind(drafts[0], found.placed[found.kept], round(found.levels[-1] - after, 3))
     written = found.result_views.here(read_gaussians(drafts[0]))
     moved = Moved(request.target, found.place, found.kept, written, bytes_of(drafts[0]), gone)
-    write_moved_folder(folder_of_scene(request.source), drafts[1], moved)
+    return write_moved_folder(folder_of_scene(request.source), drafts[1], moved)
 
 
 def _check_kind(request: Conversion) -> None:

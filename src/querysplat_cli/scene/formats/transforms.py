@@ -60,6 +60,7 @@ def read_transforms(path: Path, *, fisheye: bool = False, home: Traversable | No
             frame_camera(path, name, _with_size({**content, **frame}, home), fisheye=fisheye),
             file=_photo(path, frame),
             as_stored=frame.get("as_stored") is True,
+            depth_map=_depth_map(path, frame),
         )
         for name, frame in _named_frames(path, content).items()
     }
@@ -68,13 +69,6 @@ def read_transforms(path: Path, *, fisheye: bool = False, home: Traversable | No
 def listed_paths(path: Path) -> dict[str, str]:
     """What `path` has as `file_path` of each photo, by the names of `read_transforms`. Raises like it."""
     return {name: with_slashes(str(frame["file_path"])) for name, frame in _named_frames(path, _load(path)).items()}
-
-
-def depth_map_files(path: Path) -> dict[str, Path]:
-    """The depth maps that `path` lists (`depth_file_path`), by the names of `read_transforms`. Raises like it."""
-    frames = _named_frames(path, _load(path))
-    stated = {name: frame.get("depth_file_path") for name, frame in frames.items()}
-    return {name: path.parent / with_slashes(file) for name, file in stated.items() if isinstance(file, str)}
 
 
 def listed_files(folder: Path) -> set[str]:
@@ -260,6 +254,11 @@ def _photo(path: Path, frame: Any) -> str:
     if not isinstance(name, str) or not names_a_photo(name):
         raise QuerySplatError(f"{path}: {shown(name)} is no name of a photo", "Export the file again.")
     return name if "photo" in frame else with_slashes(name)
+
+
+def _depth_map(path: Path, frame: Mapping[str, Any]) -> Path | None:
+    file = frame.get("depth_file_path")
+    return path.parent / with_slashes(file) if isinstance(file, str) else None
 
 
 def with_slashes(path: str) -> str:
