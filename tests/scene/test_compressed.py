@@ -90,7 +90,7 @@ def test_what_is_moved_to_the_border_is_counted(tmp_path: Path, capsys: pytest.C
         assert run(["convert", str(tmp_path / "a.ply"), str(tmp_path / f"b.{kind}"), "--json"]) == 0
         shown = capsys.readouterr()
         assert json.loads(shown.out)["at_border"] == count
-        assert ("warning: 2 of the Gaussians are beyond ±4,194,304" in shown.err) == bool(count)
+        assert ("warning: 2 Gaussians beyond ±4,194,304" in shown.err) == bool(count)
     moved = read_gaussians(tmp_path / "b.spz").means - scene.means
     assert (moved.abs() > 1).any(1).tolist() == [False, False, True, True]
     (lost,) = of_kind(tmp_path / "b.spz", scene, 1.0)

@@ -30,20 +30,12 @@ def lines(result: dict[str, Any]) -> list[str]:
     written, read = (result["bytes"][part] / 2**20 for part in ("target", "source"))
     return [
         f"{_content(result)}, {written:.2f} MiB (source {read:.2f} MiB): {result['target']}",
-        *([_at_border(result)] if result.get("at_border") else []),
         *([f"with its folder: {result['scene']}"] if result["scene"] else []),
         *(f"warning: {each}" for each in result.get("warnings", ())),
         *map(_step, result["steps"]),
         *[_level(number, level) for number, level in enumerate(result.get("levels", ()))],
         *([_cost(result["psnr"])] if result["psnr"] else []),
     ]
-
-
-def _at_border(result: dict[str, Any]) -> str:
-    from querysplat_cli.scene.formats.compressed import FARTHEST_COORDINATE
-
-    who = f"{result['at_border']:,} of the Gaussians are beyond ±{FARTHEST_COORDINATE:,}, where an .spz ends"
-    return f"warning: {who}, and moved to there: write another kind of file, or use --scale or --crop"
 
 
 def _points(result: dict[str, Any]) -> str:

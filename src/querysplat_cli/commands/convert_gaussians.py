@@ -32,8 +32,9 @@ from querysplat_cli.reporting.stored_report import backdrop_of
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.limits import check_address_space
 from querysplat_cli.runtime.progress import Stages
+from querysplat_cli.runtime.words import counted
 from querysplat_cli.scene.files import atomic_together, refuse_existing
-from querysplat_cli.scene.formats.compressed import moved_to_border
+from querysplat_cli.scene.formats.compressed import FARTHEST_COORDINATE, moved_to_border
 from querysplat_cli.scene.formats.mesh import MESH_KINDS, check_mesh_parts, write_mesh
 from querysplat_cli.scene.formats.point_cloud import points_of, write_points
 from querysplat_cli.scene.gaussians import Gaussians
@@ -90,11 +91,11 @@ def convert_gaussians(request: Conversion, stages: Stages) -> dict[str, Any]:
     with ExitStack() as stack:
         drafts = stack.enter_context(atomic_together(request.target, *([folder] if folder else [])))
         written, after = _write(drafts[0], request, found, stages)
-        warning = ""
         size = bytes_of(drafts[0])
+        warnings = [_at_border(moved)] if (moved := written.get("at_border")) else []
         if folder:
             with stages("score"):
-                warning = _write_folder(drafts, request, found, after)
+                warnings += _write_folder(drafts, request, found, after)
                 keep_others(folder, drafts[1])
     return {
         "target": str(request.target),
@@ -104,8 +105,13 @@ def convert_gaussians(request: Conversion, stages: Stages) -> dict[str, Any]:
         "bytes": {"source": source_size, "target": size},
         "steps": [{**step, "against": views.kind} for step in found.entries],
         "psnr": None if request.geometry else _psnr_entry(views, found.levels[0], after),
-        "warnings": [warning] if warning else [],
+        "warnings": warnings,
     }
+
+
+def _at_border(moved: int) -> str:
+    who = f"{counted(moved, 'Gaussian')} beyond ±{FARTHEST_COORDINATE:,}, where an .spz ends, moved to there"
+    return f"{who}: write another kind of file, or use --scale or --crop"
 
 
 def _edited(request: Conversion, gaussians: Gaussians, views: ComparedViews) -> _Edited:
@@ -138,10 +144,10 @@ def _write(path: Path, request: Conversion, found: _Edited, stages: Stages) -> t
         return written, views.psnr(views.here(read_gaussians(path)))
 
 
-def _write_folder(drafts: Sequence[Path], request: Conversion, found: _Edited, after: float) -> str:
+def _write_folder(drafts: Sequence[Path], request: Conversion, found: _Edited, after: float) -> list[str]:
     """Write the scene's folder for the Gaussians in the first draft, whose PSNR is `after`, to the second one.
 
-    Returns a warning as `write_moved_folder`.
+    Returns warnings as `write_moved_folder`.
     """
     bands = found.here.sh.shape[1]
     gone = [by_conversion(step["what"], step["gaussians"], bands, step["lost"]) for step in found.entries]
