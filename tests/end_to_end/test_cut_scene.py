@@ -102,3 +102,27 @@ def test_a_scene_in_metres_that_is_scaled_is_in_metres_no_more(option: str, metr
     assert report_in(tmp_path / "s")["scale"]
     assert run(["convert", str(scene), str(tmp_path / "c.ply"), option, "-q"]) == ExitCode.DONE
     assert bool(report_in(tmp_path / "c")["scale"]) == metres
+
+
+def test_a_damaged_folder_goes_along_without_its_report_and_a_line_says_so(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    photos = [str(path) for path in take_photos(tmp_path / "photos", 3, 2)]
+    scene, copy = str(tmp_path / "s.ply"), tmp_path / "c.ply"
+    assert run(["reconstruct", *photos, "--max-size", "96", "--tto", "0", "-q", "-o", scene]) == ExitCode.DONE
+
+    def warnings() -> list[str]:
+        capsys.readouterr()
+        assert run(["convert", scene, str(copy), "--scale", "2", "--json", "--force"]) == ExitCode.DONE
+        printed = capsys.readouterr()
+        found: list[str] = json.loads(printed.out)["warnings"]
+        assert all(f"warning: {each}" in printed.err for each in found)
+        return found
+
+    assert warnings() == []
+    for name in ("memories.safetensors", "report.json"):
+        (tmp_path / "s" / name).write_bytes(b"{")
+        (one,) = warnings()
+        assert one.startswith("the new folder has no report and no memories: ")
+        assert name in one
+        assert not (tmp_path / "c" / "report.json").exists()

@@ -27,6 +27,6 @@ def test_a_full_disk_is_said(tmp_path: Path, room: int) -> None:
 
 
 def test_a_regions_geometry_is_kept_with_what_became_of_its_depth_maps(tmp_path: Path) -> None:
-    geometry = Geometry(None, None, (), 8, depth_maps=UsedDepthMaps(9, 8, 0.01, None))
+    geometry = Geometry(None, None, (), 8, depth_maps=UsedDepthMaps((0, 2), (2,), 0.01, None))
     write_part(tmp_path / "depth.pt", geometry)
     assert read_part(tmp_path / "depth.pt") == geometry

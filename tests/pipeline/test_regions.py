@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from common.streets import stroll
-from querysplat_cli.encoders.base import PosedViews
+from querysplat_cli.encoders.base import PosedViews, UsedDepthMaps
 from querysplat_cli.model.memories import Memories
 from querysplat_cli.pipeline.full_size import LargePhotos
 from querysplat_cli.pipeline.kept_parts import read_part, write_part
@@ -274,9 +274,10 @@ def test_two_regions_are_in_memory_at_a_time(street: PosedViews, tmp_path: Path)
         most = max(most, sum(each() is not None for each in alive))
         core = street.cameras[list(groups[number].core)]
         entries = {"quality": {}, "tto": [], "full_size": None, "warnings": [], "process_peak_gib": float(number)}
+        maps = UsedDepthMaps((0, 1, len(core)), (1, len(core)), 0.01, 2.0) if number else None
         alone = region(None)
         depth = depth_maps(wall, core, [(core.height, core.width)] * len(core))
-        return replace(alone, gaussians=wall, depth=depth, size=40, entries=entries)
+        return replace(alone, gaussians=wall, depth=depth, size=40, entries=entries | {"depth_maps": maps})
 
     settings = ReconstructSettings((), Path(), backdrop=False)
     built = join(street, groups, KeptRegions(read), settings, {}, lambda text, fraction: None)
@@ -288,5 +289,10 @@ def test_two_regions_are_in_memory_at_a_time(street: PosedViews, tmp_path: Path)
     assert len(built.seams) == 3
     assert all(entry["psnr"] == pytest.approx(100) for entry in built.seams)
     assert built.scene.full_size
+    maps = built.scene.geometry.depth_maps
+    assert maps
+    assert maps.entry() == {"given": 6, "used": 3, "difference": 0.01, "per_unit": 2.0}
+    assert maps.used == tuple(group.core[1] for group in groups[1:])
+    assert all("depth_maps" not in entry for entry in built.regions)
     (last,) = built.scene.full_size.runs
     assert last["steps"] == PIPELINE_POLICY.joint_passes * VIEWS, "photos far from every seam take part, too"

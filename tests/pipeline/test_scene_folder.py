@@ -12,6 +12,7 @@ import pytest
 import torch
 from stored_scene import a_report
 
+from querysplat_cli.commands.viewed_scene import viewed_scene
 from querysplat_cli.pipeline.read_scene import read_scene
 from querysplat_cli.pipeline.reconstruct import reconstruct
 from querysplat_cli.pipeline.scene_folder import StoredScene, write_images, write_scene
@@ -21,7 +22,7 @@ from querysplat_cli.scene.formats.dataset import find_scenes
 from querysplat_cli.scene.formats.ply import read_ply
 from querysplat_cli.scene.formats.transforms import read_transforms
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.scene.pictures import write_picture
+from querysplat_cli.scene.pictures import stored_names, write_picture
 
 
 def equal(one: object, two: object) -> None:
@@ -42,7 +43,7 @@ def test_no_picture_is_written_outside_its_folder(
 ) -> None:
     views = replace(stored[0].views, names=(name.format(tmp_path), "b.png", "c.png"))
     with pytest.raises(QuerySplatError, match="outside the scene's folder"):
-        write_images(tmp_path / "images", views, tmp_path)
+        write_images(tmp_path / "images", views, stored_names(views.names), tmp_path)
     assert not (tmp_path / "a.png").exists()
 
 
@@ -61,16 +62,17 @@ def test_a_picture_that_is_stored_loses_nothing_more(stored: tuple[StoredScene, 
     scene = stored[0]
     noise = torch.rand(scene.views.images.shape, generator=torch.Generator().manual_seed(0))
     views = replace(scene.views, images=noise, names=("a.jpg", "b.png", "c.jpg"))
-    write_images(tmp_path / "first", views, tmp_path / "nothing")
+    files = stored_names(views.names)
+    write_images(tmp_path / "first", views, files, tmp_path / "nothing")
     found = [cv2.imread(str(tmp_path / "first" / name)) for name in views.names]
     images = torch.zeros_like(noise)
     for row, (pixels, (height, width)) in enumerate(zip(found, views.sizes, strict=True)):
         images[row, :, :height, :width] = torch.from_numpy(pixels[..., ::-1].copy()).permute(2, 0, 1) / 255
-    write_images(tmp_path / "second", replace(views, images=images), tmp_path / "first")
+    write_images(tmp_path / "second", replace(views, images=images), files, tmp_path / "first")
     for name in views.names:
         assert (tmp_path / "second" / name).read_bytes() == (tmp_path / "first" / name).read_bytes()
     images[0] = 1 - images[0]
-    write_images(tmp_path / "other", replace(views, images=images), tmp_path / "first")
+    write_images(tmp_path / "other", replace(views, images=images), files, tmp_path / "first")
     assert (tmp_path / "other" / "a.jpg").read_bytes() != (tmp_path / "first" / "a.jpg").read_bytes()
 
 
@@ -107,6 +109,26 @@ def test_cameras_name_the_files_that_are_there(stored: tuple[StoredScene, Gaussi
     assert list(read_transforms(listing)) == ["a.png", "b.png", "c.webp", "d.png"]
     (scene,) = find_scenes([tmp_path / "s"])  # how evaluate and train read it
     assert len(scene.frames) == 4
+
+
+def test_photos_whose_names_differ_by_a_second_suffix_have_pictures_of_their_own(
+    stored: tuple[StoredScene, Gaussians], tmp_path: Path
+) -> None:
+    """The picture of a.webp is called as the photo a.webp.png is, so one replaced the other."""
+    scene = stored[0]
+    assert scene.heldout is not None
+    names = ("a.webp", "a.webp.png.png", "a")
+    held = replace(scene.heldout[0], names=("a.webp.png",))
+    scene = replace(scene, views=replace(scene.views, names=names), heldout=(held, scene.heldout[1]), points=None)
+    scene = replace(scene, photos={})
+    write_scene(tmp_path / "s.ply", scene, stored[1], a_report())
+    found, _ = read_scene(tmp_path / "s")
+    assert found.heldout is not None
+    equal(found.views, scene.views)
+    equal(found.heldout[0], held)
+    shown = viewed_scene(tmp_path / "s")
+    files = ["a.webp.png.png.png", "a.webp.png.png", "a.png", "a.webp.png"]
+    assert [path.name for path in shown.photos.values()] == files
 
 
 @pytest.mark.parametrize(

@@ -1,14 +1,20 @@
 """.spz: the error after writing and reading is that of their quantisation."""
 
+import json
 import struct
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
 
+from querysplat_cli.cli import run
+from querysplat_cli.pipeline.gaussian_files import read_gaussians
+from querysplat_cli.reporting.omissions import of_kind
 from querysplat_cli.runtime.errors import MissingPart, QuerySplatError
 from querysplat_cli.scene.formats.compressed import read_spz, write_spz
+from querysplat_cli.scene.formats.ply import write_ply
 from querysplat_cli.scene.gaussians import Gaussians
 
 
@@ -72,6 +78,23 @@ def test_rows_that_are_not_finite_are_left_out(tmp_path: Path) -> None:
     broken = Gaussians(means, scene.quats, scene.scales, scene.opacities, scene.sh)
     assert write_spz(tmp_path / "a.spz", broken) == 4
     assert len(read_spz(tmp_path / "a.spz")) == 4
+
+
+def test_what_is_moved_to_the_border_is_counted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """As in UTM: 24 bits of a coordinate, of which one is fractional, end at 4,194,304."""
+    pytest.importorskip("gsply")
+    scene = cloud(4, 0)
+    scene = replace(scene, means=torch.tensor([[0.0, 0, 0], [4e6, 0, 1], [0, -5e6, 2], [0, 0, 1e7]]))
+    write_ply(tmp_path / "a.ply", scene)
+    for kind, count in (("spz", 2), ("glb", 0)):
+        assert run(["convert", str(tmp_path / "a.ply"), str(tmp_path / f"b.{kind}"), "--json"]) == 0
+        shown = capsys.readouterr()
+        assert json.loads(shown.out)["at_border"] == count
+        assert ("warning: 2 Gaussians beyond ±4,194,304" in shown.err) == bool(count)
+    moved = read_gaussians(tmp_path / "b.spz").means - scene.means
+    assert (moved.abs() > 1).any(1).tolist() == [False, False, True, True]
+    (lost,) = of_kind(tmp_path / "b.spz", scene, 1.0)
+    assert lost.why.endswith("2 Gaussians beyond that moved to there")
 
 
 @pytest.mark.parametrize("content", [b"", b"no such file", b"\x1f\x8b\x08" + bytes(40)])

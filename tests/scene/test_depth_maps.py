@@ -11,7 +11,7 @@ from PIL import ExifTags, Image
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.depth_maps import depth_of_photo, depth_of_view, with_depth_maps
-from querysplat_cli.scene.formats.transforms import depth_map_files
+from querysplat_cli.scene.formats.transforms import read_transforms
 from querysplat_cli.scene.photos import load_photos
 from querysplat_cli.scene.views import Photo, PhotoSource
 
@@ -30,6 +30,8 @@ def write(path: Path, depth: np.ndarray) -> Path:
     path.parent.mkdir(exist_ok=True)
     if path.suffix == ".npy":
         np.save(path, depth)
+    elif path.suffix == ".bin":
+        path.write_bytes(b"%d&%d&1&" % depth.shape[::-1] + depth.astype("<f4").tobytes())
     else:
         assert cv2.imwrite(str(path), depth)
     return path
@@ -43,6 +45,8 @@ def write(path: Path, depth: np.ndarray) -> Path:
         ("a_depth.npy", SLOPE),
         ("a.npy", SLOPE.astype(np.float32)[..., None]),
         ("a.tif", SLOPE.astype(np.float32)),
+        ("a.jpg.geometric.bin", SLOPE),
+        ("a.jpg.photometric.bin", SLOPE),
     ],
 )
 def test_a_map_is_found_by_its_photos_name_and_whole_numbers_are_millimetres(
@@ -55,10 +59,18 @@ def test_a_map_is_found_by_its_photos_name_and_whole_numbers_are_millimetres(
     np.testing.assert_allclose(depth_of_photo(file, found.source, SIZE), metres, rtol=1.1e-3)
 
 
-def test_what_is_no_distance_is_unknown(tmp_path: Path) -> None:
+def test_of_colmaps_two_maps_the_geometric_one_counts(tmp_path: Path) -> None:
+    for kind in ("photometric", "geometric"):
+        write(tmp_path / "maps" / f"a.jpg.{kind}.bin", SLOPE)
+    (found,) = with_depth_maps([photo(tmp_path)], tmp_path / "maps", {})
+    assert found.depth_map == tmp_path / "maps" / "a.jpg.geometric.bin"
+
+
+@pytest.mark.parametrize("name", ["a.npy", "a.jpg.geometric.bin"])
+def test_what_is_no_distance_is_unknown(tmp_path: Path, name: str) -> None:
     stored = SLOPE.copy()
     stored[0, :4] = [np.nan, np.inf, -2, 0]
-    found = depth_of_photo(write(tmp_path / "a.npy", stored), PhotoSource(tmp_path / "a.jpg"), SIZE)
+    found = depth_of_photo(write(tmp_path / name, stored), PhotoSource(tmp_path / "a.jpg"), SIZE)
     assert found[0, :4].tolist() == [0, 0, 0, 0]
     assert (found > 0).sum() == stored.size - 4
 
@@ -88,6 +100,26 @@ def test_damaged_files_and_missing_folders_are_refused(tmp_path: Path) -> None:
             depth_of_photo(file, PhotoSource(tmp_path / "a.jpg"), SIZE)
     with pytest.raises(QuerySplatError, match="no such folder"):
         with_depth_maps([photo(tmp_path)], tmp_path / "none", {})
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"32&24&1&",
+        b"32&24&1&" + bytes(4 * 32 * 24 - 1),
+        b"32&24&1&" + bytes(4 * 32 * 24 - 4),
+        b"32&24&3&" + bytes(4 * 32 * 24),
+        b"-32&-24&1&" + bytes(4 * 32 * 24),
+        b"x&24&1&" + bytes(4 * 32 * 24),
+        b"0&24&1&",
+        b"9" * 5000 + b"&24&1&" + bytes(4 * 24),
+    ],
+)
+def test_damaged_maps_of_colmap_are_refused(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "a.jpg.geometric.bin").write_bytes(content)
+    with pytest.raises(QuerySplatError, match="cannot be read"):
+        with_depth_maps([photo(tmp_path)], tmp_path, {})
 
 
 def test_a_map_of_the_stored_pixels_is_turned_with_the_photo(tmp_path: Path) -> None:
@@ -131,7 +163,9 @@ def test_no_depth_lies_between_the_sides_of_an_edge() -> None:
 def test_nerfstudio_lists_maps_beside_its_frames(tmp_path: Path) -> None:
     frames = [
         {"file_path": "images/a.jpg", "depth_file_path": "depth\\a.png", "transform_matrix": np.eye(4).tolist()},
-        {"file_path": "images/b.jpg", "transform_matrix": np.eye(4).tolist()},
+        {"file_path": "images/b.jpg", "depth_file_path": 3, "transform_matrix": np.eye(4).tolist()},
+        {"file_path": "images/c.jpg", "transform_matrix": np.eye(4).tolist()},
     ]
-    (tmp_path / "transforms.json").write_text(json.dumps({"frames": frames}))
-    assert depth_map_files(tmp_path / "transforms.json") == {"a.jpg": tmp_path / "depth" / "a.png"}
+    (tmp_path / "transforms.json").write_text(json.dumps({"w": 128, "h": 96, "fl_x": 100, "frames": frames}))
+    listed = {name: camera.depth_map for name, camera in read_transforms(tmp_path / "transforms.json").items()}
+    assert listed == {"a.jpg": tmp_path / "depth" / "a.png", "b.jpg": None, "c.jpg": None}

@@ -12,10 +12,11 @@ import pytest
 from film_files import pan, write_film
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene import films
+from querysplat_cli.scene.colour_profiles import D65
 from querysplat_cli.scene.film_colours import BT709, HLG, PQ, WHITE_CODE, rgb_of, tone_mapped
 from querysplat_cli.scene.films import FilmFrame, evenly_spaced_frames, film_frames, film_size, frame_pixels, read_ahead
 
-BT2020 = 9
+BT2020, DISPLAY_P3 = 9, 12
 
 
 def plain(colour: tuple[int, int, int], count: int = 3) -> list[np.ndarray]:
@@ -106,6 +107,34 @@ def test_colours_are_not_too_dark(bits: int) -> None:
         error = rgb_of(plain_frame(y, u, v, bits), BT709).mean((0, 1)) - true
         errors.append(error[(true >= 0) & (true <= 255)].mean())
     assert abs(np.mean(errors)) < 0.1
+
+
+def light_to_xyz(*corners: tuple[float, float]) -> np.ndarray:
+    """The matrix of primaries in CIE x and y whose white is D65."""
+    shares = np.array([(x / y, 1, (1 - x - y) / y) for x, y in (*corners, D65)])
+    return (np.linalg.solve(shares[:3].T, shares[3])[:, None] * shares[:3]).T
+
+
+@pytest.mark.parametrize(
+    ("number", "primaries"),
+    [
+        (BT2020, ((0.708, 0.292), (0.17, 0.797), (0.131, 0.046))),
+        (DISPLAY_P3, ((0.68, 0.32), (0.265, 0.69), (0.15, 0.06))),
+    ],
+)
+def test_wide_primaries_without_hdr_become_those_of_srgb(
+    tmp_path: Path, number: int, primaries: tuple[tuple[float, float], ...]
+) -> None:
+    """As those of photos do. They were taken for those of sRGB, and looked pale."""
+    matrix = np.linalg.inv(light_to_xyz((0.64, 0.33), (0.3, 0.6), (0.15, 0.06))) @ light_to_xyz(*primaries)
+    for colour, change in (((170, 110, 90), 8), ((90, 140, 80), 8), ((90, 110, 180), 4), ((128, 128, 128), 0)):
+        plainly = next(film_frames(write_film(tmp_path / "a.mp4", plain(colour)))).rgb()[0, 0].astype(int)
+        wide = write_film(tmp_path / "b.mp4", plain(colour), tags={"color_primaries": number})
+        found = next(film_frames(wide)).rgb()[0, 0].astype(int)
+        light = matrix @ ((plainly / 255 + 0.055) / 1.055) ** 2.4
+        assert np.abs(found - 255 * (1.055 * light.clip(0, 1) ** (1 / 2.4) - 0.055)).max() <= 1
+        moved = np.abs(found - plainly).max()
+        assert moved >= change if change else moved <= 1
 
 
 def test_hdr_is_not_too_dark() -> None:

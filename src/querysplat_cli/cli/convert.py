@@ -31,6 +31,7 @@ def lines(result: dict[str, Any]) -> list[str]:
     return [
         f"{_content(result)}, {written:.2f} MiB (source {read:.2f} MiB): {result['target']}",
         *([f"with its folder: {result['scene']}"] if result["scene"] else []),
+        *(f"warning: {each}" for each in result.get("warnings", ())),
         *map(_step, result["steps"]),
         *[_level(number, level) for number, level in enumerate(result.get("levels", ()))],
         *([_cost(result["psnr"])] if result["psnr"] else []),

@@ -16,7 +16,7 @@ from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import PhotoCamera, rescaled
 from querysplat_cli.scene.files import FolderKind, atomic_folder, refuse_existing, with_name
 from querysplat_cli.scene.formats.colmap import copy_colmap, write_colmap
-from querysplat_cli.scene.formats.known import MODEL_KINDS, find_known_cameras, read_known_cameras
+from querysplat_cli.scene.formats.known import MODEL_KINDS, find_known_cameras, is_llff, read_known_cameras
 from querysplat_cli.scene.formats.mesh import MESH_KINDS
 from querysplat_cli.scene.formats.transforms import write_transforms
 from querysplat_cli.scene.formats.transforms_frame import is_rigid
@@ -26,7 +26,7 @@ from querysplat_cli.scene.orientation import stored_camera, upright_camera
 from querysplat_cli.scene.photo_files import read_photo_files
 from querysplat_cli.scene.photo_names import short_names
 from querysplat_cli.scene.photos import WHOLE, find_photos, load_photo
-from querysplat_cli.scene.pictures import stored_name
+from querysplat_cli.scene.pictures import stored_names
 from querysplat_cli.scene.undistort import undistorted
 from querysplat_cli.scene.views import LeftOut
 
@@ -101,7 +101,7 @@ def _convert_cameras(request: Conversion) -> dict[str, Any]:
                 copy_colmap(source, draft, text=request.text)
             else:
                 points = None
-                if request.source.is_dir():
+                if request.source.is_dir() and not is_llff(source):
                     cameras = _with_lenses(source.parent, cameras)
                     points = observed_points(source, cameras) or points_without_photos(source.parent)
                 write_colmap(draft, cameras, points=points, text=request.text)
@@ -124,7 +124,7 @@ def _make_scene_folder(target: Path, cameras: Mapping[str, PhotoCamera], place: 
     files = find_photos([place])
     named = dict(zip(short_names(files), files, strict=True))
     matched = cameras_of(named, cameras)
-    kept: dict[str, PhotoCamera] = {}
+    pictures, kept = stored_names(list(named)), dict[str, PhotoCamera]()
     left_out: list[LeftOut] = []
     with atomic_folder(target) as draft:
         for name, file in named.items():
@@ -140,14 +140,14 @@ def _make_scene_folder(target: Path, cameras: Mapping[str, PhotoCamera], place: 
             left_out += unusable
             for camera in usable.values():
                 views, straight = undistorted([photo], [camera], max_size=max(photo.height, photo.width))
-                write_images(draft / "images", views, target / "images")
+                write_images(draft / "images", views, pictures, target / "images")
                 kept[name] = PhotoCamera.pinhole(camera.w2c, straight.K[0].double().numpy(), *views.sizes[0])
         if not kept:
             raise QuerySplatError(
                 f"{place}: no photo of it has a camera ({left_out[0].name}: {left_out[0].why})",
                 f"Names must agree: the first camera is that of {next(iter(cameras))}.",
             )
-        write_transforms(draft / "cameras.json", kept, stored_name)
+        write_transforms(draft / "cameras.json", kept, pictures.__getitem__)
         keep_others(target, draft)
     used = {camera.file for camera in matched.values()}
     left_out += [

@@ -32,7 +32,9 @@ from querysplat_cli.reporting.stored_report import backdrop_of
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.limits import check_address_space
 from querysplat_cli.runtime.progress import Stages
+from querysplat_cli.runtime.words import counted
 from querysplat_cli.scene.files import atomic_together, refuse_existing
+from querysplat_cli.scene.formats.compressed import FARTHEST_COORDINATE, moved_to_border
 from querysplat_cli.scene.formats.mesh import MESH_KINDS, check_mesh_parts, write_mesh
 from querysplat_cli.scene.formats.point_cloud import points_of, write_points
 from querysplat_cli.scene.gaussians import Gaussians
@@ -90,9 +92,10 @@ def convert_gaussians(request: Conversion, stages: Stages) -> dict[str, Any]:
         drafts = stack.enter_context(atomic_together(request.target, *([folder] if folder else [])))
         written, after = _write(drafts[0], request, found, stages)
         size = bytes_of(drafts[0])
+        warnings = [_at_border(moved)] if (moved := written.get("at_border")) else []
         if folder:
             with stages("score"):
-                _write_folder(drafts, request, found, after)
+                warnings += _write_folder(drafts, request, found, after)
                 keep_others(folder, drafts[1])
     return {
         "target": str(request.target),
@@ -102,7 +105,13 @@ def convert_gaussians(request: Conversion, stages: Stages) -> dict[str, Any]:
         "bytes": {"source": source_size, "target": size},
         "steps": [{**step, "against": views.kind} for step in found.entries],
         "psnr": None if request.geometry else _psnr_entry(views, found.levels[0], after),
+        "warnings": warnings,
     }
+
+
+def _at_border(moved: int) -> str:
+    who = f"{counted(moved, 'Gaussian')} beyond ±{FARTHEST_COORDINATE:,}, where an .spz ends, moved to there"
+    return f"{who}: write another kind of file, or use --scale or --crop"
 
 
 def _edited(request: Conversion, gaussians: Gaussians, views: ComparedViews) -> _Edited:
@@ -129,19 +138,24 @@ def _write(path: Path, request: Conversion, found: _Edited, stages: Stages) -> t
             written = levels_entry(path, views)
         return written, written["levels"][0]["psnr"]
     with stages("write"):
-        count = write_gaussians(path, found.placed[found.kept], request.spz_version)
-        return {"gaussians": count}, views.psnr(views.here(read_gaussians(path)))
+        kept = found.placed[found.kept]
+        count = write_gaussians(path, kept, request.spz_version)
+        written = {"gaussians": count, "at_border": moved_to_border(path, kept)}
+        return written, views.psnr(views.here(read_gaussians(path)))
 
 
-def _write_folder(drafts: Sequence[Path], request: Conversion, found: _Edited, after: float) -> None:
-    """Write the scene's folder for the Gaussians in the first draft, whose PSNR is `after`, to the second one."""
+def _write_folder(drafts: Sequence[Path], request: Conversion, found: _Edited, after: float) -> list[str]:
+    """Write the scene's folder for the Gaussians in the first draft, whose PSNR is `after`, to the second one.
+
+    Returns warnings as `write_moved_folder`.
+    """
     bands = found.here.sh.shape[1]
     gone = [by_conversion(step["what"], step["gaussians"], bands, step["lost"]) for step in found.entries]
     if request.target.suffix.lower() in WRITERS:
         gone += of_kind(drafts[0], found.placed[found.kept], round(found.levels[-1] - after, 3))
     written = found.result_views.here(read_gaussians(drafts[0]))
     moved = Moved(request.target, found.place, found.kept, written, bytes_of(drafts[0]), gone)
-    write_moved_folder(folder_of_scene(request.source), drafts[1], moved)
+    return write_moved_folder(folder_of_scene(request.source), drafts[1], moved)
 
 
 def _check_kind(request: Conversion) -> None:

@@ -66,7 +66,7 @@ class Conversion:
         Path,
         Option(
             "Gaussians: a .ply, .spz, .sog or .glb, a scene folder, or the lod-meta.json of a streamed SOG. Cameras: a "
-            "transforms.json, a COLMAP model or a scene folder.",
+            "transforms.json, a COLMAP model, LLFF's poses_bounds.npy or a scene folder.",
             argument=True,
         ),
     ]

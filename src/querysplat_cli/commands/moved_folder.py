@@ -47,10 +47,11 @@ class Moved:
     left_out: list[Omission]
 
 
-def write_moved_folder(source: Path, draft: Path, moved: Moved) -> None:
+def write_moved_folder(source: Path, draft: Path, moved: Moved) -> list[str]:
     """Write the scene folder `source` to `draft`, for the Gaussians that `moved` keeps, in their new frame.
 
     Without memories that fit the Gaussians, the new folder has none, and suits every verb but `tto` and `inspect`.
+    Returns a warning where that is because `source` is damaged.
     """
     draft.mkdir()
     move_cameras(source / "cameras.json", draft / "cameras.json", moved.place)
@@ -63,16 +64,19 @@ def write_moved_folder(source: Path, draft: Path, moved: Moved) -> None:
             shutil.copyfile(source / name, draft / name)
     try:
         scene, report = read_scene(source)
-    except QuerySplatError:
-        return  # damaged, or without memories
+    except QuerySplatError as error:
+        parts = ("report.json", "memories.safetensors")
+        lost = any((source / name).exists() for name in parts)  # cameras and photos alone are no damage
+        return [f"the new folder has no report and no memories: {error.message}"] if lost else []
     tensors = None if report["gaussians"] != len(moved.kept) else _fitting_memories(source, report, moved.kept)
     if tensors is None:
-        return
+        return []
     (draft / "memories.safetensors").write_bytes(tensors)
     (draft / "report.json").write_text(json.dumps(_brought_up_to_date(report, scene, moved), indent=2) + "\n")
     write_preview(draft / "preview.png", moved.gaussians, scene.groups)
     if (source / "curve.png").is_file():
         shutil.copyfile(source / "curve.png", draft / "curve.png")
+    return []
 
 
 def _fitting_memories(source: Path, report: dict[str, Any], kept: Bool[Tensor, "n"]) -> bytes | None:

@@ -15,7 +15,7 @@ from querysplat_cli.runtime.json_files import shown
 from querysplat_cli.runtime.progress import Progress, Stages
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.files import refuse_existing, writable
-from querysplat_cli.scene.formats.known import find_known_cameras, read_known_cameras
+from querysplat_cli.scene.formats.known import find_known_cameras, is_llff, read_known_cameras
 from querysplat_cli.scene.formats.transforms import listed_paths
 from querysplat_cli.scene.formats.transforms_frame import is_rigid
 from querysplat_cli.scene.lenses import pinhole_photos
@@ -101,7 +101,7 @@ def _photos(place: Path, files: Sequence[PhotoFile], progress: Progress) -> list
         return [file.load(LONGEST_SIDE) for file in files]
     folder = place if place.is_dir() else place.parent
     source = find_known_cameras(place)
-    paths = {} if source.is_dir() else listed_paths(source)
+    paths = {} if source.is_dir() or is_llff(source) else listed_paths(source)
     listed = {name: source.parent / path for name, path in paths.items() if names_a_photo(path)}
     there = {name: file for name, file in listed.items() if file.is_file()}
     if there:

@@ -201,7 +201,8 @@ class PosesRequest:
     first: Annotated[
         Path,
         Option(
-            "A scene folder, a transforms.json or a COLMAP model. For --colmap, its photos must lie beside it.",
+            "A scene folder, transforms.json, COLMAP model or LLFF's poses_bounds.npy. For --colmap, its photos must "
+            "lie beside it.",
             metavar="A",
             argument=True,
         ),

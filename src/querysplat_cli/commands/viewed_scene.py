@@ -20,7 +20,6 @@ from querysplat_cli.scene.formats.ply import write_ply
 from querysplat_cli.scene.formats.transforms import NamedCameras, read_working_cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.paths import first_shown, opaque_centres, surround
-from querysplat_cli.scene.pictures import stored_name
 from querysplat_cli.scene.quantiles import picked
 from querysplat_cli.scene.upright import up_direction
 from querysplat_cli.splat.conventions import RenderSettings
@@ -73,8 +72,10 @@ def viewed_scene(path: Path) -> ViewedScene:
     pictures = folder / "images"
     views: list[dict[str, Any]] = []
     photos: dict[str, Path] = {}
-    for entry in (*view_entries(inputs), *view_entries(heldout, held_out=True)):
-        picture = pictures / stored_name(entry["name"])
+    files = [file for named in (inputs, heldout) if named for file in named.files]
+    entries = (*view_entries(inputs), *view_entries(heldout, held_out=True))
+    for entry, file_name in zip(entries, files, strict=True):
+        picture = pictures / file_name
         if picture.is_file():
             entry["photo"] = f"photos/{len(views)}.jpg"
             photos[entry["photo"]] = picture

@@ -6,7 +6,7 @@ An encoder is a vision geometric model (VGM). Its weights, where it has any, are
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float
@@ -108,16 +108,20 @@ class PosedViews:
 
 @dataclass(frozen=True)
 class UsedDepthMaps:
-    """How many views came with a depth map, how many of these maps are used, and how far those are off.
+    """Which views (row numbers) came with a depth map, which of these maps are used, and how far those are off.
 
     `difference` is the median relative difference to depth that the photos confirm; None where they confirm none.
     `per_unit` is the length of a scene unit in that of the maps; None where they have no common one.
     """
 
-    given: int
-    used: int
+    given: tuple[int, ...]
+    used: tuple[int, ...]
     difference: float | None
     per_unit: float | None
+
+    def entry(self) -> dict[str, Any]:
+        """What the report says of them, which counts the maps."""
+        return {**vars(self), "given": len(self.given), "used": len(self.used)}
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,6 @@
 """Depth maps that come with the photos, on their way to the encoder."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 import numpy as np
 import torch
@@ -13,16 +12,13 @@ from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.depth_maps import depth_of_photo, depth_of_view, with_depth_maps
-from querysplat_cli.scene.formats.known import find_known_cameras
-from querysplat_cli.scene.formats.transforms import depth_map_files
-from querysplat_cli.scene.match_cameras import matched_names
 from querysplat_cli.scene.views import Photo, PhotoSource
 
 
 def photos_with_depth(
-    photos: Sequence[Photo], settings: ReconstructSettings, given: Mapping[str, PhotoCamera] | None, encoder: str
+    photos: Sequence[Photo], settings: ReconstructSettings, known: Mapping[str, PhotoCamera] | None, encoder: str
 ) -> list[Photo]:
-    """The photos with the depth maps of `--depth-maps`, or else with those that the file of the `given` cameras lists.
+    """The photos with the depth maps of `--depth-maps`, or else with those that are listed with their `known` cameras.
 
     Raises QuerySplatError where `--depth-maps` has none of them, or where `encoder` uses none.
     """
@@ -30,12 +26,8 @@ def photos_with_depth(
         raise QuerySplatError(
             f"--depth-maps: the encoder {encoder} estimates depth itself", "Leave it out, or use --encoder classical."
         )
-    listed: dict[str, Path] = {}
-    if given and settings.poses and encoder == "classical":
-        file = find_known_cameras(settings.poses)
-        maps = depth_map_files(file) if file.suffix.lower() == ".json" else {}
-        names = matched_names({photo.name: photo.path for photo in photos}, given) if maps else {}
-        listed = {name: maps[key] for name, key in names.items() if key in maps}
+    cameras = known if known and encoder == "classical" else {}
+    listed = {name: camera.depth_map for name, camera in cameras.items() if camera.depth_map}
     return with_depth_maps(photos, settings.depth_maps, listed)
 
 

@@ -54,7 +54,7 @@ def in_metres_of_depth(scene: StoredScene, report: Report, maps: UsedDepthMaps |
     if maps is None or maps.per_unit is None:
         warning = "the depth maps have no common unit, so lengths are not in metres"
         return scene, replace(report, warnings=[*report.warnings, warning])
-    return in_metres(scene, report, Metres(maps.per_unit, BY_DEPTH, maps.used, None))
+    return in_metres(scene, report, Metres(maps.per_unit, BY_DEPTH, len(maps.used), None))
 
 
 def rescaled_frame(frame: Sim3 | None, metres: Metres) -> Sim3:

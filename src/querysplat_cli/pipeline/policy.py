@@ -57,6 +57,8 @@ class PipelinePolicy:
     """Photos of the core of a region at least."""
     region_overlap: float = 0.25
     """Photos of neighbours that a region gets, as a share of its own."""
+    common_depth_unit: float = 0.04
+    """The depth maps of all regions have one unit where the units of two regions differ by at most this share."""
     region_nearness: float = 1e-3
     """How close two photos of neighbouring places are that have no sparse point in common; 1 is the same photo."""
     owner_size: int = 128

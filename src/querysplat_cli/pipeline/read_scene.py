@@ -20,7 +20,6 @@ from querysplat_cli.scene.exposures import read_exposures
 from querysplat_cli.scene.formats.transforms import NamedCameras, read_working_cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.photo_files import read_photo_files
-from querysplat_cli.scene.pictures import stored_name
 from querysplat_cli.scene.sparse_points import read_sparse_points
 from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.transform import transform_gaussians
@@ -102,12 +101,12 @@ def check_model(scene: StoredScene, config: ModelConfig) -> None:
 def _read_images(folder: Path, named: NamedCameras, masks: Tensor) -> Views:
     images = torch.zeros(len(named.names), 3, *masks.shape[1:])
     for row, (name, (height, width)) in enumerate(zip(named.names, named.sizes, strict=True)):
-        file = folder / stored_name(name)
+        file = folder / named.files[row]
         if _size(file) != (height, width):
-            raise OSError(f"images/{stored_name(name)} is missing or has another size")
+            raise OSError(f"images/{named.files[row]} is missing or has another size")
         pixels = cv2.imread(str(file), cv2.IMREAD_COLOR)
         if pixels is None or pixels.shape[:2] != (height, width):
-            raise OSError(f"images/{stored_name(name)} cannot be decoded")
+            raise OSError(f"images/{named.files[row]} cannot be decoded")
         images[row, :, :height, :width] = (
             torch.from_numpy(np.ascontiguousarray(pixels[..., ::-1])).permute(2, 0, 1) / 255
         )

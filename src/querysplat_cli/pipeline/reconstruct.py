@@ -174,7 +174,7 @@ def _read_inputs(settings: ReconstructSettings, device: torch.device, stages: St
         given = read_known_cameras(settings.poses, fisheye=True) if settings.poses else None
         known = cameras_of_photos(photos, given) if given else None
         photos, known = pinhole_photos(photos, known, settings.lens, keep)
-        photos = photos_with_depth(photos, settings, given, encoder.name)
+        photos = photos_with_depth(photos, settings, known, encoder.name)
         budget = Budget(settings.budget, stages.elapsed) if settings.budget else None
         size = settings.max_size or encoder.size
         adjustable = encoder.name == "classical" and not settings.max_size
@@ -242,7 +242,7 @@ def _report(
         unseen=scores.unseen.entry() if scores.unseen else None,
         backdrop=len(scene.backdrop) if scene.backdrop else 0,
         matching=matching_entry(passes.split.inputs.matching),
-        depth_maps=asdict(used) if (used := scene.geometry.depth_maps) else None,
+        depth_maps=used.entry() if (used := scene.geometry.depth_maps) else None,
     )
 
 

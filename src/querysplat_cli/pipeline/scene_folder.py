@@ -18,7 +18,7 @@ import dataclasses
 import json
 import os
 import shutil
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path, PurePath
 from typing import Any
@@ -48,7 +48,7 @@ from querysplat_cli.scene.formats.supersplat import write_supersplat
 from querysplat_cli.scene.formats.transforms import listed_files, write_cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.photo_files import PhotoFile, write_photo_files
-from querysplat_cli.scene.pictures import LOSSLESS_SUFFIXES, eight_bit, stored_name, write_picture
+from querysplat_cli.scene.pictures import LOSSLESS_SUFFIXES, eight_bit, stored_names, write_picture
 from querysplat_cli.scene.sim3 import Sim3
 from querysplat_cli.scene.sparse_points import SparsePoints, write_sparse_points
 from querysplat_cli.scene.views import Photo, Views
@@ -144,10 +144,11 @@ def write_scene(target: Path, scene: StoredScene, gaussians: Gaussians, report: 
         report["bytes"], report["gaussians"] = target_draft.stat().st_size, written
         report["left_out"] = [
             *(entry for entry in report["left_out"] if entry["what"] != PRECISION),
-            *(asdict(each) for each in _lost_by_kind(target_draft, scene, gaussians, report)),
+            *(asdict(each) for each in _lost_by_kind(target_draft, scene, placed, report)),
         ]
+        files = stored_names([name for views, _ in scene.groups.values() for name in views.names])
         for views, _ in scene.groups.values():
-            write_images(draft / "images", views, folder_of_scene(target) / "images")
+            write_images(draft / "images", views, files, folder_of_scene(target) / "images")
         write_cameras(draft / "cameras.json", scene.cameras, scene.views, heldout=scene.heldout, frame=scene.frame)
         write_supersplat(draft / "supersplat.json", gaussians, scene.cameras, scene.views.sizes, scene.frame)
         if scene.photos:
@@ -168,14 +169,14 @@ def write_scene(target: Path, scene: StoredScene, gaussians: Gaussians, report: 
     return written
 
 
-def _lost_by_kind(file: Path, scene: StoredScene, gaussians: Gaussians, report: dict[str, Any]) -> list[Omission]:
-    """What a written file of another kind than .ply loses on the input views."""
+def _lost_by_kind(file: Path, scene: StoredScene, placed: Gaussians, report: dict[str, Any]) -> list[Omission]:
+    """What a written file of another kind than .ply loses of the `placed` Gaussians on the input views."""
     if file.suffix.lower() == ".ply":
         return []
     found = read_gaussians(file)
     here = transform_gaussians(found, scene.frame.inverse()) if scene.frame else found
     after = score(here, scene.views, scene.cameras).summary()["psnr"]
-    return of_kind(file, gaussians, round(report["quality"]["input"]["psnr"] - after, 3))
+    return of_kind(file, placed, round(report["quality"]["input"]["psnr"] - after, 3))
 
 
 def check_picture_names(folder: Path, photos: Sequence[Photo]) -> None:
@@ -183,23 +184,24 @@ def check_picture_names(folder: Path, photos: Sequence[Photo]) -> None:
 
     Pictures of photos in formats that are not written have longer names than these.
     """
-    for photo in photos:
-        if not can_be_named(folder / PurePath(stored_name(photo.name)).name):
-            why = f"{photo.name}: its name is too long for its picture in the scene's folder"
+    for name, file in stored_names([photo.name for photo in photos]).items():
+        if not can_be_named(folder / PurePath(file).name):
+            why = f"{name}: its name is too long for its picture in the scene's folder"
             raise QuerySplatError(why, "Rename the photo.")
 
 
-def write_images(folder: Path, views: Views, stored: Path) -> None:
-    """Write the pictures, without their padding, under the names of `views`; lossless, or JPEG at its best quality.
+def write_images(folder: Path, views: Views, files: Mapping[str, str], stored: Path) -> None:
+    """Write the pictures, without their padding; lossless, or JPEG at its best quality.
 
-    A picture whose file is in the folder `stored` is copied: as JPEG, it would lose something each time. Raises
-    QuerySplatError when a name leads out of the folder.
+    `files` has the names of the pictures (`stored_names`) by those of `views`. A picture whose file is in the folder
+    `stored` is copied: as JPEG, it would lose something each time. Raises QuerySplatError when a name leads out of the
+    folder.
     """
     for row, (name, (height, width)) in enumerate(zip(views.names, views.sizes, strict=True)):
-        path = folder / stored_name(name)
+        path = folder / files[name]
         if os.path.isabs(name) or ".." in path.parts:
             raise QuerySplatError(f"the picture of {name} would lie outside the scene's folder", "Rename the photo.")
-        pixels, before = eight_bit(views.images[row, :, :height, :width]), stored / stored_name(name)
+        pixels, before = eight_bit(views.images[row, :, :height, :width]), stored / files[name]
         if path.suffix.lower() in LOSSLESS_SUFFIXES:
             write_picture(path, pixels)
         elif before.is_file() and np.array_equal(np.asarray(cv2.imread(str(before))), pixels[..., ::-1]):

@@ -175,7 +175,7 @@ class ReconstructSettings:
     poses: Annotated[
         Path | None,
         Option(
-            "Known cameras: a transforms.json, or the folder of a COLMAP model.",
+            "Known cameras: a transforms.json, LLFF's poses_bounds.npy, or the folder of a COLMAP model.",
             metavar="FILE|DIR",
             default="estimated from the photos",
         ),
@@ -183,8 +183,8 @@ class ReconstructSettings:
     depth_maps: Annotated[
         Path | None,
         Option(
-            "Depth maps of the photos, from LiDAR or a network: 16-bit PNG, float TIFF or .npy, in any unit, with the "
-            "names of the photos.",
+            "Depth maps of the photos, from LiDAR or a network: 16-bit PNG, float TIFF, .npy or COLMAP's .bin, in any "
+            "unit, with the names of the photos.",
             metavar="DIR",
             default="those that --poses lists",
         ),

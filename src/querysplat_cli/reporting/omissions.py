@@ -10,6 +10,7 @@ from querysplat_cli.prune.resolution import Blurred
 from querysplat_cli.queries.cells import CELLS
 from querysplat_cli.queries.coverage import AnchorReport
 from querysplat_cli.runtime.words import counted
+from querysplat_cli.scene.formats.compressed import FARTHEST_COORDINATE, moved_to_border
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.masks import MaskedShare
 from querysplat_cli.tto.adapt import Adapted
@@ -131,11 +132,13 @@ def by_conversion(option: str, gone: int, bands: int, psnr_lost: float) -> Omiss
 
 
 def of_kind(file: Path, gaussians: Gaussians, psnr_lost: float) -> list[Omission]:
-    """Digits that the kind of a written file does not keep; a .ply keeps them."""
+    """Digits that the kind of a written file does not keep; a .ply keeps them. `gaussians` are in the file's units."""
     if file.suffix.lower() == ".ply":
         return []
     plain, size = len(gaussians) * ply_bytes(gaussians.sh.shape[1]), file.stat().st_size
     why = f"a {file.suffix} keeps fewer digits than a .ply"
+    if moved := moved_to_border(file, gaussians):
+        why += f", and ends at ±{FARTHEST_COORDINATE:,}: {counted(moved, 'Gaussian')} beyond that moved to there"
     return [Omission(PRECISION, why, f"{1 - size / plain:.0%} of the bytes", plain - size, psnr_lost=psnr_lost)]
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -40,7 +41,7 @@ class PhotoCamera:
     `focal` is (fx, fy), `principal` (cx, cy) in pixels of a photo of `height` × `width`, pixel centres at
     +0.5; `distortion` is OpenCV's (k1, k2, p1, p2), or (k1, k2, k3, k4) of its fisheye model. `file` is the path of the
     photo in the file of cameras, if there is one. `as_stored` is whether its pixels are known to be those that the
-    photo's file stores, before EXIF's orientation turns them.
+    photo's file stores, before EXIF's orientation turns them. `depth_map` is the file that is listed as its depth map.
     """
 
     w2c: np.ndarray
@@ -52,6 +53,7 @@ class PhotoCamera:
     fisheye: bool = False
     file: str = ""
     as_stored: bool = False
+    depth_map: Path | None = None
 
     @staticmethod
     def pinhole(w2c: np.ndarray, K: np.ndarray, height: int, width: int) -> "PhotoCamera":

@@ -18,11 +18,13 @@ from querysplat_cli.scene.masks import QUARTER_TURNS
 from querysplat_cli.scene.undistort import places_in_photo
 from querysplat_cli.scene.views import Photo, PhotoSource
 
-KINDS = (".npy", ".png", ".tif", ".tiff")
+COLMAP = ".bin"
+KINDS = (".npy", ".png", ".tif", ".tiff", f".geometric{COLMAP}", f".photometric{COLMAP}")
+"""What names of maps end with. The first that exists counts: COLMAP's geometric maps have fewer wrong pixels."""
 MILLIMETRE = 0.001
 ONE_SURFACE = 0.1
 """Relative difference up to which the pixels around one are of its surface, and are interpolated."""
-NAMES = "Maps have the names of their photos: a.png, a.npy, a.tif, a.jpg.png or a_depth.png for a.jpg."
+NAMES = "Maps are named a.png, a.npy, a.tif, a.jpg.png, a_depth.png or a.jpg.geometric.bin (COLMAP) for a.jpg."
 
 
 def with_depth_maps(photos: Sequence[Photo], folder: Path | None, listed: Mapping[str, Path]) -> list[Photo]:
@@ -67,10 +69,12 @@ def depth_of_photo(file: Path, source: PhotoSource, size: tuple[int, int]) -> Fl
 
 
 def _read(file: Path) -> np.ndarray:
-    hint = "Depth maps are 16-bit PNG, float TIFF, or .npy of numbers, [height, width]."
+    hint = "Depth maps are 16-bit PNG, float TIFF, .npy of numbers, [height, width], or COLMAP's .bin."
     try:
         if file.suffix.lower() == ".npy":
             depth = np.load(file, allow_pickle=False)
+        elif file.suffix.lower() == COLMAP:
+            depth = _colmap_map(file)
         else:
             depth = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
     except (OSError, ValueError, EOFError, cv2.error):
@@ -83,6 +87,15 @@ def _read(file: Path) -> np.ndarray:
         kind = " × ".join(map(str, depth.shape)) + f" of {depth.dtype}"
         raise QuerySplatError(f"{file}: no depth map ({kind})", hint)
     return depth * (MILLIMETRE if depth.dtype.kind in "iu" else 1.0)
+
+
+def _colmap_map(file: Path) -> np.ndarray:
+    """A map of COLMAP's dense workspaces, [height, width]. Raises ValueError where the file is none, or is cut off."""
+    *header, pixels = file.read_bytes().split(b"&", 3)
+    width, height, channels = map(int, header)
+    if channels != 1 or min(width, height) < 1:
+        raise ValueError("no depth map")
+    return np.frombuffer(pixels, "<f4").reshape(height, width)
 
 
 def depth_of_view(

@@ -26,6 +26,11 @@ KNEE = 0.7
 REC2020_TO_REC709 = np.array(
     [[1.660491, -0.587641, -0.072850], [-0.124550, 1.132900, -0.008349], [-0.018151, -0.100579, 1.118730]], np.float32
 )
+P3_TO_REC709 = np.array(
+    [[1.224940, -0.224940, 0.0], [-0.042057, 1.042057, 0.0], [-0.019638, -0.078636, 1.098274]], np.float32
+)
+TO_REC709 = {9: REC2020_TO_REC709, 12: P3_TO_REC709}
+"""For linear light, by the film's primaries (ITU-T H.273): BT.2020 and Display P3. Others are taken for BT.709's."""
 REC2020_LUMA = np.array([[0.2627, 0.6780, 0.0593]], np.float32)
 
 
@@ -42,16 +47,19 @@ def bt709_frame(pixels: np.ndarray) -> av.VideoFrame:
     return frame.reformat(format="yuv420p", dst_colorspace=BT709, dst_color_range=LIMITED, interpolation=EXACTLY)
 
 
-def rgb_of(frame: av.VideoFrame, transfer: int) -> np.ndarray:
+def rgb_of(frame: av.VideoFrame, transfer: int, primaries: int = UNTAGGED) -> np.ndarray:
     """The picture as stored (not yet upright), 8-bit sRGB [height, width, 3].
 
-    `transfer` is the film's transfer characteristic (ITU-T H.273). PQ and HLG are tone-mapped; any other one is shown
-    as it is.
+    `transfer` is the film's transfer characteristic, and `primaries` are its primaries (ITU-T H.273). PQ and HLG are
+    tone-mapped, and have those of BT.2020; any other transfer is shown as it is. Colours beyond sRGB are clipped.
     """
     matrix = BT709 if frame.colorspace == UNTAGGED and frame.height >= HD_HEIGHT else None
     if transfer in (PQ, HLG):
         return tone_mapped(frame.to_ndarray(format="rgb48le", src_colorspace=matrix), transfer)
-    return np.asarray(frame.to_ndarray(format="rgb24", src_colorspace=matrix, interpolation=EXACTLY))
+    pixels = np.asarray(frame.to_ndarray(format="rgb24", src_colorspace=matrix, interpolation=EXACTLY))
+    if primaries not in TO_REC709:
+        return pixels
+    return _srgb(cv2.transform(_light_of_srgb()[pixels], TO_REC709[primaries]))
 
 
 def tone_mapped(pixels: np.ndarray, transfer: int) -> np.ndarray:
@@ -71,7 +79,19 @@ def tone_mapped(pixels: np.ndarray, transfer: int) -> np.ndarray:
     most = (PEAK_NITS / WHITE_NITS - KNEE) / (1 - KNEE)
     compressed = KNEE + (1 - KNEE) * over * (1 + over / most**2) / (1 + over)
     light *= np.where(largest > KNEE, compressed / np.maximum(largest, 1e-6), 1)
+    return _srgb(light)
+
+
+def _srgb(light: np.ndarray) -> np.ndarray:
+    """8-bit sRGB of linear light, clipped to [0, 1]."""
     return _srgb_of_light()[(light.clip(0, 1) * 4095 + 0.5).astype(np.uint16)]
+
+
+@cache
+def _light_of_srgb() -> np.ndarray:
+    """Linear light of each 8-bit sRGB value."""
+    code = np.arange(256) / 255
+    return np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4).astype(np.float32)
 
 
 @cache

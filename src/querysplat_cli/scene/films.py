@@ -35,6 +35,7 @@ class FilmFrame:
     seconds: float
     picture: av.VideoFrame
     transfer: int
+    primaries: int
     pixel_aspect: float
 
     def grey(self, longer_side: int) -> np.ndarray:
@@ -45,7 +46,7 @@ class FilmFrame:
 
     def rgb(self) -> np.ndarray:
         """8-bit sRGB [height, width, 3], upright, with square pixels."""
-        pixels = rgb_of(self.picture, self.transfer)
+        pixels = rgb_of(self.picture, self.transfer, self.primaries)
         if self.pixel_aspect != 1:
             size = round(pixels.shape[1] * self.pixel_aspect), pixels.shape[0]
             pixels = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
@@ -65,14 +66,15 @@ def film_frames(path: Path, start: int | None = None) -> Iterator[FilmFrame]:
     with _opened(path) as (container, stream):
         if start is not None:
             container.seek(start, stream=stream)
-        aspect, transfer = stream.sample_aspect_ratio, stream.codec_context.color_trc
+        codec, aspect = stream.codec_context, float(stream.sample_aspect_ratio or 1)
+        colours = int(codec.color_trc or 0), int(codec.color_primaries or 0)
         rate = float(stream.average_rate or 25)
         for number, picture in enumerate(_pictures(container, stream)):
             stamped = picture.pts is not None and picture.time is not None
             if start is not None and not stamped:
                 continue  # its number is not known
             pts, seconds = (picture.pts, picture.time) if stamped else (number, number / rate)
-            yield FilmFrame(pts or 0, float(seconds), picture, int(transfer or 0), float(aspect or 1))
+            yield FilmFrame(pts or 0, float(seconds), picture, *colours, aspect)
 
 
 def film_length(path: Path) -> int | None:

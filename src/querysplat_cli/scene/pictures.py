@@ -10,6 +10,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 LOSSLESS_SUFFIXES = {".png", ".bmp", ".tif", ".tiff"}
+WRITTEN_SUFFIXES = LOSSLESS_SUFFIXES | {".jpg", ".jpeg"}
+"""Of photos whose pictures have the same format."""
 
 
 def eight_bit(image: Float[Tensor, "3 height width"]) -> np.ndarray:
@@ -17,10 +19,20 @@ def eight_bit(image: Float[Tensor, "3 height width"]) -> np.ndarray:
     return (image.permute(1, 2, 0) * 255).round().to(torch.uint8).numpy()
 
 
-def stored_name(name: str) -> str:
-    """The file name of a photo's undistorted picture: the photo's, with .png added if we do not write its format."""
-    suffix = Path(name).suffix.lower()
-    return name if suffix in LOSSLESS_SUFFIXES | {".jpg", ".jpeg"} else f"{name}.png"
+def stored_names(names: Sequence[str]) -> dict[str, str]:
+    """The file names of the photos' undistorted pictures, by the names of the photos.
+
+    They are those of the photos, with .png added where we do not write the format. It is added again where that is the
+    name of another photo.
+    """
+    photos, found = set(names), {}
+    for name in names:
+        found[name] = name
+        if Path(name).suffix.lower() in WRITTEN_SUFFIXES:
+            continue
+        while found[name] in photos:
+            found[name] += ".png"
+    return found
 
 
 def distinct_stems(names: Sequence[str]) -> list[str]:

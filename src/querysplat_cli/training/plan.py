@@ -202,12 +202,12 @@ def _measured(config: TrainConfig, device: torch.device, *, cached: bool, stages
     with stages("measure"):
         try:
             sample, seconds = _one_sample(config, device, cached=cached)
+            sample = sample.in_frame(config.model.frame)
+            anchors = anchored(sample) if config.model.queries == "anchored" else None
         except QuerySplatError as error:
             return _Measured(reason=f"{error.message}: {error.hint}")
         model = starting_model(config)
         freeze(model, config)
-        sample = sample.in_frame(config.model.frame)
-        anchors = anchored(sample) if model.config.queries == "anchored" else None
         moved = to_device((sample, anchors), device)
         return _Measured(seconds, _seconds_of_step(config, model.to(device), *moved), tensor_bytes(anchors))
 

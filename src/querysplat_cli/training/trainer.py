@@ -109,7 +109,9 @@ class Trainer:
             self.model.decode = torch.compile(self.model.decode)  # type: ignore[method-assign]
 
     def run(self, samples: Samples, *, progress: Progress, tensorboard: bool = False) -> TrainReport:
-        """Train to the last step and save now and then. Only the first process writes files."""
+        """Train to the last step and save now and then. Only the first process writes files.
+
+        Raises QuerySplatError where every sample was skipped."""
         journal = Journal(self.folder, self.step, tensorboard=tensorboard) if self.processes.first else None
         kept: RecentResults[Anchors] = RecentResults(ANCHORS_KEPT)
         row = journal.last() if journal else None
@@ -126,6 +128,8 @@ class Trainer:
             waited += spent
             self.step += 1
             last = self.step == self.config.steps
+            if last and sum(self.skipped.values()) == self.step * self.config.optimiser.batch:
+                raise QuerySplatError(f"no sample gave a gradient: {'; '.join(self.skipped)}", "Check data.sources.")
             if self.step % self.config.log_every == 0 or last:
                 row, window = self._row(window), _Window(self.step)
                 return_freed_memory()
@@ -168,7 +172,11 @@ class Trainer:
             anchors = None
             if self.model.config.queries == "anchored":
                 # Not in the reader's thread: the renderer's compiled code cannot run in two threads at once.
-                anchors = kept.get(path, lambda sample=sample: anchored(sample))  # type: ignore[misc]
+                try:
+                    anchors = kept.get(path, lambda sample=sample: anchored(sample))  # type: ignore[misc]
+                except QuerySplatError as error:  # its masks leave no block
+                    results.append(SampleLoss(math.nan, {}, math.nan, 0, error.message))
+                    continue
             results.append(self._add(to_device(sample, self.device), to_device(anchors, self.device), index))
         return self._advance(results, rate(self.step - before, stage)), waited
 

@@ -10,10 +10,10 @@ from torch import Tensor
 from querysplat_cli.encoders.base import Geometry, PosedViews, UsedDepthMaps
 from querysplat_cli.encoders.classical.consistency import DepthMaps, blurred, carve, lent
 from querysplat_cli.encoders.classical.contrast import stretch
+from querysplat_cli.encoders.classical.depth_map_fit import fit_depth_maps
 from querysplat_cli.encoders.classical.depth_policy import DEPTH_POLICY
 from querysplat_cli.encoders.classical.depth_warnings import depth_warnings
 from querysplat_cli.encoders.classical.fill_depth import fill_depth
-from querysplat_cli.encoders.classical.given_depth import fit_depth_maps
 from querysplat_cli.encoders.classical.neighbours import choose_sources, inverse_range, nearest_views
 from querysplat_cli.encoders.classical.patch_features import PATCH, patch_features
 from querysplat_cli.encoders.classical.patchmatch import Source
@@ -29,7 +29,7 @@ def estimate_geometry(posed: PosedViews, *, seed: int, progress: Progress) -> Ge
     does, and 0 where the depth was filled in: from what other views measured, from wider windows (`wide_windows.py`),
     and from the surroundings. A filled depth never stands in front of what other views measured.
     Without parallax, the depth is constant with confidence 0. `warnings` says so, and where a few photos hardly agree.
-    Where the photos came with depth maps, these count where stereo finds nothing (`given_depth.py`).
+    Where the photos came with depth maps, these count where stereo finds nothing (`depth_map_fit.py`).
     `seed` is unused: nothing is random here.
     """
     del seed

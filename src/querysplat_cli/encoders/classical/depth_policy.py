@@ -130,7 +130,7 @@ class DepthPolicy:
     lent_confidence: float = 0.3
     """What another view measured, seen from a view that measured nothing there, weighs so much."""
 
-    # Depth maps that came with the photos (given_depth.py).
+    # Depth maps that came with the photos (depth_map_fit.py).
     given_sure: float = 0.75
     """Confidence from which stereo's depth stands, and a map is compared with it. A white wall has up to 1/2: its
     views agree, and match badly."""

@@ -1,14 +1,16 @@
 """The scenes of regions become one."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from statistics import median
 from typing import Any, cast
 
 import torch
 from jaxtyping import Bool
 
-from querysplat_cli.encoders.base import Geometry, PosedViews
+from querysplat_cli.encoders.base import Geometry, PosedViews, UsedDepthMaps
 from querysplat_cli.model.memories import Memories
 from querysplat_cli.pipeline.build import BuiltScene
 from querysplat_cli.pipeline.full_size import FullSize, LargePhotos
@@ -31,7 +33,7 @@ from querysplat_cli.scene.views import PhotoSource, Views
 from querysplat_cli.tto.adapt import Adapted
 from querysplat_cli.tto.exposure_fit import PhotoColours
 
-IN_THE_WHOLE = ("tto", "full_size", "warnings")
+IN_THE_WHOLE = ("tto", "full_size", "warnings", "depth_maps")
 """Entries of regions that the report has for all of them together."""
 
 
@@ -104,7 +106,7 @@ def join(
     parts = divide(posed, min(len(groups), parts_needed(photos, size)))
     gaussians, smoothing = _optimised(parts, photos, size, joint.gaussians, settings.seed, progress)
     runs = [*(entry for scene in scenes for entry in scene.entries["tto"]), *smoothing]
-    scene = _scene(posed, joint)
+    scene = _scene(posed, joint, depth_maps_of_all(groups, [each.entries["depth_maps"] for each in scenes]))
     further = FullSize(gaussians, size, runs, _summary(scenes, len(gaussians)), False, joint.exposures)
     scene = replace(scene, files=files, full_size=further, transients=transients)
     if settings.backdrop and scene.prepared.anchors is not None and shows_background(posed.views):
@@ -134,6 +136,23 @@ def hide_transients(
             found[photo] = found.get(photo, 0) + int((views.masks[photo] & pixels).sum())
             views.hide(photo, pixels)
     return MaskedShare.of(found, views.sizes)
+
+
+def depth_maps_of_all(groups: Sequence[Group], maps: Sequence[UsedDepthMaps | None]) -> UsedDepthMaps | None:
+    """What became of the depth maps of all regions; None where no photo came with one.
+
+    A photo in several regions counts as in its own. There is one unit where the regions' units hardly differ.
+    """
+    found = [(group.core, each) for group, each in zip(groups, maps, strict=True) if each]
+    if not found:
+        return None
+    given = tuple(core[row] for core, each in found for row in each.given if row < len(core))
+    used = tuple(core[row] for core, each in found for row in each.used if row < len(core))
+    differences = [each.difference for _, each in found if each.difference is not None]
+    units = [each.per_unit or math.nan for _, each in found if each.used]
+    limit = 1 + PIPELINE_POLICY.common_depth_unit
+    common = bool(units) and all(one <= limit * other for one in units for other in units)
+    return UsedDepthMaps(given, used, median(differences) if differences else None, median(units) if common else None)
 
 
 @dataclass(frozen=True)
@@ -216,7 +235,7 @@ def _summary(scenes: Sequence[RegionScene], gaussians: int) -> dict[str, Any]:
     return {**found[0], **sums, "gaussians": gaussians, "not_kept": not_kept} if found else {}
 
 
-def _scene(posed: PosedViews, joint: _Joint) -> BuiltScene:
+def _scene(posed: PosedViews, joint: _Joint, maps: UsedDepthMaps | None) -> BuiltScene:
     """Nothing decodes to the Gaussians of a joint scene, so it has queries and memories without a row."""
     scenes = joint.scenes
     prepared = scenes[0].prepared
@@ -226,7 +245,7 @@ def _scene(posed: PosedViews, joint: _Joint) -> BuiltScene:
     measured = [each.disagreement for each in scenes if each.disagreement is not None]
     same = joint.exposures or Exposures.identity(len(posed.views))
     colours = PhotoColours(same, max(measured)) if measured else None
-    return BuiltScene(posed, Geometry(None, None, (), 1, warnings), prepared, adapted, colours=colours)
+    return BuiltScene(posed, Geometry(None, None, (), 1, warnings, maps), prepared, adapted, colours=colours)
 
 
 def _part(progress: Any, start: float, share: float, text: str, fraction: float) -> None:

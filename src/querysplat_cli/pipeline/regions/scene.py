@@ -43,7 +43,8 @@ class RegionScene:
     exposures: the colour transforms of its photos; None where they agree.
     disagreement: how far its photos differ in colour; None where that was not measured.
     size: the longer side of the pictures that it was optimised on last, in pixels.
-    entries: for the report: `quality`, `seconds`, `peak_memory_gib`, `tto`, `full_size`, `left_out`, `warnings`.
+    entries: for the report: `quality`, `seconds`, `peak_memory_gib`, `tto`, `full_size`, `left_out`, `warnings`; and
+        `depth_maps`, which is a UsedDepthMaps or None.
     """
 
     gaussians: Gaussians

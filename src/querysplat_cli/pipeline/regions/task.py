@@ -104,6 +104,7 @@ def _scene(task: RegionTask, scene: BuiltScene, stages: Stages) -> RegionScene:
         "full_size": further.summary if further else None,
         "left_out": [asdict(omission) for omission in omissions_of(task.settings, scene)],
         "warnings": list(scene.geometry.warnings),
+        "depth_maps": scene.geometry.depth_maps,
     }
     return RegionScene(
         gaussians=scene.gaussians.detach(),

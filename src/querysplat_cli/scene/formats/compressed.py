@@ -21,6 +21,8 @@ from querysplat_cli.scene.gaussians import Gaussians
 SPZ_BITS = 24
 """Bits of a coordinate, sign included. The scene's size determines how many of them are fractional."""
 MOST_FRACTIONAL_BITS = 20
+FARTHEST_COORDINATE = 2 ** (SPZ_BITS - 2)
+"""In units of the scene. At least one bit is fractional, as readers expect."""
 
 
 def read_spz(path: Path) -> Gaussians:
@@ -37,7 +39,7 @@ def read_spz(path: Path) -> Gaussians:
 def write_spz(path: Path, gaussians: Gaussians, version: int = 3) -> int:
     """Write version 3 (gzip), which all readers support, or 4 (Zstandard); returns how many Gaussians are in the file.
 
-    These are the finite ones.
+    These are the finite ones. What lies beyond ±`FARTHEST_COORDINATE` on an axis is moved to there.
     """
     gsply = _gsply()
     rows = finite_rows(path, gaussians).numpy()
@@ -56,6 +58,14 @@ def write_spz(path: Path, gaussians: Gaussians, version: int = 3) -> int:
     with atomic_path(path) as draft:
         gsply.write_spz(draft, data, version=version, fractional_bits=min(max(bits, 1), MOST_FRACTIONAL_BITS))
     return len(rows)
+
+
+def moved_to_border(path: Path, gaussians: Gaussians) -> int:
+    """How many of the Gaussians, in the units of the file, `write_spz` moves; 0 where `path` is no .spz."""
+    if path.suffix.lower() != ".spz":
+        return 0
+    reach = gaussians.means.abs().amax(1)
+    return int(((reach > FARTHEST_COORDINATE) & reach.isfinite()).sum())
 
 
 def check_spz() -> None:

@@ -20,18 +20,22 @@ from querysplat_cli.scene.files import write_json
 from querysplat_cli.scene.formats.listed_pictures import with_size
 from querysplat_cli.scene.formats.transforms_frame import FISHEYE, LENS_KEYS, frame_camera, is_rigid, opengl_from_opencv
 from querysplat_cli.scene.photo_names import names_a_photo, short_names, stated_parts
-from querysplat_cli.scene.pictures import stored_name
+from querysplat_cli.scene.pictures import stored_names
 from querysplat_cli.scene.sim3 import Sim3
 from querysplat_cli.scene.views import Views
 
 
 @dataclass(frozen=True)
 class NamedCameras:
-    """Cameras of a cameras.json, with each picture's name and size (height, width) on their canvas."""
+    """Cameras of a cameras.json, with each photo's name and size (height, width) on their canvas.
+
+    `files` are the pictures, by their paths in `images/`; it is empty where there are none.
+    """
 
     names: tuple[str, ...]
     cameras: Cameras
     sizes: tuple[tuple[int, int], ...]
+    files: tuple[str, ...] = ()
 
     def transformed(self, frame: Sim3 | None) -> "NamedCameras":
         """In the frame that `frame` maps to (None: where they are)."""
@@ -56,6 +60,7 @@ def read_transforms(path: Path, *, fisheye: bool = False, home: Traversable | No
             frame_camera(path, name, _with_size({**content, **frame}, home), fisheye=fisheye),
             file=_photo(path, frame),
             as_stored=frame.get("as_stored") is True,
+            depth_map=_depth_map(path, frame),
         )
         for name, frame in _named_frames(path, content).items()
     }
@@ -64,13 +69,6 @@ def read_transforms(path: Path, *, fisheye: bool = False, home: Traversable | No
 def listed_paths(path: Path) -> dict[str, str]:
     """What `path` has as `file_path` of each photo, by the names of `read_transforms`. Raises like it."""
     return {name: with_slashes(str(frame["file_path"])) for name, frame in _named_frames(path, _load(path)).items()}
-
-
-def depth_map_files(path: Path) -> dict[str, Path]:
-    """The depth maps that `path` lists (`depth_file_path`), by the names of `read_transforms`. Raises like it."""
-    frames = _named_frames(path, _load(path))
-    stated = {name: frame.get("depth_file_path") for name, frame in frames.items()}
-    return {name: path.parent / with_slashes(file) for name, file in stated.items() if isinstance(file, str)}
 
 
 def listed_files(folder: Path) -> set[str]:
@@ -100,12 +98,13 @@ def write_cameras(
     (height, width) that all share. `frame` maps the frame of the cameras to that of the file, which also keeps it, as
     `working_frame`.
     """
+    files = stored_names([*views.names, *(heldout[0].names if heldout else ())])
     content = {
         "camera_model": "PINHOLE",
         "canvas": [cameras.height, cameras.width],
         **({"working_frame": as_entry(frame)} if frame else {}),
-        "frames": _frames(cameras, views, frame),
-        **({"heldout_frames": _frames(heldout[1], heldout[0], frame)} if heldout else {}),
+        "frames": _frames(cameras, views, files, frame),
+        **({"heldout_frames": _frames(heldout[1], heldout[0], files, frame)} if heldout else {}),
     }
     write_json(path, content)
 
@@ -181,12 +180,12 @@ def _working_frame(path: Path, entry: Any) -> Sim3 | None:
     return Sim3(scale, torch.from_numpy(rigid[:3, :3]), torch.from_numpy(rigid[:3, 3]))
 
 
-def _frames(cameras: Cameras, views: Views, frame: Sim3 | None) -> list[dict[str, Any]]:
+def _frames(cameras: Cameras, views: Views, files: Mapping[str, str], frame: Sim3 | None) -> list[dict[str, Any]]:
     cameras = cameras.to(torch.float64)
     cameras = cameras.transformed(frame) if frame else cameras
     return [
         {
-            **_picture(name, stored_name(name)),
+            **_picture(name, files[name]),
             "w": width,
             "h": height,
             "fl_x": float(K[0, 0]),
@@ -218,7 +217,7 @@ def _named_cameras(
     height, width = _canvas(path, content.get("canvas"), sizes)
     w2c = torch.from_numpy(np.stack([camera.w2c for camera in cameras]))
     found = Cameras(w2c, K, height, width).transformed(frame.inverse())
-    return NamedCameras(names, found.to(torch.float32), sizes)
+    return NamedCameras(names, found.to(torch.float32), sizes, tuple(_file(path, entry) for entry in frames))
 
 
 def _canvas(path: Path, stated: Any, sizes: Sequence[tuple[int, int]]) -> tuple[int, int]:
@@ -257,9 +256,23 @@ def _photo(path: Path, frame: Any) -> str:
     return name if "photo" in frame else with_slashes(name)
 
 
+def _depth_map(path: Path, frame: Mapping[str, Any]) -> Path | None:
+    file = frame.get("depth_file_path")
+    return path.parent / with_slashes(file) if isinstance(file, str) else None
+
+
 def with_slashes(path: str) -> str:
     """A `file_path` that was written on Windows as others write it."""
     return path.replace("\\", "/")
+
+
+def _file(path: Path, frame: Mapping[str, Any]) -> str:
+    """The picture of a frame, by its path below the folder of the pictures."""
+    file = frame["file_path"]
+    if not isinstance(file, str) or not names_a_photo(file):
+        raise QuerySplatError(f"{path}: {shown(file)} is no name of a picture", "Export the file again.")
+    # In our own files a backslash is a part of the name.
+    return _inside(file if "photo" in frame else with_slashes(file))
 
 
 def _inside(name: str) -> str:

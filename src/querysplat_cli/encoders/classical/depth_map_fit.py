@@ -91,7 +91,7 @@ def fit_depth_maps(
         there = given[view] > 0
         fitted[view][there] = np.maximum(scale * given[view][there] + shift, 0)
     difference = float(np.median(differences)) if differences else None
-    used = UsedDepthMaps(len(with_map), len(fits), difference, unit if common and fits else None)
+    used = UsedDepthMaps(tuple(with_map), tuple(sorted(fits)), difference, unit if common and fits else None)
     return FittedDepth(fitted, used, tuple(view for view in with_map if view not in fits))
 
 
