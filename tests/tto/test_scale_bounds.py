@@ -134,3 +134,11 @@ def test_a_scene_that_wants_giants_still_fits_its_photos_when_it_is_done() -> No
     grey = RenderingLoss.for_solid_scenes(views, cameras, torch.Generator())
     assert grey.value(result.gaussians, [0, 1, 2]) < 1.01 * grey.value(reached.gaussians, [0, 1, 2])
     assert (reached.gaussians.scales <= 1.01 * largest_scales(reached.gaussians.means, cameras)[:, None]).all()
+
+
+def test_a_split_draws_far_gaussians_in_while_others_can_adapt() -> None:
+    near = wall(20, size=0.9, opacity=0.5)
+    far = replace(near[:2], means=torch.tensor([[0.0, 0, 300], [0, 0, 400]]))
+    generator = torch.Generator().manual_seed(0)
+    result = optimise_gaussians(joined(far, near), solid(), TtoSettings(8, 0.01), generator=generator, densify_to=500)
+    assert float(result.gaussians.means.norm(dim=1).max()) < 100
