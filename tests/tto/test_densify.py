@@ -12,7 +12,7 @@ from querysplat_cli.scene.gaussians import SH_0, Gaussians
 from querysplat_cli.scene.rotations import quaternion_to_matrix
 from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.render import render
-from querysplat_cli.tto.densify import densify, disagreement, split
+from querysplat_cli.tto.densify import Share, densify, split
 from querysplat_cli.tto.gaussians import optimise_gaussians
 from querysplat_cli.tto.optimise import TtoResult
 from querysplat_cli.tto.options import Callbacks, TtoSettings
@@ -91,7 +91,7 @@ def test_splitting_hardly_changes_the_picture(opacity: float, most: float) -> No
     assert float((after - before).norm() / before.norm()) < most
 
 
-def test_disagreement_is_the_error_under_each_gaussian() -> None:
+def test_the_share_is_the_error_under_each_gaussian() -> None:
     """Of one Gaussian alone: Σ α·|picture − photo|, where α is the renderer's."""
     one = Gaussians(
         means=torch.tensor([[0.0, 0.0, 2.0]]),
@@ -104,10 +104,11 @@ def test_disagreement_is_the_error_under_each_gaussian() -> None:
     confirmed = torch.rand(2, SIZE // 2, SIZE // 2, generator=torch.Generator().manual_seed(1)) < 0.3
     target = RenderingLoss(views(photos), cameras(2), confirmed=tuple(confirmed))
     alpha = render(one, cameras(2)).alpha
-    error, guessed = disagreement(one, target)
-    torch.testing.assert_close(error, (alpha * photos.mean(1)).sum()[None], rtol=1e-4, atol=0)
+    share = Share.of(one, target)
+    torch.testing.assert_close(share.weight, alpha.sum()[None], rtol=1e-4, atol=0)
+    torch.testing.assert_close(share.error, (alpha * photos.mean(1)).sum()[None], rtol=1e-4, atol=0)
     inside = (~confirmed).repeat_interleave(2, 1).repeat_interleave(2, 2)
-    torch.testing.assert_close(guessed, ((alpha * inside).sum() / alpha.sum())[None], rtol=1e-4, atol=0)
+    torch.testing.assert_close(share.guessed, ((alpha * inside).sum() / alpha.sum())[None], rtol=1e-4, atol=0)
 
 
 def test_padding_is_no_pixel_that_another_view_confirms() -> None:
@@ -116,8 +117,8 @@ def test_padding_is_no_pixel_that_another_view_confirms() -> None:
     photos.masks[1, :, half:] = False
     guesses = torch.zeros(SIZE, SIZE, dtype=torch.bool), torch.zeros(SIZE, half, dtype=torch.bool)
     target = RenderingLoss(replace(photos, sizes=((SIZE, SIZE), (SIZE, half))), cameras(2), confirmed=guesses)
-    _, guessed = disagreement(wall(6, size=0.8, opacity=0.8), target)
-    torch.testing.assert_close(guessed, torch.ones(36), rtol=1e-4, atol=0)
+    share = Share.of(wall(6, size=0.8, opacity=0.8), target)
+    torch.testing.assert_close(share.guessed, torch.ones(36), rtol=1e-4, atol=0)
 
 
 def test_gaussians_of_a_wrong_colour_are_split() -> None:
@@ -148,8 +149,19 @@ def test_faint_gaussians_of_guessed_pixels_go_and_others_are_split_instead() -> 
         more = densify(replace(some, opacities=opacities), target, 40)
         assert len(more.gaussians) == 40
         assert sorted(set(range(36)) - set(more.origin.tolist())) == gone
-    nothing = RenderingLoss(photos, cameras(3), confirmed=tuple(~right & right))
-    assert len(densify(replace(some, opacities=opacities.clamp_max(0.05)), nothing, 40).gaussians) == 40
+
+
+def test_faint_gaussians_stay_where_they_are_what_the_photos_show() -> None:
+    """As many faint layers, or as a faint Gaussian that is the whole background."""
+    some = wall(6, size=0.8, opacity=0.05)
+    photos, guesses = views(render(some, cameras(3)).colour), torch.zeros(3, SIZE, SIZE, dtype=torch.bool)
+    target = RenderingLoss(photos, cameras(3), confirmed=tuple(guesses))
+    weight = Share.of(some, target).weight / Share.of(some, target).weight.sum()
+    more = densify(some, target, 40)
+    gone = sorted(set(range(36)) - set(more.origin.tolist()))
+    assert len(more.gaussians) == 40
+    assert 0 < float(weight[gone].sum()) <= TTO_POLICY.faint_weight
+    assert weight[gone].max() <= weight[more.origin].min()
 
 
 def optimised(

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass, fields, replace
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from querysplat_cli.scene.gaussians import Gaussians
@@ -21,7 +21,7 @@ SPLIT_DISTANCE = 0.5
 class Densified:
     """More Gaussians. `origin` is for each the row that it was made of; one that was split has two, one that went none.
 
-    `guessed` is the share of the blending weight of each that lies in guessed pixels (`RenderingLoss.guessed`).
+    `guessed` is that of `Share`.
     """
 
     gaussians: Gaussians
@@ -29,21 +29,50 @@ class Densified:
     guessed: Float[Tensor, "n"]
 
 
-def densify(gaussians: Gaussians, target: RenderingLoss, count: int) -> Densified:
-    """Split the Gaussians of the largest `disagreement`, each once, until there are `count` or all were split.
+@dataclass(frozen=True)
+class Share:
+    """What each Gaussian has a part in, over all views.
 
-    Those fainter than `TtoPolicy.faint` go first, where most of what they colour is guessed pixels, unless all are so.
+    error: the absolute error of every pixel times the Gaussian's blending weight in it, added up.
+    weight: the blending weights, added up.
+    guessed: the share of that weight that lies in guessed pixels (`RenderingLoss.guessed`).
     """
-    error, guessed = disagreement(gaussians, target)
-    faint = (gaussians.opacities < TTO_POLICY.faint) & (guessed > 0.5)
-    left = (~faint | faint.all()).nonzero()[:, 0]
-    order = left[error[left].argsort(descending=True, stable=True)]
+
+    error: Float[Tensor, "n"]
+    weight: Float[Tensor, "n"]
+    guessed: Float[Tensor, "n"]
+
+    @classmethod
+    def of(cls, gaussians: Gaussians, target: RenderingLoss) -> "Share":
+        """Pixels beside a smaller photo, on the canvas of a larger one, count for nothing."""
+        total = gaussians.opacities.new_zeros(3, len(gaussians))
+        for view in range(len(target.views)):
+            camera, photo = target.cameras[[view]], target.views.picture(view)
+            with torch.no_grad():
+                picture = target.render(gaussians, view).over(target.background)[0]
+                error = (picture - photo).abs().mean(0) * target.views.masks[view]
+            (height, width), shown = target.views.sizes[view], torch.zeros_like(error)
+            shown[:height, :width] = 1  # the padding of a smaller photo says nothing of what was guessed
+            pixels = torch.stack([error, target.guessed(view)[0].to(error), shown])
+            total += three_blending_weights(gaussians, camera, pixels, target.settings)
+        error_of_each, guessed, weight = total
+        return cls(error_of_each, weight, guessed / weight.clamp_min(1e-12))
+
+
+def densify(gaussians: Gaussians, target: RenderingLoss, count: int) -> Densified:
+    """Split the Gaussians of the largest `Share.error`, each once, until there are `count` or all were split.
+
+    Before that go those that are faint and hardly needed (`_needless`).
+    """
+    share = Share.of(gaussians, target)
+    left = (~_needless(gaussians, share)).nonzero()[:, 0]
+    order = left[share.error[left].argsort(descending=True, stable=True)]
     chosen, others = order.tensor_split([max(0, count - len(left))])
     others = others.sort().values
     parts = gaussians[others], *split(gaussians[chosen])
     whole = {field.name: torch.cat([getattr(part, field.name) for part in parts]) for field in fields(gaussians)}
     origin = torch.cat([others, chosen, chosen])
-    return Densified(Gaussians(**whole), origin, guessed[origin])
+    return Densified(Gaussians(**whole), origin, share.guessed[origin])
 
 
 def split(gaussians: Gaussians) -> tuple[Gaussians, Gaussians]:
@@ -67,20 +96,15 @@ def split(gaussians: Gaussians) -> tuple[Gaussians, Gaussians]:
     return replace(half, means=half.means + aside), replace(half, means=half.means - aside)
 
 
-def disagreement(gaussians: Gaussians, target: RenderingLoss) -> tuple[Float[Tensor, "n"], Float[Tensor, "n"]]:
-    """The error that each Gaussian has a part in, and the share of its blending weight in guessed pixels.
+def _needless(gaussians: Gaussians, share: Share) -> Bool[Tensor, "n"]:
+    """Those fainter than `TtoPolicy.faint` of which most colours guessed pixels, as far as the photos hardly need them.
 
-    The error is the absolute one of every pixel of every view, times the Gaussian's blending weight in it, added up.
-    Pixels beside a smaller photo, on the canvas of a larger one, count for neither.
+    Together they have `TtoPolicy.faint_weight` of all blending weight at most, and those of the least weight come
+    first. Beyond that, many faint Gaussians are a surface, or one is a whole background.
     """
-    total = gaussians.opacities.new_zeros(3, len(gaussians))
-    for view in range(len(target.views)):
-        camera, photo = target.cameras[[view]], target.views.picture(view)
-        with torch.no_grad():
-            picture = target.render(gaussians, view).over(target.background)[0]
-            error = (picture - photo).abs().mean(0) * target.views.masks[view]
-        (height, width), shown = target.views.sizes[view], torch.zeros_like(error)
-        shown[:height, :width] = 1  # the padding of a smaller photo says nothing of what was guessed
-        pixels = torch.stack([error, target.guessed(view)[0].to(error), shown])
-        total += three_blending_weights(gaussians, camera, pixels, target.settings)
-    return total[0], total[1] / total[2].clamp_min(1e-12)
+    faint = (gaussians.opacities < TTO_POLICY.faint) & (share.guessed > 0.5)
+    by_weight = share.weight.argsort(stable=True)
+    rows = by_weight[faint[by_weight]]
+    go = share.weight[rows].cumsum(0) <= TTO_POLICY.faint_weight * share.weight.sum()
+    faint[rows[~go]] = False
+    return faint

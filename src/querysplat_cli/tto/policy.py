@@ -40,6 +40,9 @@ class TtoPolicy:
     faint: float = 0.07
     """Opacity below which a split leaves out Gaussians of guessed pixels, and splits as many others more. They would
     take their time and colour next to nothing."""
+    faint_weight: float = 0.02
+    """Share of all blending weight that those have at most. The photos' loss then rises by at most 1 %; without a
+    limit, by up to 18 % on dtu106. Chosen on fortress, dtu106, kermit and fox (docs/tried.md)."""
     views_per_step: int = 3
     """Views that one step renders, where there are more."""
     few_views: int = 4
