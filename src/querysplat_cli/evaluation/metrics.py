@@ -8,11 +8,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from querysplat_cli.evaluation.perceptual import further_metric
-from querysplat_cli.evaluation.policy import EVALUATION_POLICY
 from querysplat_cli.runtime.choices import FurtherMetric
 from querysplat_cli.splat.colour_correction import channel_corrected, left_half, matrix_corrected
 from querysplat_cli.splat.lpips import Lpips
-from querysplat_cli.splat.similarity import psnr, ssim_metric
+from querysplat_cli.splat.similarity import limited_psnr, ssim_metric
 
 METRICS = ("psnr", "ssim", "lpips")
 
@@ -75,4 +74,4 @@ class Meter:
     ) -> tuple[float, float, float | None]:
         """PSNR, SSIM and LPIPS."""
         distance = float(self.lpips(picture[None], truth[None])) if self.lpips else None
-        return min(psnr(picture, truth), EVALUATION_POLICY.psnr_limit), ssim_metric(picture, truth), distance
+        return limited_psnr(picture, truth), ssim_metric(picture, truth), distance

@@ -13,10 +13,8 @@ from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.colour_correction import channel_corrected, left_half, matrix_corrected
 from querysplat_cli.splat.conventions import MID_GREY
 from querysplat_cli.splat.render import render
-from querysplat_cli.splat.similarity import psnr, ssim_metric
+from querysplat_cli.splat.similarity import limited_psnr, ssim_metric
 
-EQUAL_PSNR = 100.0
-"""The most dB that a view has: those of a render that equals its photo. JSON has no infinity."""
 DIGITS = {"psnr": 3, "ssim": 4, "psnr_grey": 3, "psnr_cc": 3, "ssim_cc": 4, "psnr_half": 3}
 """The scores of a view, and how many digits of them a summary shows."""
 
@@ -76,18 +74,12 @@ def score(gaussians: Gaussians, views: Views, cameras: Cameras, background: floa
             photo = views.picture(i)[:, :height, :width]
             mask = views.masks[i][:height, :width]
             rows[name] = {
-                "psnr": _psnr(picture, photo, mask),
+                "psnr": limited_psnr(picture, photo, mask),
                 "ssim": ssim_metric(picture, photo, mask),
-                "psnr_grey": _psnr(over[MID_GREY], photo, mask),
+                "psnr_grey": limited_psnr(over[MID_GREY], photo, mask),
                 **_corrected_scores(picture, photo, mask),
             }
     return Quality.of_views(rows, background)
-
-
-def _psnr(
-    picture: Float[Tensor, "3 height width"], photo: Float[Tensor, "3 height width"], mask: Bool[Tensor, "height width"]
-) -> float:
-    return min(psnr(picture, photo, mask), EQUAL_PSNR)
 
 
 def _corrected_scores(
@@ -96,7 +88,7 @@ def _corrected_scores(
     corrected, left = channel_corrected(picture, photo, mask), left_half(mask)
     right = mask & ~left
     return {
-        "psnr_cc": _psnr(corrected, photo, mask),
+        "psnr_cc": limited_psnr(corrected, photo, mask),
         "ssim_cc": ssim_metric(corrected, photo, mask),
-        "psnr_half": _psnr(matrix_corrected(picture, photo, left), photo, right if right.any() else mask),
+        "psnr_half": limited_psnr(matrix_corrected(picture, photo, left), photo, right if right.any() else mask),
     }

@@ -6,6 +6,8 @@ import av
 import cv2
 import numpy as np
 
+from querysplat_cli.scene.pictures import linear_of_srgb
+
 PQ, HLG = 16, 18
 """Transfer characteristics of HDR films (ITU-T H.273)."""
 UNTAGGED = 2
@@ -90,8 +92,7 @@ def _srgb(light: np.ndarray) -> np.ndarray:
 @cache
 def _light_of_srgb() -> np.ndarray:
     """Linear light of each 8-bit sRGB value."""
-    code = np.arange(256) / 255
-    return np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4).astype(np.float32)
+    return linear_of_srgb(np.arange(256) / 255).astype(np.float32)
 
 
 @cache

@@ -19,6 +19,11 @@ def eight_bit(image: Float[Tensor, "3 height width"]) -> np.ndarray:
     return (image.permute(1, 2, 0) * 255).round().to(torch.uint8).numpy()
 
 
+def linear_of_srgb(colours: np.ndarray) -> np.ndarray:
+    """Linear values of sRGB ones, both in [0, 1]."""
+    return np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
+
+
 def stored_names(names: Sequence[str]) -> dict[str, str]:
     """The file names of the photos' undistorted pictures, by the names of the photos.
 

@@ -13,6 +13,9 @@ CLAMP_MARGIN = 0.3
 
 MID_GREY = 0.5
 """The background of renders that are compared with each other, and of previews."""
+EQUAL_PSNR = 100.0
+"""dB of pictures that are equal, or differ by less than float32 resolves, where a score is stored. JSON has no
+infinity."""
 
 
 @dataclass(frozen=True)

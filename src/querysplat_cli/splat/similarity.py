@@ -11,6 +11,7 @@ from torch import Tensor
 from torch.nn import functional as F
 
 from querysplat_cli.splat.compiled_similarity import C1, C2, RADIUS, SSIM_WEIGHT, photometric_sums
+from querysplat_cli.splat.conventions import EQUAL_PSNR
 
 SIGMA = 1.5
 SAMPLE_CORRECTION = 121 / 120
@@ -32,6 +33,13 @@ def psnr(
     error = (image - target).square().mean(0)
     mean = error.mean() if mask is None else error[mask].mean()
     return float(-10 * torch.log10(mean))
+
+
+def limited_psnr(
+    image: Float[Tensor, "3 h w"], target: Float[Tensor, "3 h w"], mask: Bool[Tensor, "h w"] | None = None
+) -> float:
+    """`psnr`, of at most `EQUAL_PSNR`."""
+    return min(psnr(image, target, mask), EQUAL_PSNR)
 
 
 def ssim_map(image: Float[Tensor, "n c h w"], target: Float[Tensor, "n c h w"]) -> Float[Tensor, "n c h w"]:

@@ -13,6 +13,7 @@ from querysplat_cli.runtime.errors import MissingPart
 from querysplat_cli.runtime.optional_parts import OPTIONAL_PARTS
 from querysplat_cli.scene.files import atomic_path
 from querysplat_cli.scene.formats.gltf import write_primitive
+from querysplat_cli.scene.pictures import linear_of_srgb
 
 MESH_KINDS = (".ply", ".glb", ".obj")
 Y_UP = np.array([1, -1, -1], np.float32)
@@ -63,10 +64,5 @@ def _write_glb(path: Path, mesh: TriangleMesh) -> None:
     """Colours of a glTF are linear. They have 16 bits, since 8 linear ones show steps in the dark."""
     places = np.ascontiguousarray(mesh.places * Y_UP, "<f4")
     colours = np.full((len(places), 4), 65535, "<u2")
-    colours[:, :3] = np.rint(65535 * _linear(mesh.colours / 255))
+    colours[:, :3] = np.rint(65535 * linear_of_srgb(mesh.colours / 255))
     write_primitive(path, {"POSITION": places, "COLOR_0": colours}, np.ascontiguousarray(mesh.triangles, "<u4"))
-
-
-def _linear(colours: np.ndarray) -> np.ndarray:
-    """Linear values of sRGB ones, both in [0, 1]."""
-    return np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
