@@ -84,7 +84,8 @@ def _rotations_and_shapes(small: Cameras) -> Iterator[Case]:
 
 
 def _places(small: Cameras) -> Iterator[Case]:
-    places = {0.0: "at the camera", 1e-7: "1e-7 in front of it", -3.0: "behind it", 126.0: "beyond the far plane"}
+    beyond = 1.01 * RenderSettings.far
+    places = {0.0: "at the camera", 1e-7: "1e-7 in front of it", -3.0: "behind it", beyond: "beyond the far plane"}
     for z, place in places.items():
         yield Case("place of a centre", place, single(means=[0.0, 0, z]), small, "nothing")
     near = single(means=[0.0, 0, 0.025], scales=[0.0025] * 3)

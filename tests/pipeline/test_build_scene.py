@@ -23,6 +23,7 @@ from querysplat_cli.scene.cameras import Cameras, PhotoCamera
 from querysplat_cli.scene.exposures import Exposures
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.views import Photo, Views
+from querysplat_cli.splat.render import render
 
 SIZE = 48
 SETTINGS = ReconstructSettings((Path("photos"),), Path("scene.ply"), tto=3)
@@ -115,6 +116,17 @@ def test_every_scene_goes_through_the_rounds_of_refinement(model: QuerySplat, ta
     none, few = (anchors.refinement for anchors in found if anchors is not None)
     assert none.any()
     assert none.equal(few)
+
+
+def test_what_is_far_behind_the_middle_of_the_scene_is_drawn(model: QuerySplat) -> None:
+    """Behind a thing at 1 and hills at 40, depth is searched up to 200."""
+    posed, geometry = wall(model, (-0.1, 0.0, 0.1))
+    posed.views.images[:] = 0.7
+    depth = torch.ones(3, SIZE, SIZE)
+    depth[:, : SIZE // 2] = 200.0
+    scene = build_scene(posed, replace(geometry, depth=depth), model, replace(SETTINGS, tto=0, backdrop=False))
+    alpha = render(scene.gaussians, posed.cameras).alpha[:, 6 : SIZE // 2 - 6, 6:-6]
+    assert float(alpha.min()) > 0.5
 
 
 def test_what_follows_the_large_photos_has_the_colour_transforms_found_there(model: QuerySplat) -> None:

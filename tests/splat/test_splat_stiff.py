@@ -74,14 +74,14 @@ def test_a_gaussian_that_covers_everything_and_one_that_covers_nothing() -> None
     assert render(speck.to(torch.float32), camera(15, 15)).alpha.sum() < 2 * math.pi  # the low-pass dot and no more
 
 
-@pytest.mark.parametrize("z", [0.0, 1e-7, 0.024999, -3.0, 125.1])
+@pytest.mark.parametrize("z", [0.0, 1e-7, 0.024999, -3.0, 1.001 * RenderSettings.far])
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_what_is_behind_or_too_near_or_too_far_is_culled(backend: str, z: float) -> None:
     """Row 5: nothing is drawn and no gradient passes."""
     assert_culled(single(means=[0.0, 0, z]), camera(16, 16), backend)
 
 
-@pytest.mark.parametrize("z", [0.025, 0.0250001, 124.9])
+@pytest.mark.parametrize("z", [0.025, 0.0250001, 124.9, 0.999 * RenderSettings.far])
 def test_what_is_just_inside_the_limits_is_seen(z: float) -> None:
     """Row 5: what is drawn agrees with the reference."""
     assert_agree(single(means=[0.0, 0, z], scales=[0.1 * z] * 3), camera(16, 16), depth=False)

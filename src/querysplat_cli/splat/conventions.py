@@ -22,19 +22,19 @@ infinity."""
 class RenderSettings:
     """How Gaussians become pixels.
 
-    `near` and `far` bound camera z, in scene units; `low_pass` (px²) is added to the diagonal of the 2D
-    covariance; α = min(`alpha_max`, opacity·exp(−σ)) and α below `alpha_min` is skipped; a pixel stops
-    before the Gaussian that would bring its transmittance to `transmittance_min` or below. `alpha_max` is
-    0.99 in 3DGS and gsplat 1.6, 0.999 in gsplat 1.5.3.
+    `near` and `far` bound camera z, in scene units. A scene is made in those of its median depth, and skies may be
+    hundreds of them away. `low_pass` (px²) is added to the diagonal of the 2D covariance; α = min(`alpha_max`,
+    opacity·exp(−σ)) and α below `alpha_min` is skipped; a pixel stops before the Gaussian that would bring its
+    transmittance to `transmittance_min` or below. `alpha_max` is 0.99 in 3DGS and gsplat 1.6, 0.999 in gsplat 1.5.3.
     """
 
     near: float = 0.025
-    far: float = 125.0
+    far: float = 1e5
     low_pass: float = 0.3
     alpha_max: float = 0.99
     alpha_min: float = 1 / 255
     transmittance_min: float = 1e-4
 
 
-RELEASE = RenderSettings(alpha_max=0.999)
+RELEASE = RenderSettings(far=125.0, alpha_max=0.999)
 """As the official code renders (with gsplat 1.5.3), over MID_GREY, where `render` draws on the CPU."""
