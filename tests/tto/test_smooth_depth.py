@@ -63,6 +63,24 @@ def test_an_edge_of_the_photo_makes_a_step_cheap_and_a_large_step_costs_no_more(
     assert rough_of(depth, photo) == pytest.approx(8 * LARGEST_STEP / 7)
 
 
+def test_the_canvas_beside_a_smaller_photo_makes_it_no_smoother() -> None:
+    """A portrait beside landscapes has the same gradient as a portrait among its like."""
+    tilted = wall(12, size=1.2, opacity=0.97)
+    tilted.means[:, 2] += 0.3 * tilted.means[:, 0]
+    K = torch.tensor([[[60.0, 0, 24], [0, 60.0, 24], [0, 0, 1]]])
+    found = []
+    for height, width in ((48, 48), (96, 144)):
+        images, masks = torch.zeros(1, 3, height, width), torch.zeros(1, height, width, dtype=torch.bool)
+        images[..., :48, :48], masks[..., :48, :48] = 0.5, True
+        views = Views(images, masks, ("a",), ((48, 48),))
+        unsure = (torch.zeros(48, 48, dtype=torch.bool),)
+        loss = RenderingLoss(views, Cameras(torch.eye(4)[None], K, height, width), confirmed=unsure)
+        with_it, without = (each.value_and_gradient(tilted, [0]) for each in (loss, replace(loss, confirmed=None)))
+        found.append(with_it.gradient.means - without.gradient.means)
+    assert float(found[0].norm()) > 0
+    assert float((found[0] - found[1]).norm()) < 0.02 * float(found[0].norm())
+
+
 def test_only_steps_between_guessed_pixels_count() -> None:
     depth = torch.full((4, 8), 2.0, dtype=torch.float64)
     depth[:, 2:] = 2 / 0.95

@@ -160,7 +160,12 @@ class RenderingLoss:
         """How rough the depth is that no other view confirms, by its weight; 0 where this takes no part."""
         if self.confirmed is None:
             return 0.0
-        return TTO_POLICY.smoothness * depth_roughness(rendering, *photo, self.guessed(view))
+        height, width = self.views.sizes[view]
+        place = ..., slice(height), slice(width)  # the canvas beside a smaller photo makes it no smoother
+        drawn = Rendering(rendering.colour[place], rendering.alpha[place], rendering.depth[place])
+        return TTO_POLICY.smoothness * depth_roughness(
+            drawn, photo[0][place], photo[1][place], self.guessed(view)[place]
+        )
 
     def _spilt(self, rendering: Rendering, view: int) -> Tensor | float:
         """The alpha beside what a cut-out photo shows, in units of the pixels that it shows, by its weight."""
