@@ -1,17 +1,14 @@
 """Colour transforms of photos: fitted to what is known, left alone where photos agree, and honest about alpha."""
 
-import json
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 import torch
 from tto_scenes import wall
 
 from querysplat_cli.encoders.base import Geometry
-from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
-from querysplat_cli.scene.exposures import Exposures, read_exposures, write_exposures
+from querysplat_cli.scene.exposures import Exposures
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.conventions import MID_GREY
@@ -22,7 +19,7 @@ from querysplat_cli.tto.exposure_policy import EXPOSURE_POLICY
 from querysplat_cli.tto.exposure_refit import RefittedExposures
 from querysplat_cli.tto.exposure_samples import ColourSamples
 from querysplat_cli.tto.gaussians import optimise_gaussians
-from querysplat_cli.tto.options import TtoSettings
+from querysplat_cli.tto.options import Callbacks, TtoSettings
 from querysplat_cli.tto.rendering_loss import RenderingLoss
 
 SIZE, VIEWS = 64, 4
@@ -266,28 +263,17 @@ def test_transforms_go_back_with_a_scene_that_became_no_better() -> None:
     assert torch.equal(loss.exposures.current.matrices, changes().matrices)
 
 
-def test_files(tmp_path: Path) -> None:
-    file, names = tmp_path / "exposures.json", ("a", "b", "c", "d")
-    assert read_exposures(file, names) is None
-    write_exposures(file, names, changes())
-    found = read_exposures(file, names[::-1])
-    assert found
-    assert torch.equal(found.matrices, changes().matrices.flip(0))
-
-
-@pytest.mark.parametrize(
-    ("entries", "message"),
-    [
-        ([], "a name and a matrix for each photo"),
-        ([{"name": "a", "matrix": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}], "3 × 4"),
-        ([{"name": "a", "matrix": [[1, 0, 0, float("nan")], [0, 1, 0, 0], [0, 0, 1, 0]]}], "finite"),
-        ([{"name": "a", "matrix": [[0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]}], "inverted"),
-        ([{"name": "a", "matrix": [[1, 1e30, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]}], "no exposure's"),
-        ([{"name": "a", "matrix": [[1e300] * 4, [-1e300] * 4, [1e300, 0, 0, 0]]}], "no exposure's"),
-    ],
-)
-def test_damaged_files(entries: list[dict[str, object]], message: str, tmp_path: Path) -> None:
-    file = tmp_path / "exposures.json"
-    file.write_text(json.dumps({"photos": entries}))
-    with pytest.raises(QuerySplatError, match=message):
-        read_exposures(file, ("a",))
+def test_transforms_do_not_follow_a_step_that_is_undone() -> None:
+    """Where the scene stands again, they are what a second look at it makes of them."""
+    found = []
+    for steps, rate in ((3, 50.0), (2, 0.0)):
+        loss = target(Exposures.identity(VIEWS))
+        assert loss.exposures
+        seen: list[Exposures] = []
+        callbacks = Callbacks(look=lambda _, seen=seen, now=loss.exposures: seen.append(now.current))
+        generator = torch.Generator().manual_seed(0)
+        settings = TtoSettings(steps, rate)
+        result = optimise_gaussians(coloured_wall(), loss, settings, generator=generator, callbacks=callbacks)
+        assert (len(seen), result.undone) == (2, steps - 2)
+        found.append(seen[1].matrices)
+    torch.testing.assert_close(*found, atol=1e-6, rtol=0)

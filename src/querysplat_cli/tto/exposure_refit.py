@@ -22,6 +22,19 @@ class RefittedExposures:
         self._right = start.matrices.new_zeros(views, 4, 3)
         self._weight = start.matrices.new_zeros(views)
 
+    def copy(self) -> "RefittedExposures":
+        """What there is now, for `go_back`."""
+        found = RefittedExposures(self.current)
+        found.go_back(self)
+        return found
+
+    def go_back(self, earlier: "RefittedExposures") -> None:
+        """Be as a copy was."""
+        self.current = earlier.current
+        self._normal, self._right, self._weight = (
+            part.clone() for part in (earlier._normal, earlier._right, earlier._weight)
+        )
+
     def exposed(self, rendering: Rendering, view: int) -> Rendering:
         """A render of one view over black, in the colours of its photo.
 

@@ -65,7 +65,8 @@ def optimise(
     A step after which the loss rises beyond its noise, or anything stops being finite, is undone and the rate halved.
     Where the same views then show the harm of an earlier step, the run goes back to before they were last seen well.
     Pruning decides which Gaussians the rest of the run goes on with. `refine_cameras` corrects the cameras, too.
-    Exposures of the target follow, and go back to where they were unless the scene becomes better. Ctrl-C ends the run,
+    Exposures of the target follow, but not to a step that is undone, and go back to where they were unless the scene
+    becomes better. Ctrl-C ends the run,
     which keeps what was reached; before the first step, the losses are those of one view. Splitting takes the place of
     a step. It cannot go with pruning, which marks rows of the Gaussians that there were at the start.
     """
@@ -113,7 +114,7 @@ class _Run(Generic[V]):
         self._settings, self._callbacks, self._densify = settings, callbacks, start.densify
         self._target, self._refined, self._coverage = target, refined, coverage
         self._generator = generator
-        self._exposures_before = target.exposures and target.exposures.current
+        self._exposures_before = self._exposures_last = target.exposures and target.exposures.copy()
         self._least_losses = losses
         self._pruned: Pruned | None = None
         self._prices: torch.Tensor | None = None
@@ -155,7 +156,7 @@ class _Run(Generic[V]):
                 loss = self._target.value(gaussians, views)
         if not loss < found.loss_before:
             if self._target.exposures and self._exposures_before:
-                self._target.exposures.current = self._exposures_before
+                self._target.exposures.go_back(self._exposures_before)
             return found
         return replace(
             found,
@@ -171,6 +172,7 @@ class _Run(Generic[V]):
         gaussians = self._pruned_in_time(self._decoded(), step, done)
         share = self._settings.dropout * done
         shown = without_some(gaussians, share, self._generator) if share else gaussians
+        self._exposures_last = self._target.exposures and self._target.exposures.copy()
         loss = self._send_back(shown, chosen, step)
         if loss is None or not self._adam.gradient_is_finite() or self._has_risen(loss, chosen):
             self._undo(chosen)
@@ -225,6 +227,8 @@ class _Run(Generic[V]):
         self._undone_in_a_row += 1
         for each in self._steppers:
             each.go_back() if self._again else each.undo()
+        if self._target.exposures and self._exposures_last:
+            self._target.exposures.go_back(self._exposures_last)
         if self._again:
             self._forget_losses()
         self._again = chosen
