@@ -3,7 +3,7 @@
 import torch
 from scipy.spatial.transform import Rotation
 
-from querysplat_cli.scene.cameras import Cameras, project_points
+from querysplat_cli.scene.cameras import Cameras, nearest_first, project_points
 
 K = torch.tensor([[[300.0, 0, 160], [0, 310, 120], [0, 0, 1]], [[280.0, 0, 150], [0, 290, 110], [0, 0, 1]]])
 
@@ -43,3 +43,11 @@ def test_only_points_in_front_of_the_camera_and_inside_the_picture_are_seen() ->
     inside, outside = corner[0, 0]
     behind = 2 * views.centres[0] - inside
     assert views.sees(torch.stack([inside, outside, behind]), 0).tolist() == [True, False, False]
+
+
+def test_the_nearest_cameras_are_found_far_from_the_origin() -> None:
+    """The frame of an encoder may have any origin."""
+    line = torch.arange(60.0)[:, None] * torch.tensor([0.03, 0.04, 0.0])
+    found = nearest_first(line + 1000)
+    assert found[:, 0].equal(torch.arange(60))
+    assert [set(row) for row in found[1:-1, 1:3].tolist()] == [{view - 1, view + 1} for view in range(1, 59)]

@@ -15,7 +15,7 @@ from querysplat_cli.model.anchors import Anchors
 from querysplat_cli.model.refiner import STENCIL, Evidence
 from querysplat_cli.queries.policy import QUERY_POLICY
 from querysplat_cli.queries.rendering_error import Comparison
-from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.cameras import Cameras, distances
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
 from querysplat_cli.scene.rotations import quaternion_to_matrix
 
@@ -122,7 +122,7 @@ def _read_views(centres: Float[Tensor, "queries 3"], cameras: Cameras) -> Int[Te
     if count <= most:
         return torch.arange(count, device=centres.device).expand(len(centres), -1)
     seen = torch.stack([cameras.sees(centres, view) for view in range(count)], 1)
-    distance = torch.cdist(centres, cameras.centres).masked_fill(~seen, torch.inf)
+    distance = distances(centres, cameras.centres).masked_fill(~seen, torch.inf)
     return distance.topk(most, dim=1, largest=False).indices
 
 

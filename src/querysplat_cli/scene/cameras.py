@@ -211,9 +211,14 @@ class Cameras:
         return replace(self, w2c=moved.to(self.w2c.dtype))
 
 
+def distances(some: Float[Tensor, "n 3"], others: Float[Tensor, "m 3"]) -> Float[Tensor, "n m"]:
+    """How far places are from others, also far from the origin: of more than 25, torch would subtract squares."""
+    return torch.cdist(some, others, compute_mode="donot_use_mm_for_euclid_dist")
+
+
 def nearest_first(centres: Float[Tensor, "views 3"]) -> Int[Tensor, "views views"]:
     """For each camera, the numbers of all by the distance of their centres: mostly itself, and then the nearest."""
-    return torch.cdist(centres, centres).argsort(dim=1, stable=True)
+    return distances(centres, centres).argsort(dim=1, stable=True)
 
 
 def project_points(

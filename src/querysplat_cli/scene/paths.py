@@ -12,7 +12,7 @@ from torch import Tensor
 
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.sequences import evenly_spaced
-from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.cameras import Cameras, distances
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.upright import up_direction
 
@@ -125,7 +125,7 @@ def halfway(cameras: Cameras) -> Cameras:
     """A camera in the middle between each and the one nearest to it, one for each such pair; a single camera itself."""
     if len(cameras) == 1:
         return cameras
-    apart = torch.cdist(cameras.centres, cameras.centres).fill_diagonal_(math.inf)
+    apart = distances(cameras.centres, cameras.centres).fill_diagonal_(math.inf)
     pairs = sorted({(min(pair), max(pair)) for pair in enumerate(apart.argmin(1).tolist())})
     return Cameras.joined([on_the_line(cameras[list(pair)], 0.5) for pair in pairs])
 
