@@ -23,6 +23,8 @@ from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera, rescaled, same_shape
 from querysplat_cli.scene.files import FolderKind, atomic_folder, atomic_path, refuse_existing, with_name
 from querysplat_cli.scene.film_colours import bt709_frame, state_bt709
+from querysplat_cli.scene.formats.known import GAUSSIAN_KINDS, MODEL_KINDS, find_known_cameras, read_pinholes
+from querysplat_cli.scene.formats.llff import POSES_BOUNDS
 from querysplat_cli.scene.formats.transforms import (
     NamedCameras,
     listed_files,
@@ -161,12 +163,12 @@ def _cameras(request: RenderRequest, beside: Path, gaussians: Gaussians) -> Path
     if request.frames is not None:
         raise QuerySplatError("--frames is for orbits", "Add --cameras orbit, or leave it out; films have --seconds.")
     file = beside if request.cameras in ("auto", "inputs") else Path(request.cameras)
-    if not file.is_file():
-        raise QuerySplatError(
-            f"{file}: no cameras there",
-            "Use --cameras orbit, or --cameras FILE with a file in nerfstudio's transforms.json form.",
-        )
-    inputs = read_cameras(file)[0]
+    if not file.exists():
+        hint = f"Use --cameras orbit, or --cameras FILE with a transforms.json, a COLMAP model or a {POSES_BOUNDS}."
+        raise QuerySplatError(f"{file}: no cameras there", hint)
+    if file.is_dir() or file.suffix.lower() in (*MODEL_KINDS, *GAUSSIAN_KINDS):
+        file = find_known_cameras(file)
+    inputs = read_pinholes(file)
     if request.is_film and (file == beside or request.seconds):
         return _through(inputs, request)
     if request.is_film and not request.size and not all(same_shape(size, inputs.sizes[0]) for size in inputs.sizes):

@@ -206,6 +206,15 @@ def _named_cameras(
     """The cameras in the frame that `frame` maps to the file's."""
     names = tuple(_inside(_photo(path, entry)) for entry in frames)
     cameras = [frame_camera(path, name, {**content, **entry}) for name, entry in zip(names, frames, strict=True)]
+    found = as_named(path, names, cameras, content.get("canvas")).transformed(frame.inverse())
+    return replace(found, cameras=found.cameras.to(torch.float32), files=tuple(_file(path, entry) for entry in frames))
+
+
+def as_named(path: Path, names: Sequence[str], cameras: Sequence[PhotoCamera], canvas: Any = None) -> NamedCameras:
+    """Cameras of `path` in float64, as pinholes, on the canvas that it states (None: the smallest that holds them).
+
+    Raises QuerySplatError for a matrix that is no rigid motion, and a canvas that cannot hold the pictures.
+    """
     for name, camera in zip(names, cameras, strict=True):
         if not is_rigid(camera.w2c):
             raise QuerySplatError(f"{path}: the matrix of {name} is no rigid motion", "Remove that frame.")
@@ -214,10 +223,9 @@ def _named_cameras(
     K[:, (0, 1), (0, 1)] = torch.tensor([camera.focal for camera in cameras], dtype=torch.float64)
     K[:, :2, 2] = torch.tensor([camera.principal for camera in cameras], dtype=torch.float64)
     K[:, 2, 2] = 1
-    height, width = _canvas(path, content.get("canvas"), sizes)
+    height, width = _canvas(path, canvas, sizes)
     w2c = torch.from_numpy(np.stack([camera.w2c for camera in cameras]))
-    found = Cameras(w2c, K, height, width).transformed(frame.inverse())
-    return NamedCameras(names, found.to(torch.float32), sizes, tuple(_file(path, entry) for entry in frames))
+    return NamedCameras(tuple(names), Cameras(w2c, K, height, width), sizes)
 
 
 def _canvas(path: Path, stated: Any, sizes: Sequence[tuple[int, int]]) -> tuple[int, int]:
