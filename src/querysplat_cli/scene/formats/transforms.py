@@ -90,13 +90,13 @@ def write_cameras(
     *,
     heldout: tuple[Views, Cameras] | None = None,
     frame: Sim3 | None = None,
-) -> None:
+) -> dict[str, str]:
     """Write pinhole cameras of undistorted pictures; `read_cameras` gives the same back within 1e-6.
 
     The pictures are the undistorted ones in `images/`. Where a picture's file has another name than its photo, or
     one with a backslash, `photo` is the photo's name. Held-out frames are under `heldout_frames`. `canvas` is the
     (height, width) that all share. `frame` maps the frame of the cameras to that of the file, which also keeps it, as
-    `working_frame`.
+    `working_frame`. Returns the pictures' names in `images/` by those of the photos.
     """
     files = stored_names([*views.names, *(heldout[0].names if heldout else ())])
     content = {
@@ -107,6 +107,7 @@ def write_cameras(
         **({"heldout_frames": _frames(heldout[1], heldout[0], files, frame)} if heldout else {}),
     }
     write_json(path, content)
+    return files
 
 
 def write_transforms(
@@ -219,12 +220,9 @@ def as_named(path: Path, names: Sequence[str], cameras: Sequence[PhotoCamera], c
         if not is_rigid(camera.w2c):
             raise QuerySplatError(f"{path}: the matrix of {name} is no rigid motion", "Remove that frame.")
     sizes = tuple((camera.height, camera.width) for camera in cameras)
-    K = torch.zeros(len(cameras), 3, 3, dtype=torch.float64)
-    K[:, (0, 1), (0, 1)] = torch.tensor([camera.focal for camera in cameras], dtype=torch.float64)
-    K[:, :2, 2] = torch.tensor([camera.principal for camera in cameras], dtype=torch.float64)
-    K[:, 2, 2] = 1
     height, width = _canvas(path, canvas, sizes)
     w2c = torch.from_numpy(np.stack([camera.w2c for camera in cameras]))
+    K = torch.from_numpy(np.stack([camera.K for camera in cameras]))
     return NamedCameras(tuple(names), Cameras(w2c, K, height, width), sizes)
 
 
