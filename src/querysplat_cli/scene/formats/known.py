@@ -1,5 +1,6 @@
 """Cameras that the user already has, in any of the supported forms."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,15 +22,16 @@ MODEL_KINDS = (".bin", ".txt")
 """A file of such a kind stands for the COLMAP model in its folder."""
 
 
-def read_known_cameras(path: Path, *, fisheye: bool = False) -> dict[str, PhotoCamera]:
+def read_known_cameras(path: Path, *, fisheye: bool = False, photos: Sequence[Path] = ()) -> dict[str, PhotoCamera]:
     """Cameras by photo name from a transforms.json or poses_bounds.npy, their folder, or a COLMAP model's folder.
 
-    With `fisheye`, those of fisheye lenses, too. Raises QuerySplatError when there are none, or they cannot be read.
+    With `fisheye`, those of fisheye lenses, too. `photos` as for `read_transforms`. Raises QuerySplatError when there
+    are none, or they cannot be read.
     """
     source = find_known_cameras(path)
     if source.is_dir():
         return read_colmap(source, fisheye=fisheye)
-    return read_poses_bounds(source) if is_llff(source) else read_transforms(source, fisheye=fisheye)
+    return read_poses_bounds(source) if is_llff(source) else read_transforms(source, fisheye=fisheye, photos=photos)
 
 
 def read_pinholes(path: Path) -> NamedCameras:

@@ -42,11 +42,13 @@ class NamedCameras:
         return replace(self, cameras=self.cameras.transformed(frame)) if frame else self
 
 
-def read_transforms(path: Path, *, fisheye: bool = False, home: Traversable | None = None) -> dict[str, PhotoCamera]:
+def read_transforms(
+    path: Path, *, fisheye: bool = False, home: Traversable | None = None, photos: Sequence[Path] = ()
+) -> dict[str, PhotoCamera]:
     """Cameras by photo name, with the lens distortion and the picture size that the file states.
 
     Where it states no size, it is that of the listed picture, upright: in `home`, which by default is the file's
-    folder.
+    folder, or else of those of the `photos` that have its name.
 
     A photo's name is the file name in `file_path` (the folder often does not exist as written), or in our own
     `photo`, with as much of the folder as makes it unique. Intrinsics may be given for each
@@ -57,7 +59,7 @@ def read_transforms(path: Path, *, fisheye: bool = False, home: Traversable | No
     content, home = _load(path), home or path.parent
     return {
         name: replace(
-            frame_camera(path, name, _with_size({**content, **frame}, home), fisheye=fisheye),
+            frame_camera(path, name, _with_size({**content, **frame}, home, photos), fisheye=fisheye),
             file=_photo(path, frame),
             as_stored=frame.get("as_stored") is True,
             depth_map=_depth_map(path, frame),
@@ -248,9 +250,9 @@ def _named_frames(path: Path, content: Mapping[str, Any]) -> dict[str, dict[str,
     return dict(zip(names, frames, strict=True))
 
 
-def _with_size(frame: Mapping[str, Any], home: Traversable) -> Mapping[str, Any]:
+def _with_size(frame: Mapping[str, Any], home: Traversable, photos: Sequence[Path]) -> Mapping[str, Any]:
     file = frame["file_path"]
-    return with_size(frame, with_slashes(file), home) if isinstance(file, str) else frame
+    return with_size(frame, with_slashes(file), home, photos) if isinstance(file, str) else frame
 
 
 def _photo(path: Path, frame: Any) -> str:
