@@ -28,7 +28,6 @@ from querysplat_cli.scene.formats.llff import POSES_BOUNDS
 from querysplat_cli.scene.formats.transforms import (
     NamedCameras,
     listed_files,
-    read_cameras,
     working_frame,
     write_transforms,
 )
@@ -90,10 +89,9 @@ def render_file(request: RenderRequest, stages: Stages) -> Rendered:
         names, cameras, sizes = _cameras(request, beside, gaussians)
         _check_names(names, request)
         listed = _listed(names, cameras, sizes, request.size)
-        frame = working_frame(beside) if beside.is_file() else _frame_by_depth(gaussians, cameras)
-        if frame:  # the splatter's limits are in the units in which the scene was made
-            gaussians, cameras = transform_gaussians(gaussians, frame.inverse()), cameras.transformed(frame.inverse())
-        unit = frame.scale if frame else 1.0
+        frame = _frame(beside, gaussians, cameras)
+        gaussians = transform_gaussians(gaussians, frame.inverse())
+        cameras = cameras.transformed(frame.inverse()).to(torch.float32)
     height, width = request.size or (max(side) for side in zip(*sizes, strict=True))
     if request.is_film:
         _check_film(height, width)
@@ -106,9 +104,9 @@ def render_file(request: RenderRequest, stages: Stages) -> Rendered:
         else:
             with atomic_folder(request.target) as draft:
                 for name, (picture, surface) in zip(names, pictures, strict=True):
-                    _write_frame(draft / name, picture, request, unit)
+                    _write_frame(draft / name, picture, request, frame.scale)
                     if surface is not None:
-                        _write_floats(draft / name, surface, unit)
+                        _write_floats(draft / name, surface, frame.scale)
                 write_transforms(draft / "cameras.json", listed)
     return Rendered(str(request.target), len(cameras), len(gaussians), stages.seconds)
 
@@ -156,7 +154,7 @@ Path3D = tuple[list[str], Cameras, list[tuple[int, int]]]
 
 def _cameras(request: RenderRequest, beside: Path, gaussians: Gaussians) -> Path3D:
     """What is rendered, in the frame of the files. `beside` is the scene's cameras.json, which may be missing."""
-    known = read_cameras(beside)[0] if beside.is_file() and request.cameras in ("auto", "orbit") else None
+    known = read_pinholes(beside) if beside.is_file() and request.cameras in ("auto", "orbit") else None
     still = request.is_film and known is not None and len(known.names) == 1
     if request.cameras == "orbit" or (request.cameras == "auto" and (known is None or still)):
         return _orbit(request, known, gaussians)
@@ -179,9 +177,18 @@ def _cameras(request: RenderRequest, beside: Path, gaussians: Gaussians) -> Path
     return distinct_stems(inputs.names), inputs.cameras, list(inputs.sizes)
 
 
-def _frame_by_depth(gaussians: Gaussians, cameras: Cameras) -> Sim3:
-    """A frame for a file of any unit: in it, surfaces have the depth that they have where scenes are made."""
-    return Sim3(usual_depth(gaussians, cameras), torch.eye(3).double(), torch.zeros(3).double())
+def _frame(beside: Path, gaussians: Gaussians, cameras: Cameras) -> Sim3:
+    """The way from the frame in which pictures are rendered to that of the files.
+
+    The first is that in which the scene was made, where the file `beside` states it, since the splatter's limits are in
+    its units. Of a file of another program, surfaces get the depth that they have there. Cameras stand at the origin:
+    float32 tells places best there.
+    """
+    known = beside.is_file()
+    if known and (stated := working_frame(beside)):
+        return stated
+    unit = 1.0 if known else usual_depth(gaussians, cameras)
+    return Sim3(unit, torch.eye(3).double(), cameras.centres.mean(0))
 
 
 def _orbit(request: RenderRequest, known: NamedCameras | None, gaussians: Gaussians) -> Path3D:
@@ -193,7 +200,7 @@ def _orbit(request: RenderRequest, known: NamedCameras | None, gaussians: Gaussi
         path = orbit(replace(known.cameras, height=size[0], width=size[1]), scene_middle(gaussians), frames)
     else:
         size = request.size or FOREIGN_SIZE
-        path = surround(opaque_centres(gaussians), frames, *size)
+        path = surround(opaque_centres(gaussians).double(), frames, *size)
     return _numbered(path, size)
 
 

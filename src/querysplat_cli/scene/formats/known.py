@@ -1,7 +1,6 @@
 """Cameras that the user already has, in any of the supported forms."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -35,15 +34,14 @@ def read_known_cameras(path: Path, *, fisheye: bool = False, photos: Sequence[Pa
 
 
 def read_pinholes(path: Path) -> NamedCameras:
-    """The cameras of what `find_known_cameras` gives, in float32 and without their distortion, held-out ones apart.
+    """The cameras of what `find_known_cameras` gives, in float64 and without their distortion, held-out ones apart.
 
     Raises QuerySplatError as `read_known_cameras`, and for a matrix that is no rigid motion.
     """
     if not (path.is_dir() or is_llff(path)):
-        return read_cameras(path)[0]
+        return read_cameras(path, torch.float64)[0]
     cameras = read_known_cameras(path)
-    found = as_named(path, list(cameras), list(cameras.values()))
-    return replace(found, cameras=found.cameras.to(torch.float32))
+    return as_named(path, list(cameras), list(cameras.values()))
 
 
 def is_llff(path: Path) -> bool:

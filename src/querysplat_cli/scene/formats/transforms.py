@@ -15,9 +15,10 @@ import torch
 
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.json_files import read_json, shown
-from querysplat_cli.scene.cameras import FARTHEST_CENTRE, LONGEST_SIDE, Cameras, PhotoCamera
+from querysplat_cli.scene.cameras import LONGEST_SIDE, Cameras, PhotoCamera
 from querysplat_cli.scene.files import write_json
 from querysplat_cli.scene.formats.listed_pictures import with_size
+from querysplat_cli.scene.formats.stated_frames import as_entry, stated_frame
 from querysplat_cli.scene.formats.transforms_frame import FISHEYE, LENS_KEYS, frame_camera, is_rigid, opengl_from_opencv
 from querysplat_cli.scene.photo_names import names_a_photo, short_names, stated_parts
 from querysplat_cli.scene.pictures import stored_names
@@ -133,14 +134,14 @@ def write_transforms(
     write_json(path, {"camera_model": FISHEYE if bent == {True} else "OPENCV", "frames": frames})
 
 
-def read_cameras(path: Path) -> tuple[NamedCameras, NamedCameras | None]:
-    """Cameras in float32, and the held-out ones if there are any, of a cameras.json or a transforms.json.
+def read_cameras(path: Path, kind: torch.dtype = torch.float32) -> tuple[NamedCameras, NamedCameras | None]:
+    """Cameras as numbers of a `kind`, and the held-out ones if there are any, of a cameras.json or a transforms.json.
 
     The views are pinholes: a distortion in the file is not applied. Raises QuerySplatError as
     `read_transforms` does, and for a matrix that is no rigid motion.
     """
     content = _load(path)
-    return _both(path, content, Sim3.identity())
+    return _both(path, content, Sim3.identity(), kind)
 
 
 def read_working_cameras(path: Path) -> tuple[NamedCameras, NamedCameras | None, Sim3 | None]:
@@ -149,38 +150,21 @@ def read_working_cameras(path: Path) -> tuple[NamedCameras, NamedCameras | None,
     That is None where the two frames are one. Raises as `read_cameras`.
     """
     content = _load(path)
-    frame = _working_frame(path, content.get("working_frame"))
-    return *_both(path, content, frame or Sim3.identity()), frame
+    frame = stated_frame(path, content.get("working_frame"))
+    return *_both(path, content, frame or Sim3.identity(), torch.float32), frame
 
 
 def working_frame(path: Path) -> Sim3 | None:
     """The third part of what `read_working_cameras` gives."""
-    return _working_frame(path, _load(path).get("working_frame"))
+    return stated_frame(path, _load(path).get("working_frame"))
 
 
-def _both(path: Path, content: dict[str, Any], frame: Sim3) -> tuple[NamedCameras, NamedCameras | None]:
-    inputs = _named_cameras(path, content, content["frames"], frame)
+def _both(
+    path: Path, content: dict[str, Any], frame: Sim3, kind: torch.dtype
+) -> tuple[NamedCameras, NamedCameras | None]:
+    inputs = _named_cameras(path, content, content["frames"], frame, kind)
     heldout = content.get("heldout_frames")
-    return inputs, _named_cameras(path, content, heldout, frame) if heldout else None
-
-
-def as_entry(frame: Sim3) -> dict[str, Any]:
-    """How a file states a similarity."""
-    return {"scale": frame.scale, "rotation": frame.rotation.tolist(), "translation": frame.translation.tolist()}
-
-
-def _working_frame(path: Path, entry: Any) -> Sim3 | None:
-    if entry is None:
-        return None
-    try:
-        scale = float(entry["scale"])
-        rigid = np.eye(4)
-        rigid[:3, :3], rigid[:3, 3] = np.array(entry["rotation"], float), np.array(entry["translation"], float)
-        if not (1 / FARTHEST_CENTRE <= scale <= FARTHEST_CENTRE and is_rigid(rigid)):
-            raise ValueError("no similarity")
-    except (LookupError, TypeError, ValueError, OverflowError) as error:
-        raise QuerySplatError(f"{path}: its working_frame makes no sense: {error}", "Export the file again.") from None
-    return Sim3(scale, torch.from_numpy(rigid[:3, :3]), torch.from_numpy(rigid[:3, 3]))
+    return inputs, _named_cameras(path, content, heldout, frame, kind) if heldout else None
 
 
 def _frames(cameras: Cameras, views: Views, files: Mapping[str, str], frame: Sim3 | None) -> list[dict[str, Any]]:
@@ -204,13 +188,13 @@ def _frames(cameras: Cameras, views: Views, files: Mapping[str, str], frame: Sim
 
 
 def _named_cameras(
-    path: Path, content: Mapping[str, Any], frames: Sequence[Mapping[str, Any]], frame: Sim3
+    path: Path, content: Mapping[str, Any], frames: Sequence[Mapping[str, Any]], frame: Sim3, kind: torch.dtype
 ) -> NamedCameras:
     """The cameras in the frame that `frame` maps to the file's."""
     names = tuple(_inside(_photo(path, entry)) for entry in frames)
     cameras = [frame_camera(path, name, {**content, **entry}) for name, entry in zip(names, frames, strict=True)]
     found = as_named(path, names, cameras, content.get("canvas")).transformed(frame.inverse())
-    return replace(found, cameras=found.cameras.to(torch.float32), files=tuple(_file(path, entry) for entry in frames))
+    return replace(found, cameras=found.cameras.to(kind), files=tuple(_file(path, entry) for entry in frames))
 
 
 def as_named(path: Path, names: Sequence[str], cameras: Sequence[PhotoCamera], canvas: Any = None) -> NamedCameras:
