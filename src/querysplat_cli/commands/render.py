@@ -48,7 +48,10 @@ ORBIT_FRAMES = 90
 """Pictures of an orbit, unless the user asks for another number."""
 STEP_SECONDS, FILM_SECONDS = 1.5, (3.0, 12.0)
 """How long a film takes from one input camera to the next, and altogether at least and at most."""
-OTHER_KINDS = {".avi", ".mov", ".mkv", ".webm", ".gif", ".png", ".jpg", ".jpeg", ".ply", ".spz"}
+OTHER_KINDS = {
+    *(".avi", ".mov", ".mkv", ".webm", ".m4v", ".gif", ".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff"),
+    *(".ply", ".spz", ".sog", ".glb", ".json"),
+}
 """Endings of files, in a target, that are no films and no names of folders."""
 BESIDE = ("_depth.png", "_alpha.png", "_depth.npy", "_confidence.npy")
 """Endings of the files beside a picture, in place of its .png."""
@@ -161,7 +164,7 @@ def _cameras(request: RenderRequest, beside: Path, gaussians: Gaussians) -> Path
     if request.frames is not None:
         raise QuerySplatError("--frames is for orbits", "Add --cameras orbit, or leave it out; films have --seconds.")
     file = beside if request.cameras in ("auto", "inputs") else Path(request.cameras)
-    if not file.exists():
+    if not (request.cameras and file.exists()):
         hint = f"Use --cameras orbit, or --cameras FILE with a transforms.json, a COLMAP model or a {POSES_BOUNDS}."
         raise QuerySplatError(f"{file}: no cameras there", hint)
     if file.is_dir() or file.suffix.lower() in (*MODEL_KINDS, *GAUSSIAN_KINDS):
