@@ -97,6 +97,16 @@ def test_a_captured_scene_has_its_cameras(tmp_path: Path, packed: bool) -> None:
         np.testing.assert_allclose(scene.cameras[name].w2c, camera.w2c, atol=1e-12)
 
 
+def test_smaller_copies_of_other_names_are_passed_over(tmp_path: Path) -> None:
+    """As in LLFF's own scenes, whose images_4 has image000.png where images has IMG_4026.JPG."""
+    np.save(tmp_path / "poses_bounds.npy", llff(tmp_path, given()))
+    (tmp_path / "images_4").mkdir()
+    cv2.imwrite(str(tmp_path / "images_4" / "image000.png"), np.zeros((30, 40, 3), np.uint8))
+    (scene,) = find_scenes([tmp_path])
+    assert {frame.folder for frame in scene.frames} == {"images"}
+    assert scene.notes == ("none of the listed pictures in images_4: its pictures are those of images",)
+
+
 @pytest.mark.parametrize("cameras", ["a/poses_bounds.npy", "a", "model", "model/images.bin"])
 def test_cameras_to_render(tmp_path: Path, cameras: str) -> None:
     """LLFF's and COLMAP's, by their files and folders."""

@@ -249,17 +249,15 @@ def _copied_cameras(home: Traversable, scratch: Path) -> tuple[dict[str, PhotoCa
         if any(file.name.startswith("images.") for file in files):
             for file in files:
                 _copied(file, scratch)
-            return _with_files(read_colmap(scratch))
+            cameras = read_colmap(scratch)
+            return cameras, [camera.file for camera in cameras.values()]
     # Our scene folder's. The original 3DGS writes another kind of cameras.json next to a COLMAP model.
     if (home / "cameras.json").is_file():
         return _listed(_copied(home / "cameras.json", scratch), home)
     if (home / POSES_BOUNDS).is_file():
-        return _with_files(read_poses_bounds(_copied(home / POSES_BOUNDS, scratch), home=home))
+        cameras = read_poses_bounds(_copied(home / POSES_BOUNDS, scratch), home=home)
+        return cameras, list(cameras)
     return {}, []
-
-
-def _with_files(cameras: dict[str, PhotoCamera]) -> tuple[dict[str, PhotoCamera], list[str]]:
-    return cameras, [camera.file for camera in cameras.values()]
 
 
 def _listed(listing: Path, home: Traversable) -> tuple[dict[str, PhotoCamera], list[str]]:
