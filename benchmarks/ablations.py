@@ -18,12 +18,10 @@ from pathlib import Path
 from statistics import mean, stdev
 from typing import Any
 
-import numpy as np
-
 from common.output import markdown
 from querysplat_cli.evaluation.published import tables
 from querysplat_cli.runtime.figures import new_figure, save_figure
-from querysplat_cli.training.journal import running_mean
+from querysplat_cli.training.journal import figures, running_mean
 
 PUBLISHED = {
     "": ("ablation-appearance", 0),
@@ -71,7 +69,7 @@ def draw(path: Path, runs: Sequence[Run]) -> None:
         figure.subplots(1, 2), ("pictures", "psnr"), ("reconstruction loss", "PSNR of targets, dB"), strict=True
     ):
         for run in runs:
-            steps, values = (np.array([row[name] for row in run.rows], dtype=float) for name in ("step", key))
+            steps, values = figures(run.rows, key)
             first = next(each for each in runs if each.variant == run.variant) is run
             axes.plot(
                 running_mean(steps),

@@ -59,6 +59,37 @@ def test_a_map_is_found_by_its_photos_name_and_whole_numbers_are_millimetres(
     np.testing.assert_allclose(depth_of_photo(file, found.source, SIZE), metres, rtol=1.1e-3)
 
 
+def photos_of_one_name(folder: Path) -> list[Photo]:
+    for name in "ab":
+        (folder / name).mkdir()
+        photo(folder / name, "1.png")
+    return load_photos([folder / "a" / "1.png", folder / "b" / "1.png"])[0]
+
+
+@pytest.mark.parametrize("mirrored", ["", "photos"])
+def test_photos_of_one_name_have_the_maps_of_their_folders(tmp_path: Path, mirrored: str) -> None:
+    """Whether the folder of maps mirrors that of the photos, or the one around it. A map beside is neither's."""
+    (tmp_path / "photos").mkdir()
+    photos = photos_of_one_name(tmp_path / "photos")
+    write(tmp_path / "maps" / "1.npy", SLOPE)
+    (tmp_path / "maps" / mirrored).mkdir(exist_ok=True)
+    files = [write(tmp_path / "maps" / mirrored / name / "1.npy", SLOPE) for name in "ab"]
+    assert [found.depth_map for found in with_depth_maps(photos, tmp_path / "maps", {})] == files
+
+
+def test_a_map_that_may_be_that_of_two_photos_is_refused(tmp_path: Path) -> None:
+    photos = photos_of_one_name(tmp_path)
+    write(tmp_path / "maps" / "1.npy", SLOPE)
+    with pytest.raises(QuerySplatError, match=r"maps: 1.npy may belong to a/1.png or to b/1.png"):
+        with_depth_maps(photos, tmp_path / "maps", {})
+
+
+def test_a_photo_is_no_map_of_itself(tmp_path: Path) -> None:
+    found = photo(tmp_path, "a.png")
+    file = write(tmp_path / "a.tif", SLOPE.astype(np.float32))
+    assert [each.depth_map for each in with_depth_maps([found], tmp_path, {})] == [file]
+
+
 def test_of_colmaps_two_maps_the_geometric_one_counts(tmp_path: Path) -> None:
     for kind in ("photometric", "geometric"):
         write(tmp_path / "maps" / f"a.jpg.{kind}.bin", SLOPE)

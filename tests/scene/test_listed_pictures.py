@@ -7,7 +7,10 @@ import cv2
 import numpy as np
 import pytest
 
+from querysplat_cli.cli import run
+from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.formats.dataset import find_scenes
+from querysplat_cli.scene.formats.known import read_known_cameras
 
 
 def write_scene(home: Path, listed: list[str], pictures: list[str]) -> None:
@@ -36,3 +39,22 @@ def test_a_folder_with_other_names_is_passed_over(tmp_path: Path) -> None:
     (scene,) = find_scenes([tmp_path])
     assert [frame.folder for frame in scene.frames] == ["images"]
     assert scene.notes == ("none of the listed pictures in images_4: its pictures are those of images",)
+
+
+def test_a_list_without_sizes_has_those_of_the_photos_that_are_given_with_it(tmp_path: Path) -> None:
+    """Wherever its pictures lie. Where two photos have the name of one and are not of one size, it has none."""
+    frames = [{"file_path": f"./train/{name}", "transform_matrix": np.eye(4).tolist()} for name in ("r_0", "r_1.png")]
+    (tmp_path / "cameras").mkdir()
+    listing = tmp_path / "cameras" / "transforms.json"
+    listing.write_text(json.dumps({"camera_angle_x": 0.7, "frames": frames}))
+    photos = [tmp_path / name for name in ("r_0.png", "r_1.jpg", "other.png")]
+    for number, photo in enumerate(photos):
+        cv2.imwrite(str(photo), np.zeros((240, 320 + number, 3), np.uint8))
+    with pytest.raises(QuerySplatError, match="r_0 has no 'w'"):
+        read_known_cameras(listing)
+    found = read_known_cameras(listing, photos=photos)
+    assert [(camera.height, camera.width) for camera in found.values()] == [(240, 320), (240, 321)]
+    assert run(["convert", str(listing), str(tmp_path / "scene"), "--photos", str(tmp_path), "-q"]) == 0
+    cv2.imwrite(str(tmp_path / "cameras" / "r_0.png"), np.zeros((24, 64, 3), np.uint8))
+    with pytest.raises(QuerySplatError, match="r_0 has no 'w'"):
+        read_known_cameras(listing, photos=[*photos, tmp_path / "cameras" / "r_0.png"])

@@ -1,17 +1,23 @@
 """Cameras in LLFF's poses_bounds.npy."""
 
 import json
+import shutil
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+import torch
 
 from querysplat_cli.cli import run
 from querysplat_cli.runtime.errors import ExitCode, QuerySplatError
 from querysplat_cli.scene.cameras import PhotoCamera
+from querysplat_cli.scene.formats.colmap import write_colmap
+from querysplat_cli.scene.formats.dataset import find_scenes
 from querysplat_cli.scene.formats.known import read_known_cameras
+from querysplat_cli.scene.formats.ply import write_ply
 from querysplat_cli.scene.formats.transforms import write_transforms
+from querysplat_cli.scene.gaussians import Gaussians
 
 NAMES = ("IMG_10.JPG", "IMG_2.JPG", "b.png")
 """As LLFF sorts them, and people do not."""
@@ -77,6 +83,45 @@ def test_cameras_are_converted_and_compared(tmp_path: Path, capsys: pytest.Captu
         assert json.loads(capsys.readouterr().out)["rotation_degrees"]["max"] < 1e-3
     assert run(["convert", str(tmp_path / "a"), str(tmp_path / "s"), "--photos", str(tmp_path / "a"), "-q"]) == 0
     assert len(list((tmp_path / "s" / "images").iterdir())) == len(NAMES)
+
+
+@pytest.mark.parametrize("packed", [False, True])
+def test_a_captured_scene_has_its_cameras(tmp_path: Path, packed: bool) -> None:
+    """As `eval` and `train` read it, from a folder or a zip."""
+    np.save(tmp_path / "fern" / "poses_bounds.npy", llff(tmp_path / "fern", given()))
+    place = Path(shutil.make_archive(str(tmp_path / "fern"), "zip", tmp_path / "fern")) if packed else tmp_path / "fern"
+    (scene,) = find_scenes([place], "images")
+    assert scene.notes == ()
+    assert {frame.name for frame in scene.frames} == scene.cameras.keys() == set(NAMES)
+    for name, camera in given().items():
+        np.testing.assert_allclose(scene.cameras[name].w2c, camera.w2c, atol=1e-12)
+
+
+def test_smaller_copies_of_other_names_are_passed_over(tmp_path: Path) -> None:
+    """As in LLFF's own scenes, whose images_4 has image000.png where images has IMG_4026.JPG."""
+    np.save(tmp_path / "poses_bounds.npy", llff(tmp_path, given()))
+    (tmp_path / "images_4").mkdir()
+    cv2.imwrite(str(tmp_path / "images_4" / "image000.png"), np.zeros((30, 40, 3), np.uint8))
+    (scene,) = find_scenes([tmp_path])
+    assert {frame.folder for frame in scene.frames} == {"images"}
+    assert scene.notes == ("none of the listed pictures in images_4: its pictures are those of images",)
+
+
+@pytest.mark.parametrize("cameras", ["a/poses_bounds.npy", "a", "model", "model/images.bin"])
+def test_cameras_to_render(tmp_path: Path, cameras: str) -> None:
+    """LLFF's and COLMAP's, by their files and folders."""
+    np.save(tmp_path / "a" / "poses_bounds.npy", llff(tmp_path / "a", given()))
+    (tmp_path / "model").mkdir()
+    write_colmap(tmp_path / "model", given())
+    means, sh = torch.rand(3, 3), torch.zeros(3, 1, 3)
+    write_ply(tmp_path / "scene.ply", Gaussians(means, torch.rand(3, 4), torch.ones(3, 3), torch.ones(3) / 2, sh))
+    out = tmp_path / "frames"
+    assert run(["render", str(tmp_path / "scene.ply"), "-o", str(out), "--cameras", str(tmp_path / cameras), "-q"]) == 0
+    written = read_known_cameras(out / "cameras.json")
+    assert list(written) == [f"{Path(name).stem}.png" for name in NAMES]
+    for camera, rendered in zip(given().values(), written.values(), strict=True):
+        np.testing.assert_allclose(rendered.w2c, camera.w2c, atol=1e-5)
+        assert rendered.K.tolist() == camera.K.tolist()
 
 
 @pytest.mark.parametrize(

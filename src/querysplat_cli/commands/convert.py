@@ -1,6 +1,6 @@
 """What `convert` does: Gaussians from one kind of file to another, and cameras from one kind to another."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -81,7 +81,8 @@ def _kind_of_folder(request: Conversion) -> FolderKind | None:
 
 def _convert_cameras(request: Conversion) -> dict[str, Any]:
     source = find_known_cameras(request.source)
-    given = read_known_cameras(source, fisheye=True)
+    photos = find_photos([request.photos]) if request.photos else []
+    given = read_known_cameras(source, fisheye=True, photos=photos)
     cameras = {name: camera for name, camera in given.items() if is_rigid(camera.w2c)}
     left_out = [vars(LeftOut(name, "its camera is no rigid motion")) for name in given if name not in cameras]
     if not cameras:
@@ -93,7 +94,7 @@ def _convert_cameras(request: Conversion) -> dict[str, Any]:
         hint = "Use a .json, or a folder; for Gaussians, give their file."
         raise QuerySplatError(f"{request.target}: not a kind of file for cameras", hint)
     elif request.photos:
-        made = _make_scene_folder(request.target, cameras, request.photos)
+        made = _make_scene_folder(request.target, cameras, request.photos, photos)
         return {**made, "left_out": [*made["left_out"], *left_out]}
     else:
         with atomic_folder(request.target) as draft:
@@ -119,9 +120,10 @@ def _with_lenses(folder: Path, cameras: Mapping[str, PhotoCamera]) -> dict[str, 
     return found
 
 
-def _make_scene_folder(target: Path, cameras: Mapping[str, PhotoCamera], place: Path) -> dict[str, Any]:
+def _make_scene_folder(
+    target: Path, cameras: Mapping[str, PhotoCamera], place: Path, files: Sequence[Path]
+) -> dict[str, Any]:
     """Write a scene folder: the cameras in their own frame, and the photos, undistorted at their own size."""
-    files = find_photos([place])
     named = dict(zip(short_names(files), files, strict=True))
     matched = cameras_of(named, cameras)
     pictures, kept = stored_names(list(named)), dict[str, PhotoCamera]()

@@ -23,10 +23,11 @@ from querysplat_cli.runtime.progress import Stages
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera, rescaled, same_shape
 from querysplat_cli.scene.files import FolderKind, atomic_folder, atomic_path, refuse_existing, with_name
 from querysplat_cli.scene.film_colours import bt709_frame, state_bt709
+from querysplat_cli.scene.formats.known import GAUSSIAN_KINDS, MODEL_KINDS, find_known_cameras, read_pinholes
+from querysplat_cli.scene.formats.llff import POSES_BOUNDS
 from querysplat_cli.scene.formats.transforms import (
     NamedCameras,
     listed_files,
-    read_cameras,
     working_frame,
     write_transforms,
 )
@@ -47,7 +48,10 @@ ORBIT_FRAMES = 90
 """Pictures of an orbit, unless the user asks for another number."""
 STEP_SECONDS, FILM_SECONDS = 1.5, (3.0, 12.0)
 """How long a film takes from one input camera to the next, and altogether at least and at most."""
-OTHER_KINDS = {".avi", ".mov", ".mkv", ".webm", ".gif", ".png", ".jpg", ".jpeg", ".ply", ".spz"}
+OTHER_KINDS = {
+    *(".avi", ".mov", ".mkv", ".webm", ".m4v", ".gif", ".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff"),
+    *(".ply", ".spz", ".sog", ".glb", ".json"),
+}
 """Endings of files, in a target, that are no films and no names of folders."""
 BESIDE = ("_depth.png", "_alpha.png", "_depth.npy", "_confidence.npy")
 """Endings of the files beside a picture, in place of its .png."""
@@ -88,10 +92,9 @@ def render_file(request: RenderRequest, stages: Stages) -> Rendered:
         names, cameras, sizes = _cameras(request, beside, gaussians)
         _check_names(names, request)
         listed = _listed(names, cameras, sizes, request.size)
-        frame = working_frame(beside) if beside.is_file() else _frame_by_depth(gaussians, cameras)
-        if frame:  # the splatter's limits are in the units in which the scene was made
-            gaussians, cameras = transform_gaussians(gaussians, frame.inverse()), cameras.transformed(frame.inverse())
-        unit = frame.scale if frame else 1.0
+        frame = _frame(beside, gaussians, cameras)
+        gaussians = transform_gaussians(gaussians, frame.inverse())
+        cameras = cameras.transformed(frame.inverse()).to(torch.float32)
     height, width = request.size or (max(side) for side in zip(*sizes, strict=True))
     if request.is_film:
         _check_film(height, width)
@@ -104,9 +107,9 @@ def render_file(request: RenderRequest, stages: Stages) -> Rendered:
         else:
             with atomic_folder(request.target) as draft:
                 for name, (picture, surface) in zip(names, pictures, strict=True):
-                    _write_frame(draft / name, picture, request, unit)
+                    _write_frame(draft / name, picture, request, frame.scale)
                     if surface is not None:
-                        _write_floats(draft / name, surface, unit)
+                        _write_floats(draft / name, surface, frame.scale)
                 write_transforms(draft / "cameras.json", listed)
     return Rendered(str(request.target), len(cameras), len(gaussians), stages.seconds)
 
@@ -154,19 +157,19 @@ Path3D = tuple[list[str], Cameras, list[tuple[int, int]]]
 
 def _cameras(request: RenderRequest, beside: Path, gaussians: Gaussians) -> Path3D:
     """What is rendered, in the frame of the files. `beside` is the scene's cameras.json, which may be missing."""
-    known = read_cameras(beside)[0] if beside.is_file() and request.cameras in ("auto", "orbit") else None
+    known = read_pinholes(beside) if beside.is_file() and request.cameras in ("auto", "orbit") else None
     still = request.is_film and known is not None and len(known.names) == 1
     if request.cameras == "orbit" or (request.cameras == "auto" and (known is None or still)):
         return _orbit(request, known, gaussians)
     if request.frames is not None:
         raise QuerySplatError("--frames is for orbits", "Add --cameras orbit, or leave it out; films have --seconds.")
     file = beside if request.cameras in ("auto", "inputs") else Path(request.cameras)
-    if not file.is_file():
-        raise QuerySplatError(
-            f"{file}: no cameras there",
-            "Use --cameras orbit, or --cameras FILE with a file in nerfstudio's transforms.json form.",
-        )
-    inputs = read_cameras(file)[0]
+    if not (request.cameras and file.exists()):
+        hint = f"Use --cameras orbit, or --cameras FILE with a transforms.json, a COLMAP model or a {POSES_BOUNDS}."
+        raise QuerySplatError(f"{file}: no cameras there", hint)
+    if file.is_dir() or file.suffix.lower() in (*MODEL_KINDS, *GAUSSIAN_KINDS):
+        file = find_known_cameras(file)
+    inputs = read_pinholes(file)
     if request.is_film and (file == beside or request.seconds):
         return _through(inputs, request)
     if request.is_film and not request.size and not all(same_shape(size, inputs.sizes[0]) for size in inputs.sizes):
@@ -177,9 +180,18 @@ def _cameras(request: RenderRequest, beside: Path, gaussians: Gaussians) -> Path
     return distinct_stems(inputs.names), inputs.cameras, list(inputs.sizes)
 
 
-def _frame_by_depth(gaussians: Gaussians, cameras: Cameras) -> Sim3:
-    """A frame for a file of any unit: in it, surfaces have the depth that they have where scenes are made."""
-    return Sim3(usual_depth(gaussians, cameras), torch.eye(3).double(), torch.zeros(3).double())
+def _frame(beside: Path, gaussians: Gaussians, cameras: Cameras) -> Sim3:
+    """The way from the frame in which pictures are rendered to that of the files.
+
+    The first is that in which the scene was made, where the file `beside` states it, since the splatter's limits are in
+    its units. Of a file of another program, surfaces get the depth that they have there. Cameras stand at the origin:
+    float32 tells places best there.
+    """
+    known = beside.is_file()
+    if known and (stated := working_frame(beside)):
+        return stated
+    unit = 1.0 if known else usual_depth(gaussians, cameras)
+    return Sim3(unit, torch.eye(3).double(), cameras.centres.mean(0))
 
 
 def _orbit(request: RenderRequest, known: NamedCameras | None, gaussians: Gaussians) -> Path3D:
@@ -191,7 +203,7 @@ def _orbit(request: RenderRequest, known: NamedCameras | None, gaussians: Gaussi
         path = orbit(replace(known.cameras, height=size[0], width=size[1]), scene_middle(gaussians), frames)
     else:
         size = request.size or FOREIGN_SIZE
-        path = surround(opaque_centres(gaussians), frames, *size)
+        path = surround(opaque_centres(gaussians).double(), frames, *size)
     return _numbered(path, size)
 
 

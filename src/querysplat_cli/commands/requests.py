@@ -68,7 +68,8 @@ class RenderRequest:
         str,
         Option(
             "The input cameras (inputs; in a film, a smooth path through them), a path around the scene (orbit), or a "
-            "file in transforms.json form. auto is inputs where they are known, and orbit elsewhere.",
+            "transforms.json, a COLMAP model's folder or LLFF's poses_bounds.npy. auto is inputs where they are known, "
+            "and orbit elsewhere.",
             metavar="auto|inputs|orbit|FILE",
         ),
     ] = "auto"

@@ -171,7 +171,7 @@ def _read_inputs(settings: ReconstructSettings, device: torch.device, stages: St
     with stages("model") as progress:
         model, encoder = load_parts(settings, device)
         optimisation_lpips(settings.lpips, official=model.config.queries == "learned")  # a damaged file ends it here
-        given = read_known_cameras(settings.poses, fisheye=True) if settings.poses else None
+        given = read_known_cameras(settings.poses, fisheye=True, photos=paths) if settings.poses else None
         known = cameras_of_photos(photos, given) if given else None
         photos, known = pinhole_photos(photos, known, settings.lens, keep)
         photos = photos_with_depth(photos, settings, known, encoder.name)

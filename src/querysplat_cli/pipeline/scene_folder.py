@@ -146,10 +146,10 @@ def write_scene(target: Path, scene: StoredScene, gaussians: Gaussians, report: 
             *(entry for entry in report["left_out"] if entry["what"] != PRECISION),
             *(asdict(each) for each in _lost_by_kind(target_draft, scene, placed, report)),
         ]
-        files = stored_names([name for views, _ in scene.groups.values() for name in views.names])
+        listing = draft / "cameras.json"
+        files = write_cameras(listing, scene.cameras, scene.views, heldout=scene.heldout, frame=scene.frame)
         for views, _ in scene.groups.values():
             write_images(draft / "images", views, files, folder_of_scene(target) / "images")
-        write_cameras(draft / "cameras.json", scene.cameras, scene.views, heldout=scene.heldout, frame=scene.frame)
         write_supersplat(draft / "supersplat.json", gaussians, scene.cameras, scene.views.sizes, scene.frame)
         if scene.photos:
             write_photo_files(draft / "photos.json", list(scene.photos.values()))

@@ -15,6 +15,7 @@ from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import PhotoCamera, rescaled, same_shape
 from querysplat_cli.scene.decoding import orientation_of
 from querysplat_cli.scene.masks import QUARTER_TURNS
+from querysplat_cli.scene.photo_names import path_parts
 from querysplat_cli.scene.undistort import places_in_photo
 from querysplat_cli.scene.views import Photo, PhotoSource
 
@@ -30,8 +31,9 @@ NAMES = "Maps are named a.png, a.npy, a.tif, a.jpg.png, a_depth.png or a.jpg.geo
 def with_depth_maps(photos: Sequence[Photo], folder: Path | None, listed: Mapping[str, Path]) -> list[Photo]:
     """The photos with the depth maps of `folder`; None: those that are `listed` by photo name, where they exist.
 
-    Raises QuerySplatError where the folder has none, and where a map cannot be read or has another shape than its
-    photo. Views of panoramas and frames of films have none.
+    In `folder`, maps may lie in folders as their photos do. Raises QuerySplatError where the folder has none, where a
+    map may be that of photos in several folders, and where it cannot be read or has another shape than its photo. Views
+    of panoramas and frames of films have none.
     """
     if folder and not folder.is_dir():
         raise QuerySplatError(f"--depth-maps {folder}: no such folder", "Give the folder of the depth maps.")
@@ -45,12 +47,29 @@ def with_depth_maps(photos: Sequence[Photo], folder: Path | None, listed: Mappin
         found.append(photo)
     if folder and all(photo.depth_map is None for photo in found):
         raise QuerySplatError(f"--depth-maps {folder}: no map of any of the {len(found)} photos in it", NAMES)
+    if folder:
+        _check_owners(folder, found)
     return found
 
 
 def _file_in(folder: Path, photo: Path) -> Path | None:
-    names = (f"{start}{kind}" for start in (f"{photo.stem}_depth", photo.name, photo.stem) for kind in KINDS)
-    return next((folder / name for name in names if (folder / name).is_file()), None)
+    """The map of a photo: in the folders that mirror most of the photo's own, or else in `folder` itself."""
+    names = [f"{start}{kind}" for start in (f"{photo.stem}_depth", photo.name, photo.stem) for kind in KINDS]
+    own = path_parts(photo)[:-1]
+    places = (folder.joinpath(*own[start:]) for start in range(len(own) + 1))
+    files = (place / name for place in places if place.is_dir() for name in names)
+    return next((file for file in files if file.is_file() and not file.samefile(photo)), None)
+
+
+def _check_owners(folder: Path, photos: Sequence[Photo]) -> None:
+    """Raise QuerySplatError where photos in several folders have one map: it shows what one of them shows."""
+    owners: dict[Path, Photo] = {}
+    for photo in photos:
+        other = owners.setdefault(photo.depth_map, photo) if photo.depth_map else photo
+        if other.path.parent != photo.path.parent:
+            file = (photo.depth_map or folder).relative_to(folder.absolute())
+            why = f"--depth-maps {folder}: {file} may belong to {other.name} or to {photo.name}"
+            raise QuerySplatError(why, "Put the maps into folders with the names of those of the photos.")
 
 
 def depth_of_photo(file: Path, source: PhotoSource, size: tuple[int, int]) -> Float[np.ndarray, "rows columns"]:

@@ -98,8 +98,9 @@ def surround(points: Float[Tensor, "n 3"], frames: int, height: int, width: int)
     turn = 2 * np.pi * np.arange(frames) / frames
     places = target + reach / np.sin(half) * np.stack([np.sin(turn), np.full(frames, -0.35), -np.cos(turn)], 1)
     focal = min(height, width) / 2 / np.tan(half)
-    K = torch.tensor([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]], dtype=torch.float32)
-    return look_at(places, target, np.array([0.0, -1.0, 0.0]), Cameras(torch.eye(4)[None], K[None], height, width))
+    K = points.new_tensor([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
+    like = Cameras(torch.eye(4).to(K)[None], K[None], height, width)
+    return look_at(places, target, np.array([0.0, -1.0, 0.0]), like)
 
 
 def interpolate(cameras: Cameras, frames: int) -> Cameras:

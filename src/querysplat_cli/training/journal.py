@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable, Sequence
 from importlib.util import find_spec
+from math import isfinite, nan
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,10 @@ COLUMNS = ("step", "loss", "psnr", "lr", "seconds_per_step")
 
 
 class Journal:
-    """`log.jsonl` in the training's folder. A line stands for the steps since the one before."""
+    """`log.jsonl` in the training's folder. A line stands for the steps since the one before.
+
+    A figure that is not finite, because every sample was skipped, is null there and NaN here.
+    """
 
     def __init__(self, folder: Path, step: int, *, tensorboard: bool) -> None:
         """Lines beyond `step`, of a training that went further before it was killed, are dropped, and damaged ones."""
@@ -29,12 +33,12 @@ class Journal:
         self._write = _tensorboard(folder) if tensorboard else None
         rows = [row for row in self.rows() if row["step"] <= step] if self._path.is_file() else []
         with atomic_path(self._path) as draft:
-            draft.write_text("".join(json.dumps(row) + "\n" for row in rows))
+            draft.write_text("".join(map(_line, rows)))
 
     def add(self, row: dict[str, Any]) -> None:
         """Append a line."""
         with self._path.open("a") as file:
-            file.write(json.dumps(row) + "\n")
+            file.write(_line(row))
         if self._write:
             self._write(row)
 
@@ -57,11 +61,10 @@ class Journal:
 def draw_curves(path: Path, rows: Sequence[dict[str, Any]]) -> None:
     """Loss, PSNR and learning rate against steps."""
     figure = new_figure(11.0, 3.4)
-    steps = np.array([row["step"] for row in rows], dtype=float)
     for axes, key, label in zip(
         figure.subplots(1, 3), ("loss", "psnr", "lr"), ("loss", "PSNR of targets, dB", "learning rate"), strict=True
     ):
-        values = np.array([row[key] for row in rows], dtype=float)
+        steps, values = figures(rows, key)
         axes.plot(steps, values, ".", ms=3, alpha=0.3 if key != "lr" else 1.0)
         if key != "lr":
             axes.plot(running_mean(steps), running_mean(values))
@@ -70,10 +73,23 @@ def draw_curves(path: Path, rows: Sequence[dict[str, Any]]) -> None:
     figure.savefig(path, dpi=110, format="png")
 
 
+def figures(rows: Sequence[dict[str, Any]], name: str) -> tuple[np.ndarray, np.ndarray]:
+    """The steps [n] and the values [n] of the lines where the figure of this name is a finite number."""
+    steps, values = (np.array([row.get(key) for row in rows], dtype=float) for key in ("step", name))
+    known = np.isfinite(values)
+    return steps[known], values[known]
+
+
 def running_mean(values: np.ndarray) -> np.ndarray:
     """Means of `CURVE_WINDOW` values that follow one another, or of a third of all where these are few."""
     span = max(1, min(CURVE_WINDOW, len(values) // 3))
-    return np.convolve(values, np.full(span, 1 / span), "valid")
+    return np.convolve(values, np.full(span, 1 / span), "valid") if len(values) else values
+
+
+def _line(row: dict[str, Any]) -> str:
+    """JSON has no NaN and no infinity."""
+    known = {name: None if isinstance(value, float) and not isfinite(value) else value for name, value in row.items()}
+    return json.dumps(known, allow_nan=False) + "\n"
 
 
 def _parsed(line: str) -> dict[str, Any] | None:
@@ -82,8 +98,10 @@ def _parsed(line: str) -> dict[str, Any] | None:
         row = json.loads(line)
     except (ValueError, RecursionError):
         return None
-    sound = isinstance(row, dict) and all(isinstance(row.get(name), int | float) for name in COLUMNS)
-    return row if sound else None
+    if not isinstance(row, dict):
+        return None
+    row = {name: nan if value is None and name != "step" else value for name, value in row.items()}
+    return row if all(isinstance(row.get(name), int | float) for name in COLUMNS) else None
 
 
 def check_tensorboard() -> None:

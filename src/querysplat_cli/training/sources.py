@@ -85,7 +85,7 @@ def _scenes_in(folders: Sequence[Path], pictures: str) -> list[CapturedScene]:
 
 
 class Captured:
-    """DL3DV, nerfstudio and COLMAP scenes, folders of photos, zips of those, and videos."""
+    """DL3DV, nerfstudio, COLMAP and LLFF scenes, folders of photos, zips of those, and videos."""
 
     def __init__(self, settings: SourceSettings) -> None:
         self._settings = settings

@@ -1,4 +1,4 @@
-"""Captured scenes in the forms of DL3DV, nerfstudio, COLMAP, our scene folder and plain photos, as folders or zips."""
+"""Captured scenes of DL3DV, nerfstudio, COLMAP, LLFF, our scene folder and plain photos, as folders or zips."""
 
 import shutil
 import zipfile
@@ -15,6 +15,7 @@ from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.drafts import scratch_folder
 from querysplat_cli.scene.formats.colmap import MODEL_FOLDERS, read_colmap
 from querysplat_cli.scene.formats.listed_pictures import inside, listed_picture
+from querysplat_cli.scene.formats.llff import POSES_BOUNDS, read_poses_bounds
 from querysplat_cli.scene.formats.transforms import listed_paths, read_transforms
 from querysplat_cli.scene.formats.transforms_frame import is_rigid
 from querysplat_cli.scene.photo_names import short_names
@@ -253,6 +254,9 @@ def _copied_cameras(home: Traversable, scratch: Path) -> tuple[dict[str, PhotoCa
     # Our scene folder's. The original 3DGS writes another kind of cameras.json next to a COLMAP model.
     if (home / "cameras.json").is_file():
         return _listed(_copied(home / "cameras.json", scratch), home)
+    if (home / POSES_BOUNDS).is_file():
+        cameras = read_poses_bounds(_copied(home / POSES_BOUNDS, scratch), home=home)
+        return cameras, list(cameras)
     return {}, []
 
 

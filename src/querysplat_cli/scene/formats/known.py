@@ -1,12 +1,15 @@
 """Cameras that the user already has, in any of the supported forms."""
 
+from collections.abc import Sequence
 from pathlib import Path
+
+import torch
 
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.formats.colmap import find_model, read_colmap
 from querysplat_cli.scene.formats.llff import POSES_BOUNDS, SUFFIX, read_poses_bounds
-from querysplat_cli.scene.formats.transforms import read_transforms
+from querysplat_cli.scene.formats.transforms import NamedCameras, as_named, read_cameras, read_transforms
 
 JSON_NAMES = ("transforms.json", "cameras.json", "colmap/transforms.json", "nerfstudio/transforms.json")
 """Where nerfstudio, our scene folder and DL3DV keep the file."""
@@ -18,15 +21,27 @@ MODEL_KINDS = (".bin", ".txt")
 """A file of such a kind stands for the COLMAP model in its folder."""
 
 
-def read_known_cameras(path: Path, *, fisheye: bool = False) -> dict[str, PhotoCamera]:
+def read_known_cameras(path: Path, *, fisheye: bool = False, photos: Sequence[Path] = ()) -> dict[str, PhotoCamera]:
     """Cameras by photo name from a transforms.json or poses_bounds.npy, their folder, or a COLMAP model's folder.
 
-    With `fisheye`, those of fisheye lenses, too. Raises QuerySplatError when there are none, or they cannot be read.
+    With `fisheye`, those of fisheye lenses, too. `photos` as for `read_transforms`. Raises QuerySplatError when there
+    are none, or they cannot be read.
     """
     source = find_known_cameras(path)
     if source.is_dir():
         return read_colmap(source, fisheye=fisheye)
-    return read_poses_bounds(source) if is_llff(source) else read_transforms(source, fisheye=fisheye)
+    return read_poses_bounds(source) if is_llff(source) else read_transforms(source, fisheye=fisheye, photos=photos)
+
+
+def read_pinholes(path: Path) -> NamedCameras:
+    """The cameras of what `find_known_cameras` gives, in float64 and without their distortion, held-out ones apart.
+
+    Raises QuerySplatError as `read_known_cameras`, and for a matrix that is no rigid motion.
+    """
+    if not (path.is_dir() or is_llff(path)):
+        return read_cameras(path, torch.float64)[0]
+    cameras = read_known_cameras(path)
+    return as_named(path, list(cameras), list(cameras.values()))
 
 
 def is_llff(path: Path) -> bool:

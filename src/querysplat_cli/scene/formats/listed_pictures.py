@@ -1,6 +1,6 @@
 """The pictures that a transforms.json lists: their files, and their sizes where the file states none."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
@@ -22,15 +22,15 @@ def listed_picture(place: Traversable, path: str) -> Traversable | None:
 
     NeRF's synthetic scenes list files without suffixes. Smaller copies are often PNG files where the list has JPEG.
     """
-    stem = path.removesuffix(Path(path).suffix) if Path(path).suffix.lower() in SUFFIXES else path
-    others = (stem + ending for suffix in sorted(SUFFIXES) for ending in (suffix, suffix.upper()))
+    others = (_stem(path) + ending for suffix in sorted(SUFFIXES) for ending in (suffix, suffix.upper()))
     return next((file for name in (path, *others) if (file := inside(place, name)).is_file()), None)
 
 
-def with_size(frame: Mapping[str, Any], path: str, home: Traversable) -> Mapping[str, Any]:
+def with_size(frame: Mapping[str, Any], path: str, home: Traversable, photos: Sequence[Path] = ()) -> Mapping[str, Any]:
     """A frame with `w` and `h`: those of its picture where it states none and the picture can be read.
 
-    The picture is looked for at `path` as written, in `home`, and in the folder of full-size pictures there.
+    The picture is looked for at `path` as written, in `home`, and in the folder of full-size pictures there. Where it
+    is in none of these, those of the `photos` that have its name count, if they are of one size.
     """
     if "w" in frame and "h" in frame:
         return frame
@@ -39,5 +39,12 @@ def with_size(frame: Mapping[str, Any], path: str, home: Traversable) -> Mapping
         file = listed_picture(root, path) or listed_picture(inside(home, PICTURE_FOLDERS[0]), Path(path).name)
     except (OSError, ValueError):  # no path that a system has
         return frame
-    size = upright_size(file) if file else None
+    same = [photo for photo in photos if not file and _stem(photo.name) == _stem(Path(path).name)]
+    sizes = {upright_size(each) for each in ([file] if file else same)}
+    size = sizes.pop() if len(sizes) == 1 else None
     return {"h": size[0], "w": size[1], **frame} if size else frame
+
+
+def _stem(path: str) -> str:
+    """Without its suffix, if that is one of pictures."""
+    return path.removesuffix(Path(path).suffix) if Path(path).suffix.lower() in SUFFIXES else path

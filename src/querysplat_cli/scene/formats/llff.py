@@ -6,6 +6,7 @@ name.
 """
 
 from dataclasses import replace
+from importlib.resources.abc import Traversable
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ import numpy as np
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.json_files import shown
 from querysplat_cli.scene.cameras import PhotoCamera
+from querysplat_cli.scene.formats.listed_pictures import inside
 from querysplat_cli.scene.formats.transforms_frame import frame_camera
 from querysplat_cli.scene.photo_names import names_a_photo
 from querysplat_cli.scene.photos import PICTURE_FOLDERS, SUFFIXES
@@ -23,16 +25,17 @@ COLUMNS = 17
 FORM = f"LLFF's {POSES_BOUNDS} has a row of {COLUMNS} numbers for each photo in {PICTURE_FOLDERS[0]} beside it."
 
 
-def read_poses_bounds(path: Path) -> dict[str, PhotoCamera]:
+def read_poses_bounds(path: Path, *, home: Traversable | None = None) -> dict[str, PhotoCamera]:
     """Pinhole cameras by photo name: OpenCV world-to-camera, in the units and axes of the file's world.
 
-    The photos are those in the first of `PICTURE_FOLDERS` beside the file, or those beside it. As LLFF takes its
-    cameras from COLMAP, they are for the pixels as stored. A matrix that is no rigid motion is passed on as it is.
+    The photos are those in the first of `PICTURE_FOLDERS` in `home`, or those in `home`, which by default is the file's
+    folder. As LLFF takes its cameras from COLMAP, they are for the pixels as stored. A matrix that is no rigid motion
+    is passed on as it is.
     Raises QuerySplatError when the file is damaged or has another shape, when there are more or fewer photos than
     rows, and for a camera that makes no sense.
     """
     rows = _rows(path)
-    place, names = _photos(path.parent)
+    folder, place, names = _photos(home or path.parent)
     if len(names) != len(rows):
         why = f"{path} has {len(rows)} cameras, and {place} has {len(names)} photos"
         raise QuerySplatError(why, FORM)
@@ -41,8 +44,7 @@ def read_poses_bounds(path: Path) -> dict[str, PhotoCamera]:
         down, right, backward, centre, (height, width, focal) = row[:15].reshape(3, 5).T
         opengl = np.stack([right, -down, backward, centre], 1)
         frame = {"h": float(height), "w": float(width), "fl_x": float(focal), "transform_matrix": opengl.tolist()}
-        file = (place / name).relative_to(path.parent).as_posix()
-        cameras[name] = replace(frame_camera(path, name, frame), file=file, as_stored=True)
+        cameras[name] = replace(frame_camera(path, name, frame), file=f"{folder}{name}", as_stored=True)
     return cameras
 
 
@@ -59,11 +61,12 @@ def _rows(path: Path) -> np.ndarray:
     return np.array(rows, np.float64)
 
 
-def _photos(home: Path) -> tuple[Path, list[str]]:
-    """The folder of the photos, and their names in LLFF's order."""
-    place = next((home / folder for folder in PICTURE_FOLDERS if (home / folder).is_dir()), home)
-    files = (file for file in place.iterdir() if file.suffix.lower() in SUFFIXES and file.is_file())
+def _photos(home: Traversable) -> tuple[str, Traversable, list[str]]:
+    """The folder of the photos as names in `home` begin with it, the folder itself, and their names in LLFF's order."""
+    folder = next((f"{name}/" for name in PICTURE_FOLDERS if (home / name).is_dir()), "")
+    place = inside(home, folder)
+    files = (file for file in place.iterdir() if Path(file.name).suffix.lower() in SUFFIXES and file.is_file())
     names = sorted(file.name for file in files if not file.name.startswith("."))
     if strange := [name for name in names if not names_a_photo(name)]:
         raise QuerySplatError(f"{place}: {shown(strange[0])} is no name of a photo", "Rename it.")
-    return place, names
+    return folder, place, names

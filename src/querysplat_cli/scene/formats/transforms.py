@@ -15,9 +15,10 @@ import torch
 
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.json_files import read_json, shown
-from querysplat_cli.scene.cameras import FARTHEST_CENTRE, LONGEST_SIDE, Cameras, PhotoCamera
+from querysplat_cli.scene.cameras import LONGEST_SIDE, Cameras, PhotoCamera
 from querysplat_cli.scene.files import write_json
 from querysplat_cli.scene.formats.listed_pictures import with_size
+from querysplat_cli.scene.formats.stated_frames import as_entry, stated_frame
 from querysplat_cli.scene.formats.transforms_frame import FISHEYE, LENS_KEYS, frame_camera, is_rigid, opengl_from_opencv
 from querysplat_cli.scene.photo_names import names_a_photo, short_names, stated_parts
 from querysplat_cli.scene.pictures import stored_names
@@ -42,11 +43,13 @@ class NamedCameras:
         return replace(self, cameras=self.cameras.transformed(frame)) if frame else self
 
 
-def read_transforms(path: Path, *, fisheye: bool = False, home: Traversable | None = None) -> dict[str, PhotoCamera]:
+def read_transforms(
+    path: Path, *, fisheye: bool = False, home: Traversable | None = None, photos: Sequence[Path] = ()
+) -> dict[str, PhotoCamera]:
     """Cameras by photo name, with the lens distortion and the picture size that the file states.
 
     Where it states no size, it is that of the listed picture, upright: in `home`, which by default is the file's
-    folder.
+    folder, or else of those of the `photos` that have its name.
 
     A photo's name is the file name in `file_path` (the folder often does not exist as written), or in our own
     `photo`, with as much of the folder as makes it unique. Intrinsics may be given for each
@@ -57,7 +60,7 @@ def read_transforms(path: Path, *, fisheye: bool = False, home: Traversable | No
     content, home = _load(path), home or path.parent
     return {
         name: replace(
-            frame_camera(path, name, _with_size({**content, **frame}, home), fisheye=fisheye),
+            frame_camera(path, name, _with_size({**content, **frame}, home, photos), fisheye=fisheye),
             file=_photo(path, frame),
             as_stored=frame.get("as_stored") is True,
             depth_map=_depth_map(path, frame),
@@ -90,13 +93,13 @@ def write_cameras(
     *,
     heldout: tuple[Views, Cameras] | None = None,
     frame: Sim3 | None = None,
-) -> None:
+) -> dict[str, str]:
     """Write pinhole cameras of undistorted pictures; `read_cameras` gives the same back within 1e-6.
 
     The pictures are the undistorted ones in `images/`. Where a picture's file has another name than its photo, or
     one with a backslash, `photo` is the photo's name. Held-out frames are under `heldout_frames`. `canvas` is the
     (height, width) that all share. `frame` maps the frame of the cameras to that of the file, which also keeps it, as
-    `working_frame`.
+    `working_frame`. Returns the pictures' names in `images/` by those of the photos.
     """
     files = stored_names([*views.names, *(heldout[0].names if heldout else ())])
     content = {
@@ -107,6 +110,7 @@ def write_cameras(
         **({"heldout_frames": _frames(heldout[1], heldout[0], files, frame)} if heldout else {}),
     }
     write_json(path, content)
+    return files
 
 
 def write_transforms(
@@ -130,14 +134,14 @@ def write_transforms(
     write_json(path, {"camera_model": FISHEYE if bent == {True} else "OPENCV", "frames": frames})
 
 
-def read_cameras(path: Path) -> tuple[NamedCameras, NamedCameras | None]:
-    """Cameras in float32, and the held-out ones if there are any, of a cameras.json or a transforms.json.
+def read_cameras(path: Path, kind: torch.dtype = torch.float32) -> tuple[NamedCameras, NamedCameras | None]:
+    """Cameras as numbers of a `kind`, and the held-out ones if there are any, of a cameras.json or a transforms.json.
 
     The views are pinholes: a distortion in the file is not applied. Raises QuerySplatError as
     `read_transforms` does, and for a matrix that is no rigid motion.
     """
     content = _load(path)
-    return _both(path, content, Sim3.identity())
+    return _both(path, content, Sim3.identity(), kind)
 
 
 def read_working_cameras(path: Path) -> tuple[NamedCameras, NamedCameras | None, Sim3 | None]:
@@ -146,38 +150,21 @@ def read_working_cameras(path: Path) -> tuple[NamedCameras, NamedCameras | None,
     That is None where the two frames are one. Raises as `read_cameras`.
     """
     content = _load(path)
-    frame = _working_frame(path, content.get("working_frame"))
-    return *_both(path, content, frame or Sim3.identity()), frame
+    frame = stated_frame(path, content.get("working_frame"))
+    return *_both(path, content, frame or Sim3.identity(), torch.float32), frame
 
 
 def working_frame(path: Path) -> Sim3 | None:
     """The third part of what `read_working_cameras` gives."""
-    return _working_frame(path, _load(path).get("working_frame"))
+    return stated_frame(path, _load(path).get("working_frame"))
 
 
-def _both(path: Path, content: dict[str, Any], frame: Sim3) -> tuple[NamedCameras, NamedCameras | None]:
-    inputs = _named_cameras(path, content, content["frames"], frame)
+def _both(
+    path: Path, content: dict[str, Any], frame: Sim3, kind: torch.dtype
+) -> tuple[NamedCameras, NamedCameras | None]:
+    inputs = _named_cameras(path, content, content["frames"], frame, kind)
     heldout = content.get("heldout_frames")
-    return inputs, _named_cameras(path, content, heldout, frame) if heldout else None
-
-
-def as_entry(frame: Sim3) -> dict[str, Any]:
-    """How a file states a similarity."""
-    return {"scale": frame.scale, "rotation": frame.rotation.tolist(), "translation": frame.translation.tolist()}
-
-
-def _working_frame(path: Path, entry: Any) -> Sim3 | None:
-    if entry is None:
-        return None
-    try:
-        scale = float(entry["scale"])
-        rigid = np.eye(4)
-        rigid[:3, :3], rigid[:3, 3] = np.array(entry["rotation"], float), np.array(entry["translation"], float)
-        if not (1 / FARTHEST_CENTRE <= scale <= FARTHEST_CENTRE and is_rigid(rigid)):
-            raise ValueError("no similarity")
-    except (LookupError, TypeError, ValueError, OverflowError) as error:
-        raise QuerySplatError(f"{path}: its working_frame makes no sense: {error}", "Export the file again.") from None
-    return Sim3(scale, torch.from_numpy(rigid[:3, :3]), torch.from_numpy(rigid[:3, 3]))
+    return inputs, _named_cameras(path, content, heldout, frame, kind) if heldout else None
 
 
 def _frames(cameras: Cameras, views: Views, files: Mapping[str, str], frame: Sim3 | None) -> list[dict[str, Any]]:
@@ -201,23 +188,28 @@ def _frames(cameras: Cameras, views: Views, files: Mapping[str, str], frame: Sim
 
 
 def _named_cameras(
-    path: Path, content: Mapping[str, Any], frames: Sequence[Mapping[str, Any]], frame: Sim3
+    path: Path, content: Mapping[str, Any], frames: Sequence[Mapping[str, Any]], frame: Sim3, kind: torch.dtype
 ) -> NamedCameras:
     """The cameras in the frame that `frame` maps to the file's."""
     names = tuple(_inside(_photo(path, entry)) for entry in frames)
     cameras = [frame_camera(path, name, {**content, **entry}) for name, entry in zip(names, frames, strict=True)]
+    found = as_named(path, names, cameras, content.get("canvas")).transformed(frame.inverse())
+    return replace(found, cameras=found.cameras.to(kind), files=tuple(_file(path, entry) for entry in frames))
+
+
+def as_named(path: Path, names: Sequence[str], cameras: Sequence[PhotoCamera], canvas: Any = None) -> NamedCameras:
+    """Cameras of `path` in float64, as pinholes, on the canvas that it states (None: the smallest that holds them).
+
+    Raises QuerySplatError for a matrix that is no rigid motion, and a canvas that cannot hold the pictures.
+    """
     for name, camera in zip(names, cameras, strict=True):
         if not is_rigid(camera.w2c):
             raise QuerySplatError(f"{path}: the matrix of {name} is no rigid motion", "Remove that frame.")
     sizes = tuple((camera.height, camera.width) for camera in cameras)
-    K = torch.zeros(len(cameras), 3, 3, dtype=torch.float64)
-    K[:, (0, 1), (0, 1)] = torch.tensor([camera.focal for camera in cameras], dtype=torch.float64)
-    K[:, :2, 2] = torch.tensor([camera.principal for camera in cameras], dtype=torch.float64)
-    K[:, 2, 2] = 1
-    height, width = _canvas(path, content.get("canvas"), sizes)
+    height, width = _canvas(path, canvas, sizes)
     w2c = torch.from_numpy(np.stack([camera.w2c for camera in cameras]))
-    found = Cameras(w2c, K, height, width).transformed(frame.inverse())
-    return NamedCameras(names, found.to(torch.float32), sizes, tuple(_file(path, entry) for entry in frames))
+    K = torch.from_numpy(np.stack([camera.K for camera in cameras]))
+    return NamedCameras(tuple(names), Cameras(w2c, K, height, width), sizes)
 
 
 def _canvas(path: Path, stated: Any, sizes: Sequence[tuple[int, int]]) -> tuple[int, int]:
@@ -242,9 +234,9 @@ def _named_frames(path: Path, content: Mapping[str, Any]) -> dict[str, dict[str,
     return dict(zip(names, frames, strict=True))
 
 
-def _with_size(frame: Mapping[str, Any], home: Traversable) -> Mapping[str, Any]:
+def _with_size(frame: Mapping[str, Any], home: Traversable, photos: Sequence[Path]) -> Mapping[str, Any]:
     file = frame["file_path"]
-    return with_size(frame, with_slashes(file), home) if isinstance(file, str) else frame
+    return with_size(frame, with_slashes(file), home, photos) if isinstance(file, str) else frame
 
 
 def _photo(path: Path, frame: Any) -> str:
