@@ -28,11 +28,15 @@ import time
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from hostile.attempt import Outcome, attempt, captured
 from hostile.killing import Length, attempt_kill
 from hostile.report import page, table
 from hostile.results import Results, read, write
+
+if TYPE_CHECKING:
+    from hostile.sound import Sound
 
 MOST_MEMORY = 8 << 30
 """The address space of the process of the cases. A case that wants more fails by that, and not by the machine's end."""

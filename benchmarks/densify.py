@@ -3,10 +3,10 @@
     python benchmarks/densify.py [DATA] [--passes DIR] [--size 448] [--json FILE]
 
 DATA is the folder of the photo sets, by default $QUERYSPLAT_DATA. Every 4th photo is held out, cameras are joint. A
-scene is made as `reconstruct` makes it, with a share of the usual number of queries. Then its Gaussians are optimised
-as by `querysplat tto --space gaussians`. A run of 300x3 takes 300 steps and splits until there are three times as many
-Gaussians. A run of 300x1 splits none, and one of 450x1 takes about as long as 300x3. Seconds are those of the process,
-so that other work on the machine hardly counts.
+scene is made as `reconstruct --quality draft` makes it, with a share of the usual number of queries. Then its Gaussians
+are optimised as by `querysplat tto --space gaussians`. A run of 300x3 takes 300 steps and splits until there are three
+times as many Gaussians. A run of 300x1 splits none, and one of 450x1 takes about as long as 300x3. Seconds are those of
+the process, so that other work on the machine hardly counts.
 """
 
 import time
@@ -21,14 +21,15 @@ from common.photo_sets import PhotoSet, Use
 from common.samples import SEED, SIZE, posed, real_samples
 from querysplat_cli.model.checkpoints import load
 from querysplat_cli.model.querysplat import QuerySplat
+from querysplat_cli.pipeline.build import BuiltScene
+from querysplat_cli.pipeline.optimise import rendering_target
 from querysplat_cli.queries.prepare import prepare
 from querysplat_cli.reporting.view_scores import score
-from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.training.passes import Sample
 from querysplat_cli.tto.gaussians import optimise_gaussians
+from querysplat_cli.tto.options import OptimiseOptions
 from querysplat_cli.tto.plan import plan_tto
 from querysplat_cli.tto.policy import TTO_POLICY
-from querysplat_cli.tto.rendering_loss import RenderingLoss
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,7 @@ class Row:
     cpu_seconds: float
 
 
-def scene(model: QuerySplat, sample: Sample, share: float) -> Gaussians:
+def scene(model: QuerySplat, sample: Sample, share: float) -> BuiltScene:
     """A scene of a `share` of the usual queries."""
     queries = None
     if share < 1:
@@ -70,15 +71,16 @@ def scene(model: QuerySplat, sample: Sample, share: float) -> Gaussians:
         ).anchors
         assert usual is not None
         queries = int(share * len(usual.opacities))
-    return build(model, sample, queries=queries).adapted.gaussians
+    return build(model, sample, quality="draft", queries=queries)
 
 
-def further(photo_set: PhotoSet, start: Gaussians, sample: Sample, run: Run) -> Row:
+def further(photo_set: PhotoSet, before: BuiltScene, sample: Sample, run: Run) -> Row:
     """The scene after `run`."""
-    target = RenderingLoss.for_solid_scenes(sample.views, sample.cameras, torch.Generator().manual_seed(SEED))
+    start, views, cameras = before.gaussians, before.posed.views, before.adapted.cameras
+    target = rendering_target(views, cameras, OptimiseOptions(seed=SEED), before.exposures, official=False)
     gaussians, began = start, time.process_time()
     if run.steps:
-        (plan,) = plan_tto(run.steps, views=len(sample.views), gaussians=len(start), space="gaussians")
+        (plan,) = plan_tto(run.steps, views=len(views), gaussians=len(start), space="gaussians")
         gaussians = optimise_gaussians(
             start,
             target,
@@ -95,7 +97,7 @@ def further(photo_set: PhotoSet, start: Gaussians, sample: Sample, run: Run) -> 
         run.seed,
         len(gaussians),
         psnr=score(gaussians, sample.targets, sample.target_cameras).psnr,
-        psnr_inputs=target.psnr(gaussians, list(range(len(sample.views)))),
+        psnr_inputs=target.psnr(gaussians, list(range(len(views)))),
         cpu_seconds=seconds,
     )
 

@@ -6,7 +6,7 @@ Photos are ray-cast pictures of procedural rooms, so their depth is known. The w
 bricks or rough plaster, or plain, as in most homes. Every 4th photo is held out, and the cameras of all
 are found together. Each row is one run of the command: without depth maps, with maps like those of a phone's LiDAR
 (millimetres at a fifth of the photo's size, noise of 1 %), and with maps like those of a network (inverse depth of an
-unknown scale and shift for each photo, blurred). Scores are over grey, of held-out photos.
+unknown scale and shift for each photo, blurred). PSNR is over grey and SSIM over black, of held-out photos.
 """
 
 import argparse

@@ -1,6 +1,6 @@
 """The tables on the paper's protocol, one for each set, from what `querysplat eval` wrote.
 
-    python benchmarks/eval_table.py evaluation/ [--rows NAME ...] [--csv DIR]
+    python benchmarks/eval_table.py evaluation/results [--rows NAME ...] [--csv DIR]
 
 Figures are PSNR in dB / SSIM, as `querysplat eval` summarises them, of the cases of one set alone. Targets *apart*
 share nothing with the inputs: they have no verified matches with any of them. The paper's figures stand in the last

@@ -25,6 +25,7 @@ from querysplat_cli.model.checkpoints import load
 from querysplat_cli.pipeline.build import build_scene
 from querysplat_cli.reporting.view_scores import score
 from querysplat_cli.runtime.progress import silent
+from querysplat_cli.scene.pictures import linear_of_srgb
 from querysplat_cli.scene.views import Views
 
 
@@ -47,7 +48,7 @@ def exposed(views: Views, stops: float, random: torch.Generator) -> Views:
     gains = 2 ** (stops * (2 * torch.rand(len(views), 1, generator=random) - 1))
     balance = torch.exp(stops / 10 * torch.randn(len(views), 3, generator=random))
     images = views.images
-    linear = torch.where(images <= 0.04045, images / 12.92, ((images + 0.055) / 1.055) ** 2.4)
+    linear = torch.from_numpy(linear_of_srgb(images.numpy()))
     linear = (linear * (gains * balance)[:, :, None, None]).clamp(0, 1)
     photos = torch.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear.clamp_min(1e-6) ** (1 / 2.4) - 0.055)
     return replace(views, images=(photos * 255).round() / 255 if stops else images)

@@ -12,8 +12,8 @@ picture in the wrong place scores better than a sharp one. These rows are theref
 fitted"). Each held-out camera is fitted to the *feed-forward* scene, from the given camera and from one between the
 inputs. That favours the feed-forward scene, and all three scenes are scored with the same camera.
 
-Without a guard an optimisation takes as many steps as fit the time, here always 150, and nothing keeps what lies
-between the photos covered. Pruning is the default in both.
+Without a guard an optimisation takes as many steps as fit the time, here always 150 of the memories, and nothing keeps
+what lies between the photos covered. Pruning and dropout are the default in both.
 """
 
 from collections.abc import Iterator

@@ -4,9 +4,10 @@
 
 SOURCE is the `src` folder of another revision, e.g. of a git worktree. DATA is the folder of the photo sets, by default
 $QUERYSPLAT_DATA. Every 4th photo is held out; cameras come from one pass over all photos (joint). Each run starts with
-the scene that `reconstruct` makes by default, and takes the same steps in either revision, for each number of views a
-step. CPU seconds (user and system, all threads) are those of the steps; scores are not counted. The revisions take
-turns, so that both meet the same machine. `--passes` names a folder that keeps the scenes, too.
+the scene that `reconstruct` has by default before its own steps in Gaussian space, and takes the same steps in either
+revision, for each number of views a step. CPU seconds (user and system, all threads) are those of the steps; scores are
+not counted. The revisions take turns, so that both meet the same machine. `--passes` names a folder that keeps the
+scenes, too.
 """
 
 import argparse
@@ -90,9 +91,9 @@ def compare(options: argparse.Namespace, folder: Path) -> list[dict[str, Any]]:
     for chosen, sample in real_samples(options.data, options.sets, SIZE, folder):
         path = folder / f"{chosen.name.replace('/', '-')}-scene.pt"
         if not path.is_file():
-            adapted = build(model, sample).adapted
+            scene = build(model, sample)
             heldout = (sample.targets, sample.target_cameras)
-            keep_scene(path, adapted.gaussians, (sample.views, adapted.cameras), heldout)
+            keep_scene(path, scene.adapted.gaussians, (scene.posed.views, scene.adapted.cameras), heldout)
         for views in options.views:
             for steps in sorted({options.steps // 4, options.steps // 2, options.steps}):
                 for name, source in sources.items():

@@ -1,11 +1,13 @@
 """Write docs/licences.md: every package that an installation brings, its version, licence and home.
 
-    extras=heic,formats,mesh,cuda,weights,matching,tensorboard
+    extras=heic,formats,mesh,cuda,weights,matching,tensorboard,cluster,metrics
     pip install -c constraints.txt ".[$extras]" && python benchmarks/licences.py
 
-The facts are those of the installed packages. A package that is not installed keeps the row of the page before.
+The facts are those of the installed packages. A package that is not installed keeps the row of the page before, and so
+do those that it may need.
 """
 
+import argparse
 import re
 import tomllib
 from dataclasses import dataclass
@@ -126,10 +128,17 @@ def earlier() -> dict[str, Row]:
     return {normal(name): Row(name, version, licence, home, part) for name, home, version, licence, part in found}
 
 
+def rows(before: dict[str, Row]) -> list[Row]:
+    """Of the packages that are needed, and of those in `before` of which one that is not installed may need."""
+    needed = closure()
+    open_parts = {part for name, part in wanted().items() if find(name) is None}
+    kept = [each for name, each in before.items() if name not in needed and each.part in open_parts]
+    return [found for name, part in needed.items() if (found := row(name, part) or before.get(name))] + kept
+
+
 def main() -> None:
-    before = earlier()
-    rows = [found for name, part in closure().items() if (found := row(name, part) or before.get(name))]
-    table = sorted(rows, key=lambda each: (each.part != "base", each.part, each.package.lower()))
+    argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0]).parse_args()
+    table = sorted(rows(earlier()), key=lambda each: (each.part != "base", each.part, each.package.lower()))
     lines = [
         "| package | version | licence | brought by |",
         "| --- | --- | --- | --- |",

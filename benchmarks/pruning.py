@@ -5,7 +5,7 @@
 DATA is the folder of the photo sets, by default $QUERYSPLAT_DATA. Every 4th photo is held out, cameras are joint. Each
 set is optimised four times:
 
-- default: as by `reconstruct`, in feature space and for the automatic number of steps;
+- default: as by `reconstruct --quality draft`, in feature space and for the automatic number of steps;
 - a third stays: the same, but a third of the Gaussians are kept;
 - all stay: the same, but all Gaussians are kept;
 - every block: with a query for every block of 6 pixels, for the number of steps that is automatic there.
@@ -25,9 +25,8 @@ from querysplat_cli.model.checkpoints import load
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.reporting.view_scores import score
 from querysplat_cli.runtime.choices import Amount
-from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.training.passes import Sample
-from querysplat_cli.tto.optimise import TtoResult
+from querysplat_cli.tto.adapt import Adapted
 
 
 @dataclass(frozen=True)
@@ -44,20 +43,16 @@ class Row:
     ssim: float
 
 
-def cases(model: QuerySplat, sample: Sample) -> Iterator[tuple[str, int, Gaussians, TtoResult]]:
-    """Each case with its number of steps, its Gaussians, and its run."""
-    default = build(model, sample)
-    run, result = default.adapted.runs[0]
-    yield "default", run.settings.steps, default.adapted.gaussians, result
+def cases(model: QuerySplat, sample: Sample) -> Iterator[tuple[str, Adapted]]:
+    """Each case, and what it makes."""
+    default = build(model, sample, quality="draft")
+    yield "default", default.adapted
     assert default.prepared.anchors is not None
     third = default.prepared.anchors.opacities.numel() // 3
     amounts: dict[str, Amount] = {"a third stays": third, "all stay": "off"}
     for what, amount in amounts.items():
-        result = optimised_again(model, default, amount)
-        yield what, run.settings.steps, result.gaussians, result
-    finest = build(model, sample, queries=UNLIMITED)
-    run, result = finest.adapted.runs[0]
-    yield "every block", run.settings.steps, finest.adapted.gaussians, result
+        yield what, optimised_again(model, default, amount)
+    yield "every block", build(model, sample, quality="draft", queries=UNLIMITED).adapted
 
 
 def main() -> None:
@@ -69,10 +64,11 @@ def main() -> None:
     table = Table(formats)
     with folder_or_scratch(options.passes) as folder:
         for photo_set, sample in real_samples(options.data, options.sets, SIZE, folder):
-            for what, steps, gaussians, result in cases(model, sample):
+            for what, found in cases(model, sample):
+                (run, result), gaussians = found.runs[0], found.gaussians
                 quality = score(gaussians, sample.targets, sample.target_cameras)
-                seconds = result.history[-1].seconds
-                figures = what, steps, seconds, len(gaussians), quality.psnr, quality.ssim
+                cost = run.settings.steps, result.history[-1].seconds, len(gaussians)
+                figures = what, *cost, quality.psnr, quality.ssim
                 rows.append(Row(photo_set.name, photo_set.use, *figures))
                 table.add(photo_set.name, photo_set.use, *figures)
     write_json(options.json, rows=rows)

@@ -4,8 +4,8 @@
     python benchmarks/stereo_pairs.py unzipped/stereodemo/datasets/oak-d [--matcher sift] [--weights DIR] [--json FILE]
 
 The folder has NAME_left.png and NAME_right.png, and stereodemo_calibration.json with the focal length and the distance
-of the cameras. The pairs of that package (MIT) are rooms in grey, 640 × 480 pixels, from places 75 mm apart; nothing
-was tuned on them. Columns are those of `benchmarks/pairs.py`.
+of the cameras. The pairs of that package (MIT) are rooms in grey, 640 × 480 pixels, from places 75 mm apart; one
+choice was made on them (docs/benchmarks.md). Columns are those of `benchmarks/pairs.py`.
 """
 
 import argparse

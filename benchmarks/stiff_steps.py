@@ -5,6 +5,7 @@
 NOTE describes the experiment. docs/stability.md holds the table.
 """
 
+import argparse
 from dataclasses import dataclass, fields, replace
 
 import torch
@@ -140,4 +141,5 @@ def table(rows: list[Row]) -> str:
 
 
 if __name__ == "__main__":
+    argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0]).parse_args()
     print(table(measured()))

@@ -3,38 +3,37 @@
     python benchmarks/tto_curves.py [DATA] [--passes DIR] [--figure docs/images/tto_curves.svg] [--json FILE]
 
 DATA is the folder of the photo sets, by default $QUERYSPLAT_DATA. Every 4th photo is held out; cameras come from one
-pass over all photos (joint). Each curve is one run as `reconstruct` makes it, pruning included, for the automatic
-number of steps unless --steps is given; its cameras stay as they were found. The run is scored on the way, and the
-clock stands still meanwhile. Seconds begin with the feed-forward scene.
+pass over all photos (joint). Each curve is one run as `reconstruct --quality draft --tto-space SPACE` makes it, pruning
+included, for the automatic number of steps unless --steps is given; its cameras stay as they were found. The run is
+scored on the way, and the clock stands still meanwhile. Seconds begin with the feed-forward scene.
 """
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, get_args
 
 import torch
 
 from common.arguments import PhotoParser, folder_or_scratch
+from common.builds import settings
 from common.output import Table, write_json
 from common.photo_sets import PhotoSet
 from common.samples import SEED, SIZE, posed, real_samples
 from querysplat_cli.model.checkpoints import load
 from querysplat_cli.model.querysplat import QuerySplat
+from querysplat_cli.pipeline.optimise import optimise_start
+from querysplat_cli.pipeline.start import SceneStart, make_start
 from querysplat_cli.prune.gaussians import target_count
-from querysplat_cli.queries.prepare import prepare
 from querysplat_cli.reporting.view_scores import score
 from querysplat_cli.runtime.choices import Space
 from querysplat_cli.runtime.figures import new_figure, save_figure
+from querysplat_cli.runtime.progress import StageProgress, Stages, silent
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.training.passes import Sample
-from querysplat_cli.tto.adapt import adapt
-from querysplat_cli.tto.features import Start, gaussians_of
+from querysplat_cli.tto.features import Start
 from querysplat_cli.tto.options import OptimiseOptions
 from querysplat_cli.tto.plan import TtoRun, plan_tto
-from querysplat_cli.tto.policy import TTO_POLICY
-from querysplat_cli.tto.rendering_loss import LossAndGradient, RenderingLoss
 
 SCORED = (0.1, 0.2, 0.35, 0.5, 0.75)
 """Shares of the steps after which a run is scored. It is also scored at its start and at its end."""
@@ -68,47 +67,43 @@ class Watch:
         self.points.append({"step": self._step, "seconds": seconds, "psnr": psnr, "gaussians": len(gaussians)})
         self._paused += time.perf_counter() - now
 
+    def look(self, gaussians: Gaussians, *_: object) -> None:
+        """The Gaussians of a step, as `StageProgress` hands them on."""
+        self.before_step(gaussians)
 
-@dataclass(frozen=True)
-class WatchedLoss(RenderingLoss):
-    """A loss that hands the Gaussians of every step to a watch."""
-
-    watch: Watch = field(kw_only=True)
-
-    def value_and_gradient(self, gaussians: Gaussians, chosen: list[int]) -> LossAndGradient:
-        self.watch.before_step(gaussians.detach())
-        return super().value_and_gradient(gaussians, chosen)
+    def listen(self, stage: str, text: str, fraction: float) -> None:
+        pass
 
 
-def curve(model: QuerySplat, start: Start, sample: Sample, plan: tuple[TtoRun, ...]) -> list[Point]:
+def curve(model: QuerySplat, begun: SceneStart, sample: Sample, plan: tuple[TtoRun, ...]) -> list[Point]:
     """Points of one run; the first is the feed-forward scene."""
+    queries, photos = begun.queries, (begun.posed.views, begun.posed.cameras)
+    start = Start(queries.variables.map(torch.Tensor.float), queries.anchors)
+
+    def made(runs: tuple[TtoRun, ...], progress: StageProgress) -> Gaussians:
+        options = OptimiseOptions(prune="auto", seed=SEED)
+        return optimise_start(model, start, photos, runs, options, progress, begun.exposures).gaussians
 
     def measure(gaussians: Gaussians) -> float:
         return score(gaussians, sample.targets, sample.target_cameras).psnr
 
-    first = gaussians_of(model, start)
+    first = made(plan_tto(0, views=len(photos[0]), gaussians=0), StageProgress(silent, None))
     watch = Watch(sum(run.settings.steps for run in plan), measure)
     watch.point(first)
-    solid = RenderingLoss.for_solid_scenes(sample.views, sample.cameras, torch.Generator().manual_seed(SEED))
-    target = WatchedLoss(**vars(solid), watch=watch)
-    adapted = adapt(model, start, target, plan, OptimiseOptions(prune="auto", seed=SEED))
-    watch.point(adapted.gaussians)
+    watch.point(made(plan, StageProgress(silent, watch)))
     return watch.points
 
 
 def curves(model: QuerySplat, sample: Sample, steps: int | None) -> dict[str, list[Point]]:
     """The curve of each space."""
-    prepared = prepare(
-        model, posed(sample), sample.geometry, queries=None, soft_query_limit=TTO_POLICY.queries, target="kv"
-    )
-    assert prepared.anchors is not None
-    start = Start(prepared.variables.map(torch.Tensor.float), prepared.anchors, finest=sample.cameras)
-    count = prepared.anchors.opacities.numel()
+    begun = make_start(posed(sample), sample.geometry, model, settings(), Stages())
+    assert begun.queries.anchors is not None
+    count = begun.queries.anchors.opacities.numel()
     kept = target_count(count, "auto", sample.cameras)
     found = {}
     for space in get_args(Space):
         plan = plan_tto(steps, views=len(sample.views), gaussians=count, target_count=kept, space=space)
-        found[space] = curve(model, start, sample, plan)
+        found[space] = curve(model, begun, sample, plan)
     return found
 
 

@@ -10,6 +10,7 @@ photos that the JSON file has are not measured again without --again.
 """
 
 import json
+import sys
 from pathlib import Path
 from statistics import fmean
 from typing import Any

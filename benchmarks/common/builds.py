@@ -10,14 +10,15 @@ from common.samples import SEED, posed
 from querysplat_cli.model.memories import Features, Memories
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.pipeline.build import BuiltScene, build_scene
+from querysplat_cli.pipeline.optimise import optimise_start
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.runtime.choices import Amount
+from querysplat_cli.runtime.progress import StageProgress, silent
+from querysplat_cli.scene.exposures import Exposures
 from querysplat_cli.training.passes import Sample
-from querysplat_cli.tto.features import Start, optimise_memories
-from querysplat_cli.tto.optimise import TtoResult
-from querysplat_cli.tto.options import Callbacks
-from querysplat_cli.tto.pruning import pruning_to
-from querysplat_cli.tto.rendering_loss import RenderingLoss
+from querysplat_cli.tto.adapt import Adapted
+from querysplat_cli.tto.features import Start
+from querysplat_cli.tto.options import OptimiseOptions
 
 UNLIMITED = 10**9
 """As a limit of queries: more than any photos need, so that a query stands for every smallest block."""
@@ -41,15 +42,18 @@ def start_of(scene: BuiltScene) -> Start[Memories | Features]:
     return Start(scene.prepared.variables.map(torch.Tensor.float), scene.prepared.anchors)
 
 
-def optimised_again(model: QuerySplat, scene: BuiltScene, prune: Amount, **changes: Any) -> TtoResult:
-    """The same queries, optimised with `changes` to the settings of the scene's run, and pruned on the way."""
-    views = scene.posed.views
+def optimised_again(model: QuerySplat, scene: BuiltScene, prune: Amount, **changes: Any) -> Adapted:
+    """The same queries and colour transforms, optimised with `changes` to the settings of the scene's run.
+
+    They are pruned on the way. With `prune` "off" all SH bands stay, too.
+    """
     run, _ = scene.adapted.runs[0]
-    return optimise_memories(
-        model,
-        replace(start_of(scene), finest=scene.posed.cameras),
-        RenderingLoss.for_solid_scenes(views, scene.posed.cameras, torch.Generator().manual_seed(SEED)),
-        replace(run.settings, **changes),
-        generator=torch.Generator().manual_seed(SEED),
-        callbacks=Callbacks(prune=pruning_to(prune, len(views))),
-    )
+    plan = (replace(run, settings=replace(run.settings, **changes)),)
+    options = OptimiseOptions(prune=prune, keep_all=prune == "off", seed=SEED)
+    photos, progress = (scene.posed.views, scene.posed.cameras), StageProgress(silent, None)
+    return optimise_start(model, start_of(scene), photos, plan, options, progress, first_exposures(scene))
+
+
+def first_exposures(scene: BuiltScene) -> Exposures | None:
+    """The colour transforms of the photos before optimisation; None where the scene has none."""
+    return scene.colours.exposures if scene.colours and not scene.colours.agree else None

@@ -1,12 +1,18 @@
-"""The parts of the program of quality against seconds that take no minutes: its clock and its figure."""
+"""The parts of the program of quality against seconds that take no minutes: its clock, its figure and its runs."""
 
 from pathlib import Path
 
 import pytest
 import torch
 
+import densify
 import tto_curves
+from common import builds
+from common.photo_sets import PHOTO_SETS
+from querysplat_cli.model.querysplat import QuerySplat
+from querysplat_cli.reporting.view_scores import score
 from querysplat_cli.scene.gaussians import Gaussians
+from training_scenes import TINY, sample
 
 
 def some(count: int) -> Gaussians:
@@ -43,3 +49,35 @@ def test_sets_with_and_without_quoted_curves_are_drawn(tmp_path: Path) -> None:
     ]
     tto_curves.draw(rows, tmp_path / "curves.svg")
     assert "<svg" in (tmp_path / "curves.svg").read_text()
+
+
+@pytest.mark.slow
+def test_a_curve_ends_with_the_scene_of_reconstruct() -> None:
+    """Photos of other exposures get transforms, and Gaussians in between are handed to the clock."""
+    torch.manual_seed(0)
+    model, given = QuerySplat(TINY).requires_grad_(False), sample(1, inputs=3)
+    given.views.images[1] *= 0.5
+    points = tto_curves.curves(model, given, 10)["features"]
+    scene = builds.build(model, given, tto=10).gaussians
+    assert [point["step"] for point in points] == [0, 1, 2, 4, 5, 8, 10]
+    assert points[-1]["psnr"] == score(scene, given.targets, given.target_cameras).psnr
+    assert points[-1]["gaussians"] == len(scene)
+
+
+@pytest.mark.slow
+def test_gaussians_are_split_with_the_transforms_of_the_photos(monkeypatch: pytest.MonkeyPatch) -> None:
+    torch.manual_seed(0)
+    model, given = QuerySplat(TINY).requires_grad_(False), sample(1, inputs=3)
+    given.views.images[1] *= 0.5
+    optimise, transforms = densify.optimise_gaussians, []
+    monkeypatch.setattr(
+        densify,
+        "optimise_gaussians",
+        lambda start, target, *rest, **options: (
+            transforms.append(target.exposures) or optimise(start, target, *rest, **options)
+        ),
+    )
+    start = builds.build(model, given, tto=2)
+    densify.further(PHOTO_SETS["fox"], start, given, densify.Run(2, 1.0, 1))
+    assert start.exposures
+    assert transforms != [None]

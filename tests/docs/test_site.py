@@ -44,6 +44,17 @@ def test_every_dependency_is_listed_with_its_licence(name: str) -> None:
         assert licences.row(name, row.part) == row
 
 
+def test_packages_of_an_extra_that_is_not_installed_keep_their_rows(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What kornia needs is not known without kornia."""
+    find = licences.find
+    monkeypatch.setattr(licences, "find", lambda name: None if name.startswith("kornia") else find(name))
+    before = {name: licences.Row(name, "1", "MIT", "https://", "matching") for name in ("kornia", "kornia-rs")}
+    gone = licences.Row("no-longer-needed", "1", "MIT", "https://", "base")
+    kept = licences.rows({**before, "no-longer-needed": gone})
+    assert [row for row in kept if row.part == "matching"] == list(before.values())
+    assert gone not in kept
+
+
 def test_the_version_stands_in_one_place() -> None:
     """In pyproject.toml; the package asks its own metadata. An old installation of a checkout is not looked at."""
     stated = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
