@@ -66,7 +66,8 @@ def scenes(sample: Sample, models: list[str], steps: list[int]) -> Iterator[tupl
         model = load(name).requires_grad_(False)
         scene = build(model, sample, tto=0, prune="off", queries=UNLIMITED)
         for count in steps:
-            yield name, count, optimised_again(model, scene, "off", steps=count, keep_cover=False).gaussians
+            again = optimised_again(model, scene, "off", steps=count, keep_cover=False) if count else scene
+            yield name, count, again.gaussians
 
 
 def show_means(table: Table, found: list[Row]) -> None:
