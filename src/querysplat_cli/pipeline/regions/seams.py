@@ -107,7 +107,11 @@ def smoothed(
         views_per_step=1,
     )
     generator = torch.Generator().manual_seed(seed)
-    target = RenderingLoss.for_solid_scenes(views, cameras, generator)
+    target = replace(
+        RenderingLoss.for_solid_scenes(views, cameras, generator),
+        confirmed=some.confirmed_pictures(),
+        ssim_weight=FULL_SIZE_POLICY.ssim_weight,
+    )
     taken = iter(range(1, settings.steps + 1))
     callbacks = Callbacks(lambda step: progress(f"{step.psnr:.2f} dB", next(taken, settings.steps) / settings.steps))
     result = optimise_gaussians(gaussians[shown], target, settings, generator=generator, callbacks=callbacks)
