@@ -13,6 +13,7 @@ from querysplat_cli.splat.blending_weights import three_blending_weights
 from querysplat_cli.tto.policy import TTO_POLICY
 from querysplat_cli.tto.rendering_loss import RenderingLoss
 
+
 @dataclass(frozen=True)
 class Densified:
     """More Gaussians. `origin` is for each the row that it was made of; one that was split has two, one that went none.
