@@ -13,7 +13,6 @@ from querysplat_cli.scene.rotations import quaternion_to_matrix
 from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.render import render
 from querysplat_cli.tto.densify import Share, densify, split
-from querysplat_cli.tto.full_size_policy import FULL_SIZE_POLICY
 from querysplat_cli.tto.gaussians import optimise_gaussians
 from querysplat_cli.tto.optimise import TtoResult
 from querysplat_cli.tto.options import Callbacks, TtoSettings
@@ -21,8 +20,6 @@ from querysplat_cli.tto.policy import TTO_POLICY
 from querysplat_cli.tto.rendering_loss import RenderingLoss
 
 SIZE = 48
-DISTANCE = TTO_POLICY.split_distance
-DISTANCES = (DISTANCE, FULL_SIZE_POLICY.later_split_distance)
 
 
 def cameras(count: int, shift: float = 0.0) -> Cameras:
@@ -54,19 +51,17 @@ def covariance(some: Gaussians) -> torch.Tensor:
     return axes @ axes.mT
 
 
-@pytest.mark.parametrize("distance", DISTANCES)
-def test_two_halves_have_the_centre_and_covariance_of_the_whole(distance: float) -> None:
+def test_two_halves_have_the_centre_and_covariance_of_the_whole() -> None:
     whole = ellipsoids(20, 0.7)
-    one, other = split(whole, distance)
+    one, other = split(whole)
     torch.testing.assert_close((one.means + other.means) / 2, whole.means)
     aside = (one.means - other.means)[:, :, None] / 2
     torch.testing.assert_close(covariance(one) + aside @ aside.mT, covariance(whole))
     torch.testing.assert_close(one.sh, whole.sh)
 
 
-@pytest.mark.parametrize("distance", DISTANCES)
 @pytest.mark.parametrize("opacity", [0.01, 0.5, 0.99])
-def test_two_halves_cover_as_much_as_the_whole(opacity: float, distance: float) -> None:
+def test_two_halves_cover_as_much_as_the_whole(opacity: float) -> None:
     """The integral of α = 1 − (1 − α₁)(1 − α₂) over the plane that the longest axis lies in."""
     whole = replace(ellipsoids(1, opacity), quats=torch.tensor([[1.0, 0, 0, 0]]).double())
     whole = replace(whole, means=torch.zeros(1, 3).double(), scales=torch.tensor([[2.0, 1.0, 0.5]]).double())
@@ -76,16 +71,13 @@ def test_two_halves_cover_as_much_as_the_whole(opacity: float, distance: float) 
     def alpha(some: Gaussians) -> torch.Tensor:
         return some.opacities * torch.exp(-0.5 * ((points - some.means[0, :2]) / some.scales[0, :2]).square().sum(-1))
 
-    one, other = split(whole, distance)
+    one, other = split(whole)
     together = 1 - (1 - alpha(one)) * (1 - alpha(other))
     assert float(together.sum() * (line[1] - line[0]) ** 2) == pytest.approx(opacity * 2 * math.pi * 2, rel=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("distance", "opacity", "most"),
-    [(0.5, 0.1, 0.05), (0.5, 0.5, 0.09), (0.5, 0.9, 0.19), (0.7, 0.1, 0.11), (0.7, 0.5, 0.14), (0.7, 0.9, 0.17)],
-)
-def test_splitting_hardly_changes_the_picture(distance: float, opacity: float, most: float) -> None:
+@pytest.mark.parametrize(("opacity", "most"), [(0.1, 0.05), (0.5, 0.09), (0.9, 0.19)])
+def test_splitting_hardly_changes_the_picture(opacity: float, most: float) -> None:
     whole = Gaussians(
         means=torch.tensor([[0.0, 0.1, 2.0]]).double(),
         quats=torch.tensor([[1.0, 0.2, 0.1, 0.4]]).double(),
@@ -93,7 +85,7 @@ def test_splitting_hardly_changes_the_picture(distance: float, opacity: float, m
         opacities=torch.tensor([opacity]).double(),
         sh=torch.ones(1, 1, 3).double(),
     )
-    one, other = split(whole, distance)
+    one, other = split(whole)
     halves = Gaussians(*(torch.cat(pair) for pair in zip(one.tensors(), other.tensors(), strict=True)))
     before, after = (render(some, cameras(1).to(torch.float64)).colour for some in (whole, halves))
     assert float((after - before).norm() / before.norm()) < most
@@ -135,14 +127,14 @@ def test_gaussians_of_a_wrong_colour_are_split() -> None:
     wrong = torch.tensor([8, 21])
     sh = some.sh.clone()
     sh[wrong] += 1.0
-    more = densify(replace(some, sh=sh), target, 38, DISTANCE)
+    more = densify(replace(some, sh=sh), target, 38)
     assert len(more.gaussians) == 38
     assert more.origin.unique().equal(torch.arange(36))
     assert (more.origin.bincount() == 2).nonzero()[:, 0].equal(wrong)
     once = more.origin.bincount()[more.origin] == 1
     torch.testing.assert_close(more.gaussians.means[once], some.means[more.origin[once]])
-    assert len(densify(some, target, 1000, DISTANCE).gaussians) == 72
-    assert len(densify(some, target, 5, DISTANCE).gaussians) == 36
+    assert len(densify(some, target, 1000).gaussians) == 72
+    assert len(densify(some, target, 5).gaussians) == 36
 
 
 def test_faint_gaussians_of_guessed_pixels_go_and_others_are_split_instead() -> None:
@@ -154,7 +146,7 @@ def test_faint_gaussians_of_guessed_pixels_go_and_others_are_split_instead() -> 
     right[:, :, SIZE // 2 :] = True
     for confirmed, gone in ((right, [0, 30]), (~right, [5]), (None, [])):
         target = RenderingLoss(photos, cameras(3), confirmed=None if confirmed is None else tuple(confirmed))
-        more = densify(replace(some, opacities=opacities), target, 40, DISTANCE)
+        more = densify(replace(some, opacities=opacities), target, 40)
         assert len(more.gaussians) == 40
         assert sorted(set(range(36)) - set(more.origin.tolist())) == gone
 
@@ -165,7 +157,7 @@ def test_faint_gaussians_stay_where_they_are_what_the_photos_show() -> None:
     photos, guesses = views(render(some, cameras(3)).colour), torch.zeros(3, SIZE, SIZE, dtype=torch.bool)
     target = RenderingLoss(photos, cameras(3), confirmed=tuple(guesses))
     weight = Share.of(some, target).weight / Share.of(some, target).weight.sum()
-    more = densify(some, target, 40, DISTANCE)
+    more = densify(some, target, 40)
     gone = sorted(set(range(36)) - set(more.origin.tolist()))
     assert len(more.gaussians) == 40
     assert 0 < float(weight[gone].sum()) <= TTO_POLICY.faint_weight

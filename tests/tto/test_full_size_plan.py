@@ -25,12 +25,6 @@ def test_a_stage_that_goes_on_starts_at_a_lower_rate() -> None:
     assert only.settings.lr == first
 
 
-def test_halves_lie_farther_apart_in_a_stage_that_goes_on() -> None:
-    stages = plan_full_size("high", LARGE, 10_000).stages + plan_full_size("standard", LARGE, 10_000).stages
-    usual, later = TTO_POLICY.split_distance, FULL_SIZE_POLICY.later_split_distance
-    assert [stage.settings.split_distance for stage in stages] == [usual, later, usual]
-
-
 @pytest.mark.parametrize("level", ["standard", "high", "max"])
 def test_large_photos_of_long_plans_are_seen_from_farther_away_too(level: FullSizeLevel) -> None:
     large, small = (plan_full_size(level, photos, 40_000) for photos in (LARGE, replace(LARGE, height=360, width=480)))

@@ -13,6 +13,9 @@ from querysplat_cli.splat.blending_weights import three_blending_weights
 from querysplat_cli.tto.policy import TTO_POLICY
 from querysplat_cli.tto.rendering_loss import RenderingLoss
 
+SPLIT_DISTANCE = 0.5
+"""From the centre of a Gaussian to the centres of its two parts, in standard deviations of its longest axis."""
+
 
 @dataclass(frozen=True)
 class Densified:
@@ -56,7 +59,7 @@ class Share:
         return cls(error_of_each, weight, guessed / weight.clamp_min(1e-12))
 
 
-def densify(gaussians: Gaussians, target: RenderingLoss, count: int, distance: float) -> Densified:
+def densify(gaussians: Gaussians, target: RenderingLoss, count: int) -> Densified:
     """Split the Gaussians of the largest `Share.error`, each once, until there are `count` or all were split.
 
     Before that go those that are faint and hardly needed (`_needless`).
@@ -66,26 +69,26 @@ def densify(gaussians: Gaussians, target: RenderingLoss, count: int, distance: f
     order = left[share.error[left].argsort(descending=True, stable=True)]
     chosen, others = order.tensor_split([max(0, count - len(left))])
     others = others.sort().values
-    parts = gaussians[others], *split(gaussians[chosen], distance)
+    parts = gaussians[others], *split(gaussians[chosen])
     whole = {field.name: torch.cat([getattr(part, field.name) for part in parts]) for field in fields(gaussians)}
     origin = torch.cat([others, chosen, chosen])
     return Densified(Gaussians(**whole), origin, share.guessed[origin])
 
 
-def split(gaussians: Gaussians, distance: float) -> tuple[Gaussians, Gaussians]:
-    """Two halves of each Gaussian along its longest axis, `distance` standard deviations σ to either side.
+def split(gaussians: Gaussians) -> tuple[Gaussians, Gaussians]:
+    """Two halves of each Gaussian along its longest axis, `SPLIT_DISTANCE` standard deviations σ to either side.
 
-    With d for `distance`, the halves together keep the centre and the covariance when their standard deviation along
-    the axis is w·σ with w² = 1 − d². As in 3DGS-MCMC (Kheradmand 2024), they also keep the integral of α over a
+    With d for `SPLIT_DISTANCE`, the halves together keep the centre and the covariance when their standard deviation
+    along the axis is w·σ with w² = 1 − d². As in 3DGS-MCMC (Kheradmand 2024), they also keep the integral of α over a
     picture that shows the axis from the side. Their opacity p then solves 2wp − a·p² = opacity, where
     a = w·exp(−d²/w²)/2 is what their overlap takes.
     """
     longest = gaussians.scales.argmax(1)
     rows = torch.arange(len(longest), device=longest.device)
-    narrower = math.sqrt(1 - distance**2)
-    overlap = narrower * math.exp(-((distance / narrower) ** 2)) / 2
+    narrower = math.sqrt(1 - SPLIT_DISTANCE**2)
+    overlap = narrower * math.exp(-((SPLIT_DISTANCE / narrower) ** 2)) / 2
     axis = quaternion_to_matrix(gaussians.quats)[rows, :, longest]
-    aside = distance * gaussians.scales[rows, longest, None] * axis
+    aside = SPLIT_DISTANCE * gaussians.scales[rows, longest, None] * axis
     scales = gaussians.scales.clone()
     scales[rows, longest] *= narrower
     opacities = (narrower - (narrower**2 - overlap * gaussians.opacities).sqrt()) / overlap

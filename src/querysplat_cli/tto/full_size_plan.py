@@ -119,7 +119,6 @@ def plan_full_size(
             seconds=limit.seconds * part if limit else None,
             keep_cover=1 < photos.count <= TTO_POLICY.few_views,
             densify_after=policy.splits,
-            split_distance=policy.later_split_distance if stages else TTO_POLICY.split_distance,
             dropout=policy.dropout if in_time > policy.dropout_passes * photos.count else 0.0,
         )
         stages.append(FullSizeStage(round(size * share), settings, more, halved))

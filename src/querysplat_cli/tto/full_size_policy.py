@@ -119,10 +119,6 @@ class FullSizePolicy:
     those of 480 pixels instead of 448 cost 0.25 dB."""
     splits: tuple[float, ...] = (0.05, 0.2, 0.35, 0.5)
     """Shares of the steps of a stage after which Gaussians are split. The other steps adapt them."""
-    later_split_distance: float = 0.7
-    """In a stage that follows a smaller one, halves lie so far aside, in standard deviations. They overlap less and are
-    less transparent. Held out, the sets that are tuned on gain 0.12 dB and 0.0023 of SSIM on the mean; in the first
-    stage, or in the only one of `standard`, they lose (docs/tried.md)."""
     most_passes: int = 100
     """How often the plan shows each photo at most. Up to `TtoPolicy.few_views` photos have `TtoPolicy.passes`."""
     fewest_passes: float = 12.0

@@ -78,8 +78,7 @@ def optimise_gaussians(
         assert densify_to
         # What the end would do to far and giant Gaussians is done now, while the others can adapt to it.
         some = drawn_in(some, target.finest) if target.finest else some
-        count = round(len(some) * (densify_to / len(some)) ** (1 / rounds))
-        more = densify(some, target, count, settings.split_distance)
+        more = densify(some, target, round(len(some) * (densify_to / len(some)) ** (1 / rounds)))
         return Denser(
             Changes.none(more.gaussians),
             bounding(partial(changed, more.gaussians), target.finest),

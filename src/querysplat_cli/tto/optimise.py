@@ -66,9 +66,9 @@ def optimise(
     Where the same views then show the harm of an earlier step, the run goes back to before they were last seen well.
     Pruning decides which Gaussians the rest of the run goes on with. `refine_cameras` corrects the cameras, too.
     Exposures of the target follow, but not to a step that is undone, and go back to where they were unless the scene
-    becomes better. Ctrl-C ends the run,
-    which keeps what was reached; before the first step, the losses are those of one view. Splitting takes the place of
-    a step. It cannot go with pruning, which marks rows of the Gaussians that there were at the start.
+    becomes better. Ctrl-C ends the run, which keeps what was reached; before the first step, the losses are those of
+    one view. Splitting takes the place of a step. It cannot go with pruning, which marks rows of the Gaussians that
+    there were at the start.
     """
     assert not (callbacks.prune and start.densify)
     views = list(range(len(target.views)))

@@ -56,7 +56,6 @@ class TtoSettings:
     keep_cover: whether what the scene covers between the views must stay covered.
     dropout: share of the Gaussians that is left out of a step at the end of the run; it rises from 0 along the way.
     densify_after: shares of the steps after which Gaussians are split, where they are.
-    split_distance: that of the halves (`tto/densify.py`).
     """
 
     steps: int
@@ -67,7 +66,6 @@ class TtoSettings:
     keep_cover: bool = False
     dropout: float = 0.0
     densify_after: tuple[float, ...] = TTO_POLICY.densify_after
-    split_distance: float = TTO_POLICY.split_distance
 
 
 @dataclass(frozen=True)

@@ -90,9 +90,6 @@ class TtoPolicy:
     """Share of the steps after which Gaussians are pruned. The other steps make up for those that were removed."""
     densify_after: tuple[float, ...] = (1 / 6, 1 / 3, 1 / 2)
     """Shares of the steps after which Gaussians are split. Gaussians that are split later gain too little."""
-    split_distance: float = 0.5
-    """From the centre of a Gaussian that is split to those of its halves, in standard deviations of its longest axis,
-    but for `FullSizePolicy.later_split_distance`."""
     coverage_weight: float = 0.5
     """Weight of a lost pixel in the coverage loss, relative to the photometric loss of one pixel."""
     cameras_between: int = 3
