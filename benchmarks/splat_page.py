@@ -15,9 +15,9 @@ PIECE = Scale(3125, 128)
 READING = """The two cut-offs are those of 3DGS, so that a scene looks the same in every viewer. The curves support
 them. At α = 1/255 the largest error is about one step of 8 bits. A coarser cut-off doubles the error and saves a few
 hundredths of the time. A finer one costs as little and shows in no picture. An earlier stop saves next to nothing until
-it is visible, and a later stop changes nothing. The tile is the fastest of those tried, and changes no pixel. float32
-adds little error: against the same cut-offs in float64 it is the "colour error" of the first table, a ten-thousandth of
-the error of the α cut-off."""
+it is visible, and a later stop changes nothing. The tile changes no pixel, and neighbouring sizes differ by no more
+than repeated runs do. float32 adds little error: against the same cut-offs in float64 it is the "colour error" of the
+first table, a ten-thousandth of the error of the α cut-off."""
 Row = dict[str, Any]
 TEMPLATE = """# The splatter's time, memory and error
 
