@@ -6,8 +6,8 @@ DATA is the folder of the photo sets, by default $QUERYSPLAT_DATA. Every 4th pho
 two colours are drawn over about half of the others, never twice at the same place. Each row is one run of the command
 with joint cameras: the photos as they are, those with people and `--transients off`, those with people as usual, and
 those with people and masks of them. "Found" is the share of the people's pixels that was left out, and "beside" the
-share of all other pixels of the input photos. PSNR is over grey and SSIM over black, of
-held-out photos, which show nobody.
+share of all other pixels of the input photos. PSNR is over grey and SSIM over black, of held-out photos, which show
+nobody.
 """
 
 from dataclasses import dataclass

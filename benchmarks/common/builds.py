@@ -14,7 +14,6 @@ from querysplat_cli.pipeline.optimise import optimise_start
 from querysplat_cli.pipeline.settings import ReconstructSettings
 from querysplat_cli.runtime.choices import Amount
 from querysplat_cli.runtime.progress import StageProgress, silent
-from querysplat_cli.scene.exposures import Exposures
 from querysplat_cli.training.passes import Sample
 from querysplat_cli.tto.adapt import Adapted
 from querysplat_cli.tto.features import Start
@@ -51,9 +50,5 @@ def optimised_again(model: QuerySplat, scene: BuiltScene, prune: Amount, **chang
     plan = (replace(run, settings=replace(run.settings, **changes)),)
     options = OptimiseOptions(prune=prune, keep_all=prune == "off", seed=SEED)
     photos, progress = (scene.posed.views, scene.posed.cameras), StageProgress(silent, None)
-    return optimise_start(model, start_of(scene), photos, plan, options, progress, first_exposures(scene))
-
-
-def first_exposures(scene: BuiltScene) -> Exposures | None:
-    """The colour transforms of the photos before optimisation; None where the scene has none."""
-    return scene.colours.exposures if scene.colours and not scene.colours.agree else None
+    exposures = scene.colours.needed if scene.colours else None
+    return optimise_start(model, start_of(scene), photos, plan, options, progress, exposures)

@@ -31,7 +31,7 @@ class SceneStart:
     @property
     def exposures(self) -> Exposures | None:
         """The colour transforms of views that disagree."""
-        return self.colours.exposures if self.colours and not self.colours.agree else None
+        return self.colours.needed if self.colours else None
 
 
 def make_start(

@@ -65,9 +65,11 @@ def _check_owners(folder: Path, photos: Sequence[Photo]) -> None:
     """Raise QuerySplatError where photos in several folders have one map: it shows what one of them shows."""
     owners: dict[Path, Photo] = {}
     for photo in photos:
-        other = owners.setdefault(photo.depth_map, photo) if photo.depth_map else photo
+        if photo.depth_map is None:
+            continue
+        other = owners.setdefault(photo.depth_map, photo)
         if other.path.parent != photo.path.parent:
-            file = (photo.depth_map or folder).relative_to(folder.absolute())
+            file = photo.depth_map.relative_to(folder.absolute())
             why = f"--depth-maps {folder}: {file} may belong to {other.name} or to {photo.name}"
             raise QuerySplatError(why, "Put the maps into folders with the names of those of the photos.")
 

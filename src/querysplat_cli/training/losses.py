@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.cameras import Cameras, distances
 from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.lpips import Perceptual, perceptual_loss
 from querysplat_cli.splat.similarity import photometric_loss
@@ -55,14 +55,8 @@ def chamfer(a: Float[Tensor, "n 3"], b: Float[Tensor, "m 3"]) -> Float[Tensor, "
 @torch.no_grad()
 def nearest(points: Float[Tensor, "n 3"], among: Float[Tensor, "m 3"]) -> Int[Tensor, "n"]:
     """The number of the nearest of `among` for each point."""
-    # Differences rather than inner products, which lose all digits where points are far from the origin.
     at_once = max(1, CHAMFER_PAIRS // len(among))
-    return torch.cat(
-        [
-            torch.cdist(some, among, compute_mode="donot_use_mm_for_euclid_dist").argmin(1)
-            for some in points.split(at_once)
-        ]
-    )
+    return torch.cat([distances(some, among).argmin(1) for some in points.split(at_once)])
 
 
 def depth_points(

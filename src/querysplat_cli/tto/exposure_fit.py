@@ -33,6 +33,11 @@ class PhotoColours:
         """Whether the scene can show the photos without transforms."""
         return self.disagreement < EXPOSURE_POLICY.disagreement
 
+    @property
+    def needed(self) -> Exposures | None:
+        """The transforms; None where the scene can do without."""
+        return None if self.agree else self.exposures
+
 
 def compare_photos(views: Views, cameras: Cameras, geometry: Geometry) -> PhotoColours:
     """Fit the transforms to the colours of points that several views show."""

@@ -86,8 +86,7 @@ def optimise_full_size(
         if target is None or size != stage.max_size:
             target = None  # the smaller pictures make room for the larger ones
             views, cameras = views_at(stage.max_size)
-            solid = RenderingLoss.for_solid_scenes(views, cameras, generator, refitted)
-            target = replace(solid, confirmed=facts.confirmed, ssim_weight=FULL_SIZE_POLICY.ssim_weight)
+            target = full_size_loss(views, cameras, facts.confirmed, generator, refitted)
             size = stage.max_size
         target = replace(target, halved=stage.halved)
         start = runs[-1][1].gaussians if runs else gaussians
@@ -117,6 +116,18 @@ def optimise_full_size(
     stages = [(stage, result) for stage, result in runs[: len(plan.stages)] if result.history]
     not_kept = tuple(stage.max_size for stage, result in stages if not result.loss_after < result.loss_before)
     return FullSizeResult(sharp, tuple(runs), ended, refitted.current if refitted else None, not_kept)
+
+
+def full_size_loss(
+    views: Views,
+    cameras: Cameras,
+    confirmed: tuple[Bool[Tensor, "_ _"], ...] | None,
+    generator: torch.Generator,
+    exposures: RefittedExposures | None = None,
+) -> RenderingLoss:
+    """The loss of photos at a large size. `confirmed` is that of `PhotoFacts`."""
+    solid = RenderingLoss.for_solid_scenes(views, cameras, generator, exposures)
+    return replace(solid, confirmed=confirmed, ssim_weight=FULL_SIZE_POLICY.ssim_weight)
 
 
 def _carried_out(plan: FullSizePlan, run: Callable[[FullSizeStage], TtoResult[Changes]]) -> str:

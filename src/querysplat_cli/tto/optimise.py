@@ -114,7 +114,7 @@ class _Run(Generic[V]):
         self._settings, self._callbacks, self._densify = settings, callbacks, start.densify
         self._target, self._refined, self._coverage = target, refined, coverage
         self._generator = generator
-        self._exposures_before = self._exposures_last = target.exposures and target.exposures.copy()
+        self._exposures_before = target.exposures and target.exposures.copy()
         self._least_losses = losses
         self._pruned: Pruned | None = None
         self._prices: torch.Tensor | None = None
@@ -172,10 +172,13 @@ class _Run(Generic[V]):
         gaussians = self._pruned_in_time(self._decoded(), step, done)
         share = self._settings.dropout * done
         shown = without_some(gaussians, share, self._generator) if share else gaussians
-        self._exposures_last = self._target.exposures and self._target.exposures.copy()
+        exposures = self._target.exposures
+        before = exposures and exposures.copy()
         loss = self._send_back(shown, chosen, step)
         if loss is None or not self._adam.gradient_is_finite() or self._has_risen(loss, chosen):
             self._undo(chosen)
+            if exposures and before:
+                exposures.go_back(before)
             return
         self._note(loss, chosen, step, gaussians)
         if self._splits_left and done >= self._splits_left[0]:
@@ -227,8 +230,6 @@ class _Run(Generic[V]):
         self._undone_in_a_row += 1
         for each in self._steppers:
             each.go_back() if self._again else each.undo()
-        if self._target.exposures and self._exposures_last:
-            self._target.exposures.go_back(self._exposures_last)
         if self._again:
             self._forget_losses()
         self._again = chosen

@@ -19,12 +19,12 @@ from querysplat_cli.scene.paths import halfway
 from querysplat_cli.splat.blending_weights import blending_weights
 from querysplat_cli.splat.conventions import MID_GREY
 from querysplat_cli.splat.render import render
+from querysplat_cli.tto.full_size import full_size_loss
 from querysplat_cli.tto.full_size_policy import FULL_SIZE_POLICY
 from querysplat_cli.tto.gaussians import optimise_gaussians
 from querysplat_cli.tto.optimise import TtoResult
 from querysplat_cli.tto.options import Callbacks, TtoSettings
 from querysplat_cli.tto.plan import TtoRun
-from querysplat_cli.tto.rendering_loss import RenderingLoss
 
 
 @dataclass(frozen=True)
@@ -107,11 +107,7 @@ def smoothed(
         views_per_step=1,
     )
     generator = torch.Generator().manual_seed(seed)
-    target = replace(
-        RenderingLoss.for_solid_scenes(views, cameras, generator),
-        confirmed=some.confirmed_pictures(),
-        ssim_weight=FULL_SIZE_POLICY.ssim_weight,
-    )
+    target = full_size_loss(views, cameras, some.confirmed_pictures(), generator)
     taken = iter(range(1, settings.steps + 1))
     callbacks = Callbacks(lambda step: progress(f"{step.psnr:.2f} dB", next(taken, settings.steps) / settings.steps))
     result = optimise_gaussians(gaussians[shown], target, settings, generator=generator, callbacks=callbacks)

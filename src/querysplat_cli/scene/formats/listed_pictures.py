@@ -39,8 +39,8 @@ def with_size(frame: Mapping[str, Any], path: str, home: Traversable, photos: Se
         file = listed_picture(root, path) or listed_picture(inside(home, PICTURE_FOLDERS[0]), Path(path).name)
     except (OSError, ValueError):  # no path that a system has
         return frame
-    same = [photo for photo in photos if not file and _stem(photo.name) == _stem(Path(path).name)]
-    sizes = {upright_size(each) for each in ([file] if file else same)}
+    name = _stem(Path(path).name)
+    sizes = {upright_size(each) for each in ([file] if file else [one for one in photos if _stem(one.name) == name])}
     size = sizes.pop() if len(sizes) == 1 else None
     return {"h": size[0], "w": size[1], **frame} if size else frame
 
