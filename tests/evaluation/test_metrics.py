@@ -11,9 +11,9 @@ from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 
 from querysplat_cli.evaluation import perceptual
 from querysplat_cli.evaluation.metrics import Meter
-from querysplat_cli.evaluation.policy import EVALUATION_POLICY
 from querysplat_cli.runtime.choices import FurtherMetric
 from querysplat_cli.runtime.errors import MissingPart
+from querysplat_cli.splat.conventions import EQUAL_PSNR
 
 
 @pytest.mark.parametrize("size", [(256, 256), (270, 480), (12, 11)])
@@ -41,7 +41,7 @@ def test_constant_pictures_have_closed_forms(shift: float) -> None:
 def test_equal_pictures() -> None:
     truth = torch.rand(3, 30, 30, generator=torch.Generator().manual_seed(0))
     scores = Meter().compare(truth, truth.clone())
-    assert (scores.psnr, scores.ssim) == (EVALUATION_POLICY.psnr_limit, pytest.approx(1, abs=1e-9))
+    assert (scores.psnr, scores.ssim) == (EQUAL_PSNR, pytest.approx(1, abs=1e-9))
 
 
 def test_ssim_is_the_stored_figure(golden: Path) -> None:
@@ -54,7 +54,7 @@ def test_colour_correction_stands_beside_the_plain_scores() -> None:
     truth = torch.rand(3, 24, 24, generator=torch.Generator().manual_seed(0))
     scores = Meter().compare((truth * 0.6 + 0.1).clamp(0, 1), truth)
     assert scores.psnr < 20
-    assert scores.psnr_cc == EVALUATION_POLICY.psnr_limit
+    assert scores.psnr_cc == EQUAL_PSNR
     assert scores.ssim_cc == pytest.approx(1, abs=1e-5)
 
 

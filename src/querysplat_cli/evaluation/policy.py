@@ -2,8 +2,6 @@
 
 from dataclasses import dataclass
 
-from querysplat_cli.splat.conventions import EQUAL_PSNR
-
 
 @dataclass(frozen=True)
 class EvaluationPolicy:
@@ -20,8 +18,6 @@ class EvaluationPolicy:
     """Cases of a generated split, as many as the authors' splits have."""
     generated_targets: int = 4
     """Interpolation targets of a generated case, and as many extrapolation targets."""
-    psnr_limit: float = EQUAL_PSNR
-    """PSNR in dB of equal pictures, and of pictures that differ by less than float32 resolves."""
     pose_thresholds: tuple[int, ...] = (5, 15, 30)
     """Degrees at which RRA, RTA and AUC of camera poses are reported."""
 

@@ -20,7 +20,6 @@ import torch
 
 from querysplat_cli.evaluation.cameras import to_frame_of
 from querysplat_cli.evaluation.judge import Judge, RowResult
-from querysplat_cli.evaluation.policy import EVALUATION_POLICY
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.json_files import read_json, shown
 from querysplat_cli.scene.cameras import PhotoCamera, same_shape
@@ -32,6 +31,7 @@ from querysplat_cli.scene.formats.transforms import read_transforms
 from querysplat_cli.scene.match_cameras import cameras_of
 from querysplat_cli.scene.photos import SUFFIXES, WHOLE, load_photo
 from querysplat_cli.scene.views import LeftOut
+from querysplat_cli.splat.conventions import EQUAL_PSNR
 
 PHOTO_FOLDERS = {"gt", "gt-color", "ground_truth", "context"}
 """Folders beside the renders in which other methods keep input and target photos."""
@@ -57,12 +57,7 @@ def score_prediction(judge: Judge, root: Path, split: str, case: str) -> RowResu
     result = judge.score_pictures(
         lambda group, frame: _read(pictures[group].get(frame.name), judge.truth(frame)), "no picture of it is there"
     )
-    equal = [
-        view.frame.name
-        for views in result.views.values()
-        for view in views
-        if view.scores.psnr >= EVALUATION_POLICY.psnr_limit
-    ]
+    equal = [view.frame.name for views in result.views.values() for view in views if view.scores.psnr >= EQUAL_PSNR]
     if equal:
         doubt = f"{len(equal)} pictures are equal to their photos ({equal[0]}): are they renders?"
         return replace(result, warnings=(*result.warnings, doubt))
