@@ -40,7 +40,7 @@ virtual machine that shares its processor with others: repeated runs differ by a
 {scaling}
 
 The slopes are those of time over the larger half of each range, in log–log scale; 1 is linear. Memory grows by the rows
-of the Gaussians (52 bytes, 40 more for each thread backward, and their gradients), by 4 bytes for each pair of tile and
+of the Gaussians (64 bytes, 64 more for each thread backward, and their gradients), by 4 bytes for each pair of tile and
 Gaussian, and by 20 bytes for each pixel of each view.
 
 ## Error against time

@@ -1,7 +1,9 @@
 """Extreme numbers, refusals, memory and threads. Rows are those of docs/reference/stability-cases.md."""
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numba
 import numpy as np
@@ -98,18 +100,25 @@ def test_buffers_are_written_before_they_are_read(monkeypatch: pytest.MonkeyPatc
     cameras = camera(33, 50, views=2)
     scene = cloud(6, 120, cameras)
     expected = outcome(scene, cameras, "cpu")
-    fresh = np.empty
 
-    def filled_with_nan(*arguments: object, **options: object) -> np.ndarray:
-        array = fresh(*arguments, **options)  # type: ignore[call-overload]
+    def filled_with_nan(make: Callable[..., np.ndarray], *arguments: object, **options: object) -> np.ndarray:
+        array = make(*arguments, **options)
         array[...] = np.nan if array.dtype.kind == "f" else -(2**30)
         return array
 
-    monkeypatch.setattr(np, "empty", filled_with_nan)
+    for name in ("empty", "empty_like"):
+        monkeypatch.setattr(np, name, partial(filled_with_nan, getattr(np, name)))
     found = outcome(scene, cameras, "cpu")
     assert torch.equal(found.rendering.colour, expected.rendering.colour)
     for name in FIELDS:
         assert torch.equal(found.gradients[name], expected.gradients[name]), name
+
+
+def test_no_view_sends_no_gradient() -> None:
+    cameras = camera(8, 8)
+    scene = outcome(cloud(6, 120, cameras), cameras[[]], "cpu")
+    assert scene.rendering.colour.shape == (0, 3, 8, 8)
+    assert all((scene.gradients[name] == 0).all() for name in FIELDS)
 
 
 @pytest.mark.parametrize("dtype", [torch.float16, torch.bfloat16])

@@ -9,47 +9,52 @@ import numba as nb
 import numpy as np
 
 from querysplat_cli.splat.compiled_memory import prefetch, scratch
+from querysplat_cli.splat.compiled_pixels import (
+    BLENDED_PLANES,
+    ONE,
+    PIXELS,
+    PLANE_PIXELS,
+    any_open,
+    clear,
+    copy_tile,
+    fill_alpha,
+    fill_products,
+    let_light_in,
+)
 from querysplat_cli.splat.compiled_projection import (
     BLUE,
     DEPTH,
     GREEN,
     HALF_HEIGHT,
     LOST,
-    OPACITY,
     RED,
-    XX,
-    XY,
-    YY,
     A,
     B,
     C,
     X,
     Y,
 )
+from querysplat_cli.splat.compiled_sums import LANES, SUMS, add_sums
 from querysplat_cli.splat.compiled_tiles import HALF, HIGH, WIDE, ZERO
 
-PIXELS = WIDE * HIGH
-PAIRED = 2
+PAIRED = LANES // WIDE
 """Rows of a tile that are blended together."""
 GROUPS = HIGH // PAIRED
 """Groups of so many rows in a tile."""
-LANES = WIDE * PAIRED
-"""Pixels of one group."""
-BLENDED_PLANES = 5
-"""The values that are blended: red, green, blue, 1 (for alpha) and z."""
-PLANE_PIXELS = BLENDED_PLANES * PIXELS
-SUMS = 7
-"""The sums of the backward pass over a lane: −∂loss/∂σ times 1, dy, dy²;
-red, green, blue, z."""
 LANE_SUMS = SUMS * LANES
 
-BATCH = 16
-"""Gaussians between asking for a row and using it, and between two looks at what is still open."""
+OFFSET, BELOW, ACROSS, TILTED, UP, FAINT, BEGIN, END = range(8)
+"""What is found out ahead about a Gaussian in a tile: a quarter of A·dx, and dy, at the centre of the first pixel; a
+quarter of A, B and C; an eighth of LOST; and the groups of rows that the ellipse α ≥ alpha_min meets, the first one and
+the one after the last."""
+AHEAD = 8
+BATCH = 32
+"""Gaussians that are looked at ahead, and those between two looks at what is still open."""
+AHEAD_NUMBERS = AHEAD * BATCH
 SLACK = np.float32(1e-3)
 """Pixels, and share of the height, that rounding may cut off an ellipse at most."""
 QUARTER = np.float32(0.25)
 EIGHTH = np.float32(0.125)
-ONE = np.float32(1)
 # exp(−8s) is the 8th power of a polynomial in s, fitted on [0, 3/4]: relative error 2.5e-6 with rounding.
 LIMIT = np.float32(0.75)
 E0, E1, E2, E3, E4, E5 = (
@@ -71,36 +76,55 @@ def _alpha(across, up, lost, alpha_max, alpha_min):
 
 
 @nb.njit(cache=True, error_model="numpy", fastmath={"contract"}, forceinline=True)
-def _blend_tile(rows, members, left, top, width, height, limits, planes):
+def _look_ahead(rows, members, batch, left, top, ahead):
+    """Fill `ahead` for a batch of Gaussians, and ask for the rows of the next one."""
+    last = len(members) - 1
+    for k in range(BATCH):
+        prefetch(rows, members[np.uint64(min(batch + k + BATCH, last))])
+        row = rows[np.uint32(members[np.uint64(min(batch + k, last))])]
+        ahead[OFFSET, k], ahead[BELOW, k] = row[X], row[Y]
+        ahead[ACROSS, k], ahead[TILTED, k], ahead[UP, k] = row[A], row[B], row[C]
+        ahead[FAINT, k], ahead[BEGIN, k] = row[LOST], row[HALF_HEIGHT]
+    for k in range(BATCH):
+        a, b, q, half = ahead[ACROSS, k], ahead[TILTED, k], ahead[UP, k], ahead[BEGIN, k]
+        low = np.float32(left) + HALF - ahead[OFFSET, k]
+        high = low + np.float32(WIDE - 1)
+        below = np.float32(top) + HALF - ahead[BELOW, k]
+        # The ellipse is (a·x + b·y)² + (q·y)² ≤ (q·half)².
+        part = ONE / (b * b + q * q)
+        tilt, reach, steep = -a * b * part, q * q * half * half, a * a * q * q * part
+        lowest = -b / a * half
+        x = min(max(lowest, low), high)
+        down = half if x == lowest else np.sqrt(max(ZERO, (reach - steep * x * x) * part)) + tilt * x
+        x = min(max(-lowest, low), high)
+        up = half if x == -lowest else np.sqrt(max(ZERO, (reach - steep * x * x) * part)) - tilt * x
+        slack = SLACK + SLACK * half
+        first = min(max(np.floor(np.ceil(-below - up - slack) * HALF), ZERO), np.float32(GROUPS))
+        ahead[BEGIN, k] = first
+        ahead[END, k] = min(max(np.floor((down + slack - below) * HALF) + ONE, first), np.float32(GROUPS))
+        ahead[OFFSET, k], ahead[BELOW, k] = QUARTER * a * low, below
+        ahead[ACROSS, k], ahead[TILTED, k], ahead[UP, k] = QUARTER * a, QUARTER * b, QUARTER * q
+        ahead[FAINT, k] = EIGHTH * ahead[FAINT, k]
+
+
+@nb.njit(cache=True, error_model="numpy", fastmath={"contract"}, forceinline=True)
+def _blend_tile(rows, members, left, top, limits, planes):
     alpha_max, alpha_min, least = limits[0], limits[1], limits[2]
     # How much light still comes through each pixel; negative once the pixel has stopped.
-    through = nb.carray(scratch(PIXELS), (GROUPS, LANES))
-    red = nb.carray(scratch(PIXELS), (GROUPS, LANES))
-    green = nb.carray(scratch(PIXELS), (GROUPS, LANES))
-    blue = nb.carray(scratch(PIXELS), (GROUPS, LANES))
-    depth = nb.carray(scratch(PIXELS), (GROUPS, LANES))
-    ys = nb.carray(scratch(PIXELS), (GROUPS, LANES))  # of each pixel, from the tile's first row
-    begins = nb.carray(scratch(BATCH), BATCH)
-    ends = nb.carray(scratch(BATCH), BATCH)
-    for g in range(GROUPS):
-        for c in range(LANES):
-            ys[g, c] = np.float32(PAIRED * g + c // WIDE)
-            inside = left + c % WIDE < width and top + PAIRED * g + c // WIDE < height
-            through[g, c] = ONE if inside else -ONE
-            red[g, c] = ZERO
-            green[g, c] = ZERO
-            blue[g, c] = ZERO
-            depth[g, c] = ZERO
+    light, rows_within, blended = scratch(PIXELS), scratch(PIXELS), scratch(PLANE_PIXELS)
+    through, ys = nb.carray(light, (GROUPS, LANES)), nb.carray(rows_within, (GROUPS, LANES))
+    sums = nb.carray(blended, (BLENDED_PLANES, GROUPS, LANES))
+    ahead = nb.carray(scratch(AHEAD_NUMBERS), (AHEAD, BATCH))
+    let_light_in(light, rows_within, planes.shape[2] - left, planes.shape[1] - top)
+    clear(blended)
     for batch in range(0, len(members), BATCH):
-        _groups_met(rows, members, batch, left, top, begins, ends)
+        _look_ahead(rows, members, batch, left, top, ahead)
         for k in range(batch, min(batch + BATCH, len(members))):
-            prefetch(rows, members[min(k + BATCH, len(members) - 1)])
-            row = rows[members[k]]
-            a, b, q = QUARTER * row[A], QUARTER * row[B], QUARTER * row[C]
-            lost = EIGHTH * row[LOST]
-            below = np.float32(top) + HALF - row[Y]
-            offset = a * (np.float32(left) + HALF - row[X])
-            for g in range(np.uint64(begins[k - batch]), np.uint64(ends[k - batch])):
+            row = rows[np.uint32(members[np.uint64(k)])]
+            i = np.uint64(k - batch)
+            a, b, q, lost = ahead[ACROSS, i], ahead[TILTED, i], ahead[UP, i], ahead[FAINT, i]
+            offset, below = ahead[OFFSET, i], ahead[BELOW, i]
+            for g in range(np.uint64(ahead[BEGIN, i]), np.uint64(ahead[END, i])):
                 for c in range(LANES):
                     y = below + ys[g, c]
                     across = (offset + a * np.float32(c % WIDE)) + b * y
@@ -112,58 +136,40 @@ def _blend_tile(rows, members, left, top, width, height, limits, planes):
                     goes_on = after > least
                     weight = weight if goes_on else ZERO
                     through[g, c] = after if goes_on else -abs(t)
-                    red[g, c] += weight * row[RED]
-                    green[g, c] += weight * row[GREEN]
-                    blue[g, c] += weight * row[BLUE]
-                    depth[g, c] += weight * row[DEPTH]
-        if not _any_open(through):
+                    sums[0, g, c] += weight * row[RED]
+                    sums[1, g, c] += weight * row[GREEN]
+                    sums[2, g, c] += weight * row[BLUE]
+                    sums[4, g, c] += weight * row[DEPTH]
+        if not any_open(light):
             break
-    for r in range(min(HIGH, height - top)):
-        for x in range(min(WIDE, width - left)):
-            g, c = r // PAIRED, (r % PAIRED) * WIDE + x
-            planes[0, top + r, left + x] = red[g, c]
-            planes[1, top + r, left + x] = green[g, c]
-            planes[2, top + r, left + x] = blue[g, c]
-            planes[3, top + r, left + x] = ONE - abs(through[g, c])
-            planes[4, top + r, left + x] = depth[g, c]
+    fill_alpha(blended, light)
+    copy_tile(blended, planes, left, top, True)
 
 
 @nb.njit(cache=True, error_model="numpy", fastmath={"contract"}, forceinline=True)
-def _blend_tile_backward(rows, members, left, top, width, height, limits, planes, given, out):
+def _blend_tile_backward(rows, members, left, top, limits, planes, given, out):
     alpha_max, alpha_min, least = limits[0], limits[1], limits[2]
-    through = nb.carray(scratch(PIXELS), (GROUPS, LANES))
-    behind = nb.carray(scratch(PIXELS), (GROUPS, LANES))
-    slopes = nb.carray(scratch(PLANE_PIXELS), (BLENDED_PLANES, GROUPS, LANES))
-    lanes = nb.carray(scratch(LANE_SUMS), (SUMS, LANES))
-    ys = nb.carray(scratch(PIXELS), (GROUPS, LANES))  # of each pixel, from the tile's first row
-    begins = nb.carray(scratch(BATCH), BATCH)
-    ends = nb.carray(scratch(BATCH), BATCH)
-    for g in range(GROUPS):
-        for c in range(LANES):
-            ys[g, c] = np.float32(PAIRED * g + c // WIDE)
-            through[g, c] = -ONE
-            behind[g, c] = ZERO
-            for plane in range(BLENDED_PLANES):
-                slopes[plane, g, c] = ZERO
-    for r in range(min(HIGH, height - top)):
-        for x in range(min(WIDE, width - left)):
-            g, c = r // PAIRED, (r % PAIRED) * WIDE + x
-            through[g, c] = ONE
-            for plane in range(BLENDED_PLANES):
-                slopes[plane, g, c] = given[plane, top + r, left + x]
-                behind[g, c] += given[plane, top + r, left + x] * planes[plane, top + r, left + x]
+    light, rows_within, total = scratch(PIXELS), scratch(PIXELS), scratch(PIXELS)
+    blended, asked, summed = scratch(PLANE_PIXELS), scratch(PLANE_PIXELS), scratch(LANE_SUMS)
+    through, ys = nb.carray(light, (GROUPS, LANES)), nb.carray(rows_within, (GROUPS, LANES))
+    behind, slopes = nb.carray(total, (GROUPS, LANES)), nb.carray(asked, (BLENDED_PLANES, GROUPS, LANES))
+    lanes, ahead = nb.carray(summed, (SUMS, LANES)), nb.carray(scratch(AHEAD_NUMBERS), (AHEAD, BATCH))
+    let_light_in(light, rows_within, planes.shape[2] - left, planes.shape[1] - top)
+    clear(blended)
+    clear(asked)
+    copy_tile(blended, planes, left, top, False)
+    copy_tile(asked, given, left, top, False)
+    fill_products(total, asked, blended)
     for batch in range(0, len(members), BATCH):
-        _groups_met(rows, members, batch, left, top, begins, ends)
+        _look_ahead(rows, members, batch, left, top, ahead)
         for k in range(batch, min(batch + BATCH, len(members))):
-            prefetch(rows, members[min(k + BATCH, len(members) - 1)])
             prefetch(out, members[min(k + BATCH, len(members) - 1)])
-            row = rows[members[k]]
-            a, b, q = QUARTER * row[A], QUARTER * row[B], QUARTER * row[C]
-            lost = EIGHTH * row[LOST]
-            below = np.float32(top) + HALF - row[Y]
-            offset = a * (np.float32(left) + HALF - row[X])
+            row = rows[np.uint32(members[np.uint64(k)])]
+            i = np.uint64(k - batch)
+            a, b, q, lost = ahead[ACROSS, i], ahead[TILTED, i], ahead[UP, i], ahead[FAINT, i]
+            offset, below = ahead[OFFSET, i], ahead[BELOW, i]
             lanes[:, :] = ZERO
-            for g in range(np.uint64(begins[k - batch]), np.uint64(ends[k - batch])):
+            for g in range(np.uint64(ahead[BEGIN, i]), np.uint64(ahead[END, i])):
                 for c in range(LANES):
                     y = below + ys[g, c]
                     across = (offset + a * np.float32(c % WIDE)) + b * y
@@ -190,97 +196,29 @@ def _blend_tile_backward(rows, members, left, top, width, height, limits, planes
                     lanes[4, c] += weight * slopes[1, g, c]
                     lanes[5, c] += weight * slopes[2, g, c]
                     lanes[6, c] += weight * slopes[4, g, c]
-            _add_moments(lanes, np.float32(left) + HALF - row[X], row, out[members[k]])
-        if not _any_open(through):
+            add_sums(summed, np.float32(left) + HALF - row[X], out, members[np.uint64(k)])
+        if not any_open(light):
             break
-
-
-@nb.njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc"}, forceinline=True)
-def _add_moments(lanes, dx, row, out):
-    """Add the gradient of one projected row, from the sums of −∂loss/∂σ and of the blended values over each lane."""
-    m, mx, my, mxx, mxy, myy = ZERO, ZERO, ZERO, ZERO, ZERO, ZERO
-    red, green, blue, depth = ZERO, ZERO, ZERO, ZERO
-    for c in range(LANES):
-        x = dx + np.float32(c % WIDE)
-        m += lanes[0, c]
-        mx += lanes[0, c] * x
-        mxx += lanes[0, c] * x * x
-        my += lanes[1, c]
-        mxy += lanes[1, c] * x
-        myy += lanes[2, c]
-        red += lanes[3, c]
-        green += lanes[4, c]
-        blue += lanes[5, c]
-        depth += lanes[6, c]
-    across = row[A] * mx + row[B] * my
-    out[X] += row[A] * across
-    out[Y] += row[B] * across + row[C] * row[C] * my
-    out[XX] -= HALF * mxx
-    out[XY] -= mxy
-    out[YY] -= HALF * myy
-    out[OPACITY] += m / row[OPACITY]
-    out[RED] += red
-    out[GREEN] += green
-    out[BLUE] += blue
-    out[DEPTH] += depth
-
-
-@nb.njit(cache=True, error_model="numpy", fastmath={"contract"}, forceinline=True)
-def _groups_met(rows, members, batch, left, top, begins, ends):
-    """The groups of rows of a tile that the ellipses α ≥ alpha_min of a batch of Gaussians meet."""
-    for k in range(BATCH):
-        row = rows[members[min(batch + k, len(members) - 1)]]
-        a, b, q, half = row[A], row[B], row[C], row[HALF_HEIGHT]
-        low = np.float32(left) + HALF - row[X]
-        high = low + np.float32(WIDE - 1)
-        under = row[Y] - np.float32(top) - HALF
-        # The ellipse is (a·x + b·y)² + (q·y)² ≤ (q·half)².
-        part = ONE / (b * b + q * q)
-        tilt, reach, steep = -a * b * part, q * q * half * half, a * a * q * q * part
-        lowest = -b / a * half
-        x = min(max(lowest, low), high)
-        down = half if x == lowest else np.sqrt(max(ZERO, (reach - steep * x * x) * part)) + tilt * x
-        x = min(max(-lowest, low), high)
-        up = half if x == -lowest else np.sqrt(max(ZERO, (reach - steep * x * x) * part)) - tilt * x
-        slack = SLACK + SLACK * half
-        first = min(max(np.floor(np.ceil(under - up - slack) * HALF), ZERO), np.float32(GROUPS))
-        begins[k] = first
-        ends[k] = min(max(np.floor((under + down + slack) * HALF) + ONE, first), np.float32(GROUPS))
-
-
-@nb.njit(cache=True, error_model="numpy", forceinline=True)
-def _any_open(through):
-    most = nb.carray(scratch(LANES), LANES)
-    for c in range(LANES):
-        most[c] = -ONE
-    for g in range(GROUPS):
-        for c in range(LANES):
-            most[c] = most[c] if most[c] > through[g, c] else through[g, c]
-    found = -ONE
-    for c in range(LANES):
-        found = max(found, most[c])
-    return found > 0
 
 
 @nb.njit(cache=True, error_model="numpy", parallel=True)
 def blend(rows, starts, lists, tiles_x, limits, planes):
     """planes [BLENDED_PLANES, height, width] of one view, colour on black. `limits`: alpha_max, alpha_min, T_min."""
-    height, width = planes.shape[1], planes.shape[2]
     for tile in nb.prange(len(starts) - 1):
         left, top = (tile % tiles_x) * WIDE, (tile // tiles_x) * HIGH
-        _blend_tile(rows, lists[starts[tile] : starts[tile + 1]], left, top, width, height, limits, planes)
+        _blend_tile(rows, lists[starts[tile] : starts[tile + 1]], left, top, limits, planes)
 
 
 @nb.njit(cache=True, error_model="numpy", parallel=True)
 def blend_backward(rows, starts, lists, bounds, tiles_x, limits, planes, given, parts):
-    """parts [tasks, n, GRADIENT_COLUMNS]: gradients of projected rows from `given` = ∂loss/∂planes.
+    """Fill parts [tasks, n, ROW_COLUMNS], gradients of projected rows from `given` = ∂loss/∂planes.
 
     Task t owns tiles bounds[t] to bounds[t + 1] and the slice parts[t], so nothing is shared and the sum does
     not depend on timing. Gaussians are visited front to back: what is behind one is the total minus what is in front.
     """
-    height, width = planes.shape[1], planes.shape[2]
     for task in nb.prange(len(bounds) - 1):
+        parts[task] = 0
         for tile in range(bounds[task], bounds[task + 1]):
             left, top = (tile % tiles_x) * WIDE, (tile // tiles_x) * HIGH
             members = lists[starts[tile] : starts[tile + 1]]
-            _blend_tile_backward(rows, members, left, top, width, height, limits, planes, given, parts[task])
+            _blend_tile_backward(rows, members, left, top, limits, planes, given, parts[task])

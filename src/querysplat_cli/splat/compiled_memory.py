@@ -36,3 +36,29 @@ def prefetch(typing, array, row):
         return context.get_dummy_value()
 
     return types.void(array, types.intp), generate
+
+
+@intrinsic
+def pointer(typing, array):
+    """Where the numbers of a float32 array begin."""
+
+    def generate(context, builder, signature, arguments):
+        return make_array(signature.args[0])(context, builder, arguments[0]).data
+
+    return types.CPointer(types.float32)(array), generate
+
+
+@intrinsic
+def copy(typing, target, first, source, start, count):
+    """target[first : first + count] = source[start : start + count], of pointers to float32.
+
+    A loop over as few numbers as a tile is wide would copy one at a time.
+    """
+
+    def generate(context, builder, signature, arguments):
+        target, first, source, start, count = arguments
+        cgutils.raw_memcpy(builder, builder.gep(target, [first]), builder.gep(source, [start]), count, 4)
+        return context.get_dummy_value()
+
+    places = (types.CPointer(types.float32), types.intp)
+    return types.void(*places, *places, types.intp), generate

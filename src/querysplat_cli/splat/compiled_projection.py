@@ -21,11 +21,12 @@ X, Y, A, B, C, OPACITY, RED, GREEN, BLUE, DEPTH, HALF_WIDTH, HALF_HEIGHT, LOST =
 """Columns of a projected row: centre and half extent in pixels (0: not visible), and the conic's factor, px⁻¹:
 2σ = (A·dx + B·dy)² + (C·dy)². In this form a needle keeps its digits, which the three terms of the conic would cancel.
 LOST = −ln(opacity), so that α = exp(−σ − LOST)."""
-ROW_COLUMNS = 13
-XX, XY, YY = A, B, C
-"""In a row of gradients, these columns belong to the conic instead."""
+ROW_COLUMNS = 16
+"""Columns of a row, of which the last ones are not used: rows are lines of the cache."""
+BY_X, BY_XX, BY_XY, ALL, BY_Y, BY_YY = range(6)
+"""In a row of gradients, these columns are sums over all pixels: −∂loss/∂σ times dx, dx², dx·dy, 1, dy and dy²."""
 GRADIENT_COLUMNS = 10
-"""The columns that blending sends gradients to: all but the extent."""
+"""The columns of a row of gradients that are used: those sums, RED, GREEN, BLUE and DEPTH."""
 VIEW_COLUMNS = 16
 GAUSSIANS_AT_ONCE = 512
 """Gaussians of one task. Each task has its own row of camera gradients."""

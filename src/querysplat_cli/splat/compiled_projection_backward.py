@@ -9,17 +9,20 @@ import numba as nb
 import numpy as np
 
 from querysplat_cli.splat.compiled_projection import (
+    ALL,
+    BY_X,
+    BY_XX,
+    BY_XY,
+    BY_Y,
+    BY_YY,
     DEPTH,
     GAUSSIANS_AT_ONCE,
     GRADIENT_COLUMNS,
     HALF_WIDTH,
-    OPACITY,
     RED,
-    XX,
-    XY,
-    YY,
-    X,
-    Y,
+    A,
+    B,
+    C,
     covariance,
     fill_basis,
     fill_slopes,
@@ -31,13 +34,16 @@ from querysplat_cli.splat.conventions import CLAMP_MARGIN, COLOUR_LIMIT
 
 
 @nb.njit(cache=True, error_model="numpy")
-def _project_chunk_backward(gaussians, view, limits, rows, given, gradients, of_view, first, last):
+def _project_chunk_backward(gaussians, view, limits, rows, given, gradients, of_view, first, last, fresh):
     """`project_view_backward` for the Gaussians from `first` to before `last`.
 
     A function of its own compiles faster than the body of a parallel loop.
     """
-    means, quats, scales, _, sh = gaussians
+    means, quats, scales, opacities, sh = gaussians
     d_means, d_quats, d_scales, d_opacities, d_sh = gradients
+    if fresh:
+        d_means[first:last], d_quats[first:last], d_scales[first:last] = 0, 0, 0
+        d_opacities[first:last], d_sh[first:last] = 0, 0
     bands = sh.shape[1]
     low_pass = limits[2]
     fx, fy, cx, cy, width, height = view[12], view[13], view[14], view[15], view[16], view[17]
@@ -57,6 +63,10 @@ def _project_chunk_backward(gaussians, view, limits, rows, given, gradients, of_
             size += abs(total)
         if size == 0:
             continue
+        # 2σ = across² + (C·dy)² with across = A·dx + B·dy.
+        a, b = np.float64(rows[i, A]), np.float64(rows[i, B])
+        across = a * g[BY_X] + b * g[BY_Y]
+        gu, gv = a * across, b * across + np.float64(rows[i, C]) ** 2 * g[BY_Y]
         dx = np.float64(means[i, 0]) - view[9]
         dy = np.float64(means[i, 1]) - view[10]
         dz = np.float64(means[i, 2]) - view[11]
@@ -80,7 +90,7 @@ def _project_chunk_backward(gaussians, view, limits, rows, given, gradients, of_
         xx, xy, yy, det = covariance(a00, a01, a02, a10, a11, a12, low_pass)
         i00, i01, i11 = yy / det, -xy / det, xx / det
         # dΣ⁻¹ = −Σ⁻¹ dΣ Σ⁻¹, so the gradient of the covariance is −Σ⁻¹ G Σ⁻¹ with G symmetric.
-        g00, g01, g11 = g[XX], 0.5 * g[XY], g[YY]
+        g00, g01, g11 = -0.5 * g[BY_XX], -0.5 * g[BY_XY], -0.5 * g[BY_YY]
         t00, t01 = i00 * g00 + i01 * g01, i00 * g01 + i01 * g11
         t10, t11 = i01 * g00 + i11 * g01, i01 * g01 + i11 * g11
         h00 = -(t00 * i00 + t01 * i01)
@@ -128,12 +138,12 @@ def _project_chunk_backward(gaussians, view, limits, rows, given, gradients, of_
             lens_x, middle_x = lens_x - middle_x * slope_x, 0.0
         if low_y < y / z < high_y:
             lens_y, middle_y = lens_y - middle_y * slope_y, 0.0
-        of_view[12] += g[X] * x / z + lens_x
-        of_view[13] += g[Y] * y / z + lens_y
-        of_view[14] += g[X] + middle_x
-        of_view[15] += g[Y] + middle_y
-        gx, gy, gz = g[X] * jx, g[Y] * jy, g[DEPTH]
-        gz -= g[X] * jx * x / z + g[Y] * jy * y / z
+        of_view[12] += gu * x / z + lens_x
+        of_view[13] += gv * y / z + lens_y
+        of_view[14] += gu + middle_x
+        of_view[15] += gv + middle_y
+        gx, gy, gz = gu * jx, gv * jy, g[DEPTH]
+        gz -= gu * jx * x / z + gv * jy * y / z
         gz -= (k00 - k02 * slope_x) * jx / z + (k11 - k12 * slope_y) * jy / z
         if low_x < x / z < high_x:
             gx -= k02 * jx / z
@@ -154,7 +164,7 @@ def _project_chunk_backward(gaussians, view, limits, rows, given, gradients, of_
         gwx = view[0] * gx + view[3] * gy + view[6] * gz
         gwy = view[1] * gx + view[4] * gy + view[7] * gz
         gwz = view[2] * gx + view[5] * gy + view[8] * gz
-        d_opacities[i] += g[OPACITY]
+        d_opacities[i] += g[ALL] / np.float64(opacities[i])
         distance = np.sqrt(dx * dx + dy * dy + dz * dz)
         ux, uy, uz = dx / distance, dy / distance, dz / distance
         fill_basis(basis, bands, ux, uy, uz)
@@ -186,9 +196,10 @@ def _project_chunk_backward(gaussians, view, limits, rows, given, gradients, of_
 
 
 @nb.njit(cache=True, error_model="numpy", parallel=True)
-def project_view_backward(gaussians, view, limits, rows, given, gradients, d_view):
+def project_view_backward(gaussians, view, limits, rows, given, gradients, d_view, fresh):
     """Add to the five `gradients` and to `d_view` what follows from `given`, the gradient of the projected rows.
 
+    Where `fresh`, the five gradients hold nothing yet, and the sum starts from 0.
     `given` [parts, n, GRADIENT_COLUMNS] is summed over parts. Each row of `d_view` [chunks(n), VIEW_COLUMNS] belongs to
     the Gaussians of one chunk: the gradient with respect to the rotation about the camera's centre (9 numbers), to
     minus the centre (3), and to fx, fy, cx, cy.
@@ -196,4 +207,4 @@ def project_view_backward(gaussians, view, limits, rows, given, gradients, d_vie
     n = len(gaussians[0])
     for chunk in nb.prange((n + GAUSSIANS_AT_ONCE - 1) // GAUSSIANS_AT_ONCE):
         first, last = chunk * GAUSSIANS_AT_ONCE, min(n, (chunk + 1) * GAUSSIANS_AT_ONCE)
-        _project_chunk_backward(gaussians, view, limits, rows, given, gradients, d_view[chunk], first, last)
+        _project_chunk_backward(gaussians, view, limits, rows, given, gradients, d_view[chunk], first, last, fresh)

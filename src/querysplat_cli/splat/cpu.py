@@ -1,5 +1,6 @@
 """The CPU splatter: compiled projection, dealing and blending behind one differentiable function."""
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,13 +13,13 @@ from torch import Tensor
 from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
-from querysplat_cli.splat.compiled_blending import BLENDED_PLANES, blend_backward
 from querysplat_cli.splat.compiled_blending import blend as blend_tiles
+from querysplat_cli.splat.compiled_blending import blend_backward
+from querysplat_cli.splat.compiled_pixels import BLENDED_PLANES
 from querysplat_cli.splat.compiled_projection import (
     BLUE,
     DEPTH,
     GAUSSIANS_AT_ONCE,
-    GRADIENT_COLUMNS,
     GREEN,
     RED,
     ROW_COLUMNS,
@@ -100,17 +101,16 @@ class _Blend(torch.autograd.Function):
     ) -> tuple[Tensor | None, ...]:
         *tensors, w2c = ctx.saved_tensors
         arrays = tuple(tensor.detach().numpy() for tensor in tensors)
-        gradients = tuple(np.zeros_like(array) for array in arrays)
+        gradients = tuple((np.empty_like if ctx.views else np.zeros_like)(array) for array in arrays)
         parts = _parts(len(arrays[0]))
         of_views = np.zeros((len(ctx.views), *_of_view_shape(len(arrays[0]))))
-        slopes = np.zeros_like(ctx.planes)
+        slopes = np.empty_like(ctx.planes)
         for part, given in ((slopes[:, :3], of_colour), (slopes[:, 3], of_alpha), (slopes[:, 4], of_depth)):
-            if given is not None:
-                part[:] = given.numpy()
+            part[:] = 0 if given is None else given.numpy()
         for v, view in enumerate(ctx.views):
             _blend_backward(view, ctx.settings, ctx.planes[v], slopes[v], parts)
             limits = _projection_limits(ctx.settings)
-            project_view_backward(arrays, view.camera, limits, view.rows, parts, gradients, of_views[v])
+            project_view_backward(arrays, view.camera, limits, view.rows, parts, gradients, of_views[v], v == 0)
         of_cameras = _camera_gradients(w2c, torch.from_numpy(of_views).sum(1))
         return (*(torch.from_numpy(gradient) for gradient in gradients), *of_cameras, None, None, None)
 
@@ -146,10 +146,10 @@ class Drawn:
         _blend_backward(self._view, self._settings, planes, slopes.numpy(), parts)
         weights = parts[:, :, DEPTH].sum(0)
         parts[:, :, DEPTH] = 0
-        gradients = tuple(np.zeros_like(array) for array in self._arrays)
+        gradients = tuple(np.empty_like(array) for array in self._arrays)
         limits, view = _projection_limits(self._settings), self._view
         of_view = np.zeros(_of_view_shape(count))
-        project_view_backward(self._arrays, view.camera, limits, view.rows, parts, gradients, of_view)
+        project_view_backward(self._arrays, view.camera, limits, view.rows, parts, gradients, of_view, True)
         return Gaussians(*map(torch.from_numpy, gradients)), torch.from_numpy(weights)
 
 
@@ -173,7 +173,15 @@ def _arrays(gaussians: Gaussians) -> tuple[np.ndarray, ...]:
 
 def _parts(count: int) -> np.ndarray:
     """Room for the gradients of the projected rows, for each thread."""
-    return np.empty((numba.get_num_threads(), count, GRADIENT_COLUMNS), np.float32)
+    return _lines(numba.get_num_threads(), count)
+
+
+def _lines(*shape: int) -> np.ndarray:
+    """float32 [*shape, ROW_COLUMNS], of which each row is one line of the cache, of 64 bytes."""
+    numbers = math.prod(shape) * ROW_COLUMNS
+    space = np.empty(numbers + ROW_COLUMNS, np.float32)
+    first = -space.ctypes.data % 64 // space.itemsize
+    return space[first : first + numbers].reshape(*shape, ROW_COLUMNS)
 
 
 def _of_view_shape(count: int) -> tuple[int, int]:
@@ -184,7 +192,6 @@ def _blend_backward(
     view: _View, settings: RenderSettings, planes: np.ndarray, slopes: np.ndarray, parts: np.ndarray
 ) -> None:
     """Overwrite `parts` by the gradients of the projected rows."""
-    parts[:] = 0
     shares, tiles_x = _fair_shares(view.starts, len(parts)), -(-planes.shape[2] // WIDE)
     limits = _blend_limits(settings)
     blend_backward(view.rows, view.starts, view.lists, shares, tiles_x, limits, planes, slopes, parts)
@@ -198,17 +205,17 @@ def _dealt(arrays: tuple[np.ndarray, ...], camera: Cameras, settings: RenderSett
             f'Take alpha_min ≥ {LOWEST_ALPHA_MIN}, or backend="reference".',
         )
     row, tiles_x, tiles_y = _camera_row(camera), -(-camera.width // WIDE), -(-camera.height // HIGH)
-    rows = np.empty((len(arrays[0]), ROW_COLUMNS), np.float32)
+    rows = _lines(len(arrays[0]))
     depths = np.empty(len(arrays[0]), np.float32)
     project_view(arrays, row, _projection_limits(settings), rows, depths)
     order = by_depth(depths.view(np.uint32))
     tasks = 2 * numba.get_num_threads()
-    first, spans_of = (np.empty(len(rows), np.int32) for _ in range(2))
-    tile_rows(rows, tiles_y, first, spans_of)
+    first, spans_of = (np.empty(len(order), np.int32) for _ in range(2))
+    tile_rows(rows, order, tiles_y, first, spans_of)
     offsets = np.concatenate([[0], np.cumsum(spans_of, dtype=np.int64)])
     counts = np.zeros((tasks, tiles_x * tiles_y), np.int64)
     spans = np.empty((offsets[-1], 2), np.int32)
-    find_spans(rows, first, offsets, settings.alpha_min, tiles_x, spans, counts)
+    find_spans(rows, order, first, offsets, settings.alpha_min, tiles_x, spans, counts)
     starts = np.concatenate([[0], np.cumsum(counts.sum(0))])
     if starts[-1] > PAIRS_LIMIT:
         raise QuerySplatError(
