@@ -189,6 +189,24 @@ def test_random_backgrounds_follow_the_seed() -> None:
     assert not torch.equal(run(1).means, run(2).means)
 
 
+@pytest.mark.parametrize("at_once", [3, 4])
+def test_no_step_has_a_view_twice(at_once: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every view comes once before any comes again, whatever is left of the views before."""
+    look, drawn = RenderingLoss.value_and_gradient, []
+
+    def looked(target: RenderingLoss, gaussians: Gaussians, chosen: list[int]) -> LossAndGradient:
+        drawn.append(chosen)
+        return look(target, gaussians, chosen)
+
+    monkeypatch.setattr(RenderingLoss, "value_and_gradient", looked)
+    target, settings = RenderingLoss(*photos_of(cloud(), 5)), TtoSettings(20, 1e-3, views_per_step=at_once)
+    optimise_gaussians(disturbed(cloud()), target, settings, generator=torch.Generator().manual_seed(0))
+    assert len(drawn) == 20
+    assert all(len(set(chosen)) == at_once for chosen in drawn)
+    in_turn = [view for chosen in drawn for view in chosen]
+    assert all(set(in_turn[i : i + 5]) == set(range(5)) for i in range(0, 20 * at_once, 5))
+
+
 def test_harm_that_no_view_showed_at_once_is_undone(monkeypatch: pytest.MonkeyPatch) -> None:
     """The last view alone shows half of the Gaussians, which lose their colours in a step that is not the last one."""
     wanted = cloud()

@@ -277,5 +277,6 @@ def _draws(views: int, at_once: int | None, generator: torch.Generator) -> Itera
             yield list(range(views))
             continue
         if len(waiting) < at_once:
-            waiting += torch.randperm(views, generator=generator).tolist()
+            again = torch.randperm(views, generator=generator).tolist()
+            waiting += sorted(again, key=waiting.__contains__)  # no set has a view twice
         yield [waiting.pop(0) for _ in range(at_once)]
