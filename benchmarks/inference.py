@@ -24,7 +24,7 @@ from typing import Any
 import torch
 
 import full_size
-from common.output import machine, markdown, write_json
+from common.output import machine, markdown, read_rows, write_rows
 from querysplat_cli.encoders.vggt_omega.model import VGGT_OMEGA_CONFIG, VggtOmega
 from querysplat_cli.evaluation.published import tables
 from querysplat_cli.model.config import preset
@@ -182,10 +182,8 @@ def main() -> None:
     rows = [where | measured(options, views, precision) for precision in options.precision for views in options.views]
     print(table(rows))
     if options.json:
-        before = json.loads(options.json.read_text())["rows"] if options.json.is_file() else []
         new = {_key(row) for row in rows}
-        kept = [row for row in before if _key(row) not in new]
-        write_json(options.json, machine="that of each row", rows=kept + rows)
+        write_rows(options.json, [row for row in read_rows(options.json) if _key(row) not in new] + rows)
 
 
 if __name__ == "__main__":

@@ -15,7 +15,6 @@ cameras of the default scene, and scored as that scene is. Its seconds are those
 """
 
 import argparse
-import json
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
@@ -30,7 +29,7 @@ from matplotlib.transforms import Bbox
 import fullscreen
 from common import opensplat
 from common.arguments import PhotoParser, folder_or_scratch
-from common.output import Table, write_json
+from common.output import Table, read_rows, write_rows
 from common.photo_sets import PHOTO_SETS, PhotoSet
 from querysplat_cli.pipeline.full_size import files_of
 from querysplat_cli.pipeline.read_scene import read_scene, read_scene_gaussians
@@ -177,7 +176,7 @@ def measure(options: argparse.Namespace, rows: list[Row]) -> None:
             rows.append(row)
             done[name, setting] = row
             table.add(name, row["use"], setting, *(read(row) for read, _ in COLUMNS.values()))
-            write_json(options.json, rows=rows)
+            write_rows(options.json, rows)
 
 
 def with_peer(settings: Sequence[str]) -> list[str]:
@@ -236,7 +235,7 @@ def main() -> None:
     parser.add_argument("--figure", type=Path, help="draw means over sets into this file")
     parser.add_argument("--keep", type=Path, help="keep the scenes in this folder")
     options = parser.parse()
-    rows = json.loads(options.json.read_text())["rows"] if options.json and options.json.is_file() else []
+    rows = read_rows(options.json)
     if options.sets:
         measure(options, rows)
     summarise(rows)

@@ -9,7 +9,6 @@ finished scene, and so leaves errors of the cameras out. One photo fixes no simi
 photos that the JSON file has are not measured again without --again.
 """
 
-import json
 import sys
 from pathlib import Path
 from statistics import fmean
@@ -19,7 +18,7 @@ import torch
 
 from common.arguments import PhotoParser, folder_or_scratch
 from common.command import reconstructed
-from common.output import Table, write_json
+from common.output import Table, read_rows, write_rows
 from common.photo_sets import PHOTO_SETS
 from querysplat_cli.evaluation.cameras import to_frame_of
 from querysplat_cli.evaluation.fitted import fitted_photo_camera
@@ -87,8 +86,7 @@ def main() -> None:
     parser.add_argument("--keep", type=Path, help="keep the scenes in this folder")
     options = parser.parse()
     photos = PHOTO_SETS["fox"].files(options.data)
-    kept = json.loads(options.json.read_text())["rows"] if options.json and options.json.is_file() else []
-    rows = {row["views"]: row for row in kept}
+    rows = {row["views"]: row for row in read_rows(options.json)}
     scores = dict.fromkeys(("held out, dB", "cc, dB", "fitted, dB"), ".2f")
     table = Table({"photos": "", "placed": "", **scores, "s": ".0f", "CPU s": ".0f", "GiB": ".2f", "Gaussians": ","})
     with folder_or_scratch(options.keep) as folder:
@@ -96,7 +94,7 @@ def main() -> None:
             if options.again or count not in rows or "error" in rows[count]:
                 known = photos[0].parents[1] / "transforms.json"
                 rows[count] = measure(photos, chosen(count, len(photos)), known, folder)
-                write_json(options.json, rows=[rows[views] for views in sorted(rows)])
+                write_rows(options.json, [rows[views] for views in sorted(rows)])
             show(table, rows[count])
 
 

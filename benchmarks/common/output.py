@@ -8,7 +8,7 @@ from typing import Any
 
 from querysplat_cli.reporting.report import machine
 
-__all__ = ["Table", "line", "machine", "markdown", "write_json"]
+__all__ = ["Table", "line", "machine", "markdown", "read_rows", "write_json", "write_rows"]
 
 
 def line(cells: Iterable[object]) -> str:
@@ -42,6 +42,19 @@ def write_json(path: Path | None, **parts: Any) -> None:
     """
     if path:
         path.write_text(json.dumps({"machine": machine(), **parts}, indent=2, default=_entries) + "\n")
+
+
+def read_rows(path: Path | None) -> list[dict[str, Any]]:
+    """The rows of a file that a benchmark goes on with, each with its `machine`; none where there is no file."""
+    if not (path and path.is_file()):
+        return []
+    found = json.loads(path.read_text())
+    return [{"machine": found["machine"], **row} for row in found["rows"]]
+
+
+def write_rows(path: Path | None, rows: Sequence[Mapping[str, Any]]) -> None:
+    """`write_json` of rows with their `machine`; those that have none were measured on this one."""
+    write_json(path, machine="that of each row", rows=[{"machine": machine(), **row} for row in rows])
 
 
 def _entries(value: Any) -> Any:

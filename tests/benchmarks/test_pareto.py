@@ -1,5 +1,7 @@
 """The parts of pareto.py and views.py that take no hours: the front, means over sets, which photos are inputs."""
 
+import json
+from argparse import Namespace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -8,6 +10,7 @@ import pytest
 
 import pareto
 import views
+from common.output import machine
 from querysplat_cli.evaluation.axes import axes
 
 
@@ -66,3 +69,20 @@ def test_inputs_surround_the_held_out_photos(count: int) -> None:
         assert places[0] < min(views.HELD)
         assert places[-1] > max(views.HELD)
         assert max(after - before for before, after in pairwise(places)) <= views.FARTHEST + 1
+
+
+def test_rows_that_are_added_leave_the_others_their_machine(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = row("fox", "tuned on", "default", 10, 20) | {"views": 2}
+    monkeypatch.setattr(pareto, "row_of", lambda *given: row("fox", "tuned on", "20 steps", 4, 18))
+    monkeypatch.setattr(views, "measure", lambda *given: {"views": 3, "error": "too few photos"})
+    monkeypatch.setattr(
+        views, "PHOTO_SETS", {"fox": Namespace(files=lambda data: 50 * [data / "fox" / "images" / "1"])}
+    )
+    found = tmp_path / "found.json"
+    for program, chosen in ((pareto, ["--sets", "fox", "--settings", "20 steps"]), (views, ["--views", "3"])):
+        found.write_text(json.dumps({"machine": "an old one", "rows": [before]}))
+        for _ in range(2):
+            monkeypatch.setattr("sys.argv", ["benchmark", str(tmp_path), *chosen, "--json", str(found)])
+            program.main()
+            machines = [each.get("machine") for each in json.loads(found.read_text())["rows"]]
+            assert machines == ["an old one", machine()], program.__name__

@@ -217,6 +217,9 @@ def test_an_orbit_takes_the_lens_of_the_inputs(ball: Path) -> None:
     assert all(frame[SIZE[0] // 2, SIZE[1] // 2, 2] > 200 for frame in frames)
 
 
+OTHER_OUTPUTS = "film.mov", "film.m4v", "film.3gp", "1.webp", "1.bmp", "1.gif", "a.sog", "cameras.json"
+
+
 @pytest.mark.parametrize(
     ("options", "said"),
     [
@@ -226,7 +229,7 @@ def test_an_orbit_takes_the_lens_of_the_inputs(ball: Path) -> None:
         (["-o", "film.mp4", "--size", "3x1"], "at least 2 pixels"),
         (["-o", "film.mp4", "--size", "64x16386", "--frames", "1"], "at most 16,384"),
         (["-o", "film.mp4", "--frames", "5", "--seconds", "1"], "Leave one of them out"),
-        *((["-o", name], "films into an .mp4") for name in ("film.mov", "film.m4v", "1.webp", "a.sog", "cameras.json")),
+        *((["-o", name], "films into an .mp4") for name in OTHER_OUTPUTS),
         (["--cameras", ""], "no cameras there"),
         (["-o", "frames", "--seconds", "2"], "is for films"),
         (["--size", "70000x2"], "not a size"),

@@ -15,6 +15,8 @@ from querysplat_cli.tto.optimise import TtoResult
 from querysplat_cli.tto.options import TtoSettings
 from querysplat_cli.tto.plan import TtoRun
 
+ONE_STEP = TtoRun("features", TtoSettings(3, 0.1))
+
 
 def test_settings_keep_their_types_in_json() -> None:
     settings = {"inputs": (Path("a"), Path("b")), "budget": 2.5, "force": True, "tto": None, "weights": Path("w")}
@@ -39,10 +41,27 @@ def test_refined_cameras_are_reported_in_degrees_shares_and_pixels() -> None:
         torch.zeros(count, 1, 3),
     )
     result = TtoResult(gaussians, gaussians, 1.0, 0.5, (), before, after)
-    (kept,) = tto_entries([(TtoRun("features", TtoSettings(3, 0.1)), replace(result, cameras=before))])
+    (kept,) = tto_entries([(ONE_STEP, replace(result, cameras=before))])
     assert kept["cameras"] is None
-    (entry,) = tto_entries([(TtoRun("features", TtoSettings(3, 0.1)), result)])
+    (entry,) = tto_entries([(ONE_STEP, result)])
     assert entry["cameras"]["degrees"] == pytest.approx(math.degrees(turn) / 2, abs=1e-3)
     assert entry["cameras"]["focal"] == 1
     moved = focal * abs(math.tan(turn) - shift / depth)
     assert entry["cameras"]["pixels"] == pytest.approx(moved / 2, rel=0.02)
+
+
+def test_a_shift_is_a_share_of_the_cameras_extent_also_far_from_the_origin() -> None:
+    """Of more than 25 cameras, torch finds distances from squares by default. Those of 1,000 hide an extent of 0.3."""
+    w2c = torch.eye(4).repeat(31, 1, 1)
+    w2c[:, 0, 3] = -1000 - 0.01 * torch.arange(31)
+    before = Cameras(w2c, torch.tensor([[100.0, 0, 50], [0, 100, 50], [0, 0, 1]]).repeat(31, 1, 1), 100, 100)
+    after = before.perturbed(torch.zeros(31, 3), torch.tensor([0, 0.03, 0]).repeat(31, 1))
+    gaussians = Gaussians(
+        torch.tensor([[1000.0, 0, 5]]),
+        torch.tensor([[1.0, 0, 0, 0]]),
+        torch.full((1, 3), 0.01),
+        torch.ones(1) / 2,
+        torch.zeros(1, 1, 3),
+    )
+    (entry,) = tto_entries([(ONE_STEP, TtoResult(gaussians, gaussians, 1.0, 0.5, (), before, after))])
+    assert entry["cameras"]["shift"] == pytest.approx(0.1, rel=0.01)

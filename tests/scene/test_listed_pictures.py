@@ -1,6 +1,7 @@
 """The pictures of a dataset whose names are not quite those that its list of cameras has."""
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
@@ -58,3 +59,24 @@ def test_a_list_without_sizes_has_those_of_the_photos_that_are_given_with_it(tmp
     cv2.imwrite(str(tmp_path / "cameras" / "r_0.png"), np.zeros((24, 64, 3), np.uint8))
     with pytest.raises(QuerySplatError, match="r_0 has no 'w'"):
         read_known_cameras(listing, photos=[*photos, tmp_path / "cameras" / "r_0.png"])
+
+
+def test_the_photos_are_looked_through_once_for_all_frames(tmp_path: Path) -> None:
+    """Once for each frame takes 2,000 photos 23 seconds."""
+
+    class Counted(list[Path]):
+        times = 0
+
+        def __iter__(self) -> Iterator[Path]:
+            self.times += 1
+            return super().__iter__()
+
+    frames = [{"file_path": f"r_{i}", "fl_x": 50, "transform_matrix": np.eye(4).tolist()} for i in range(5)]
+    (tmp_path / "cameras").mkdir()
+    (tmp_path / "cameras" / "transforms.json").write_text(json.dumps({"frames": frames}))
+    photos = Counted(tmp_path / f"r_{i}.png" for i in range(5))
+    for photo in list(photos):
+        cv2.imwrite(str(photo), np.zeros((48, 64, 3), np.uint8))
+    photos.times = 0
+    assert len(read_known_cameras(tmp_path / "cameras" / "transforms.json", photos=photos)) == 5
+    assert photos.times == 1

@@ -196,6 +196,11 @@ def test_a_coarse_scene_gains_in_views_that_were_not_optimised() -> None:
     assert [step.gaussians for step in split_up.history if step.gaussians > 16][-1] == 100 == len(split_up.gaussians)
 
 
+@pytest.mark.parametrize("steps", [2, 3, 4])
+def test_a_few_steps_reach_the_planned_count_as_well(steps: int) -> None:
+    assert len(optimised(30, steps=steps).gaussians) == 30
+
+
 def test_opacity_has_a_price_in_guessed_pixels_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     """The price rises to a weight at which it shows; depth is never smoothed."""
     policy = "querysplat_cli.tto.{}.TTO_POLICY"

@@ -189,19 +189,39 @@ def test_random_backgrounds_follow_the_seed() -> None:
     assert not torch.equal(run(1).means, run(2).means)
 
 
-def test_harm_that_no_view_showed_at_once_is_undone(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def drawn(monkeypatch: pytest.MonkeyPatch) -> list[list[int]]:
+    """The views of each step that is taken."""
+    found: list[list[int]] = []
+    look = RenderingLoss.value_and_gradient
+
+    def looked(target: RenderingLoss, gaussians: Gaussians, chosen: list[int]) -> LossAndGradient:
+        found.append(chosen)
+        return look(target, gaussians, chosen)
+
+    monkeypatch.setattr(RenderingLoss, "value_and_gradient", looked)
+    return found
+
+
+@pytest.mark.parametrize("at_once", [3, 4])
+def test_no_step_has_a_view_twice(at_once: int, drawn: list[list[int]]) -> None:
+    """Every view comes once before any comes again, whatever is left of the views before."""
+    target, settings = RenderingLoss(*photos_of(cloud(), 5)), TtoSettings(20, 1e-3, views_per_step=at_once)
+    optimise_gaussians(disturbed(cloud()), target, settings, generator=torch.Generator().manual_seed(0))
+    assert len(drawn) == 20
+    assert all(len(set(chosen)) == at_once for chosen in drawn)
+    in_turn = [view for chosen in drawn for view in chosen]
+    assert all(set(in_turn[i : i + 5]) == set(range(5)) for i in range(0, 20 * at_once, 5))
+
+
+def test_harm_that_no_view_showed_at_once_is_undone(drawn: list[list[int]], monkeypatch: pytest.MonkeyPatch) -> None:
     """The last view alone shows half of the Gaussians, which lose their colours in a step that is not the last one."""
     wanted = cloud()
     both = joined(wanted, behind(wanted))
     _, cameras = photos_of(wanted)
     cameras.w2c[3] = torch.diag(torch.tensor([-1.0, 1.0, -1.0, 1.0]))
     views = replace(photos_of(both)[0], images=render(both, cameras).colour.clamp(0, 1))
-    drawn: list[list[int]] = []
-    look, step, harmed = RenderingLoss.value_and_gradient, UndoableVariables.step, []
-
-    def looked(target: RenderingLoss, gaussians: Gaussians, chosen: list[int]) -> LossAndGradient:
-        drawn.append(chosen)
-        return look(target, gaussians, chosen)
+    step, harmed = UndoableVariables.step, []
 
     def stepped(adam: UndoableVariables[Changes], share: float) -> None:
         step(adam, share)
@@ -209,7 +229,6 @@ def test_harm_that_no_view_showed_at_once_is_undone(monkeypatch: pytest.MonkeyPa
             harmed.append(len(drawn))
             adam.variables().colours[len(wanted) :] += 5
 
-    monkeypatch.setattr(RenderingLoss, "value_and_gradient", looked)
     monkeypatch.setattr(UndoableVariables, "step", stepped)
     result = optimise_gaussians(
         disturbed(both),

@@ -33,6 +33,7 @@ from querysplat_cli.scene.formats.transforms import (
 )
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.paths import centred, interpolate, opaque_centres, orbit, scene_middle, surround, usual_depth
+from querysplat_cli.scene.photos import FILM_SUFFIXES, SUFFIXES
 from querysplat_cli.scene.pictures import distinct_stems, eight_bit, write_picture
 from querysplat_cli.scene.sim3 import Sim3
 from querysplat_cli.splat.render import Rendering, render
@@ -48,10 +49,7 @@ ORBIT_FRAMES = 90
 """Pictures of an orbit, unless the user asks for another number."""
 STEP_SECONDS, FILM_SECONDS = 1.5, (3.0, 12.0)
 """How long a film takes from one input camera to the next, and altogether at least and at most."""
-OTHER_KINDS = {
-    *(".avi", ".mov", ".mkv", ".webm", ".m4v", ".gif", ".png", ".jpg", ".jpeg", ".webp", ".tif", ".tiff"),
-    *(".ply", ".spz", ".sog", ".glb", ".json"),
-}
+OTHER_KINDS = {*SUFFIXES, ".gif", *FILM_SUFFIXES - {".mp4"}, *GAUSSIAN_KINDS, ".json"}
 """Endings of files, in a target, that are no films and no names of folders."""
 BESIDE = ("_depth.png", "_alpha.png", "_depth.npy", "_confidence.npy")
 """Endings of the files beside a picture, in place of its .png."""

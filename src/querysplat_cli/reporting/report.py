@@ -17,7 +17,7 @@ from querysplat_cli.runtime.choices import HoldoutProtocol
 from querysplat_cli.runtime.matching_weights import INSTALL
 from querysplat_cli.runtime.threads import cores
 from querysplat_cli.runtime.words import counted
-from querysplat_cli.scene.cameras import Cameras, project_points
+from querysplat_cli.scene.cameras import Cameras, distances, project_points
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.rotations import rotation_angles
 from querysplat_cli.scene.views import LeftOut
@@ -181,7 +181,7 @@ def _cameras_entry(before: Cameras, after: Cameras, gaussians: Gaussians) -> dic
     if torch.equal(before.w2c, after.w2c):
         return None
     turns = rotation_angles(after.w2c[:, :3, :3].double() @ before.w2c[:, :3, :3].double().mT)
-    extent = torch.cdist(before.centres, before.centres).max()
+    extent = distances(before.centres, before.centres).max()
     return {
         "degrees": round(float(turns.mean()), 4),
         "shift": round(float((after.centres - before.centres).norm(dim=1).mean() / extent), 5),

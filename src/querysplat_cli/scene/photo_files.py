@@ -43,15 +43,17 @@ LEAST_DETAIL = 1.0
 
 @dataclass(frozen=True)
 class PhotoFile:
-    """One photo's file and lens. `pts` is the presentation time stamp of a film's frame; None for a photo.
+    """One photo's file and lens, an entry of photos.json.
 
-    `view` is the part of a wide photo that this one shows; None for the whole of an ordinary one. `overlay` is what
-    lies over the picture of the file.
+    `pts` is the presentation time stamp of a film's frame; None for a photo. `view` is the part of a wide photo that
+    this one shows; None for the whole of an ordinary one. `overlay` is what lies over the picture of the file.
 
     focal, principal: (fx, fy) and (cx, cy) in pixels of a photo of `height` × `width`, pixel centres at +0.5. The file
     may hold more pixels of the same shape.
     distortion: OpenCV's (k1, k2, p1, p2).
     """
+
+    __pydantic_config__ = STRICT
 
     name: str
     path: Path
@@ -111,28 +113,10 @@ class PhotoFile:
 
 
 @dataclass(frozen=True)
-class _Entry:
-    """One entry of photos.json."""
-
-    __pydantic_config__ = STRICT
-
-    name: str
-    path: str
-    focal: tuple[float, float]
-    principal: tuple[float, float]
-    distortion: tuple[float, float, float, float]
-    height: int
-    width: int
-    pts: int | None = None
-    view: PinholeView | None = None
-    overlay: Overlay | None = None
-
-
-@dataclass(frozen=True)
 class _Listing:
     __pydantic_config__ = STRICT
 
-    photos: tuple[_Entry, ...]
+    photos: tuple[PhotoFile, ...]
 
 
 def photo_files(
@@ -156,11 +140,10 @@ def read_photo_files(path: Path) -> dict[str, PhotoFile]:
     if not path.is_file():
         return {}
     found = {}
-    entries = from_tables(_Listing, read_json(path, MAKE_AGAIN), what="list of photos", docs="docs/cli.md").photos
-    for entry in entries:
-        file = PhotoFile(**{**vars(entry), "path": Path(entry.path)})
+    files = from_tables(_Listing, read_json(path, MAKE_AGAIN), what="list of photos", docs="docs/cli.md").photos
+    for file in files:
         fault = next(filter(None, (part.fault() for part in (file.lens, file.view, file.overlay) if part)), "")
-        if fault or "\0" in entry.path:
+        if fault or "\0" in str(file.path):
             raise QuerySplatError(f"{path}: the lens of {file.name} makes no sense: {fault}", MAKE_AGAIN)
         found[file.name] = file
     return found

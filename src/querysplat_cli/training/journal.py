@@ -76,8 +76,8 @@ def draw_curves(path: Path, rows: Sequence[dict[str, Any]]) -> None:
 def figures(rows: Sequence[dict[str, Any]], name: str) -> tuple[np.ndarray, np.ndarray]:
     """The steps [n] and the values [n] of the lines where the figure of this name is a finite number."""
     steps, values = (np.array([row.get(key) for row in rows], dtype=float) for key in ("step", name))
-    known = np.isfinite(values)
-    return steps[known], values[known]
+    finite = np.isfinite(values)
+    return steps[finite], values[finite]
 
 
 def running_mean(values: np.ndarray) -> np.ndarray:
@@ -86,10 +86,13 @@ def running_mean(values: np.ndarray) -> np.ndarray:
     return np.convolve(values, np.full(span, 1 / span), "valid") if len(values) else values
 
 
+def known(value: Any) -> Any:
+    """None for a figure that is not finite: JSON has no NaN and no infinity."""
+    return None if isinstance(value, float) and not isfinite(value) else value
+
+
 def _line(row: dict[str, Any]) -> str:
-    """JSON has no NaN and no infinity."""
-    known = {name: None if isinstance(value, float) and not isfinite(value) else value for name, value in row.items()}
-    return json.dumps(known, allow_nan=False) + "\n"
+    return json.dumps({name: known(value) for name, value in row.items()}, allow_nan=False) + "\n"
 
 
 def _parsed(line: str) -> dict[str, Any] | None:

@@ -19,7 +19,7 @@ from querysplat_cli.runtime.progress import Progress
 from querysplat_cli.splat.lpips import Perceptual
 from querysplat_cli.training.config import TrainConfig, from_table
 from querysplat_cli.training.data import Draw, RecentResults, Samples
-from querysplat_cli.training.journal import Journal
+from querysplat_cli.training.journal import Journal, known
 from querysplat_cli.training.passes import Sample
 from querysplat_cli.training.processes import Processes
 from querysplat_cli.training.schedule import Average, RankFilter, grow_queries, rate, trained, weights
@@ -146,8 +146,8 @@ class Trainer:
             steps=self.step,
             batch=self.config.optimiser.batch,
             processes=self.processes.world,
-            loss=_figure(row, "loss"),
-            psnr=_figure(row, "psnr"),
+            loss=known(row["loss"]) if row else None,
+            psnr=known(row["psnr"]) if row else None,
             skipped=self.skipped,
             redrawn=samples.redrawn,
             seconds=seconds,
@@ -274,12 +274,6 @@ class Trainer:
 def _generator(*numbers: int) -> torch.Generator:
     """Of random numbers that differ wherever one of these does."""
     return torch.Generator().manual_seed(int(np.random.SeedSequence(numbers).generate_state(1)[0]))
-
-
-def _figure(row: dict[str, Any] | None, name: str) -> float | None:
-    """A number of a line of the log, None where there is none: JSON has no NaN."""
-    value = row.get(name) if row else None
-    return value if value is not None and math.isfinite(value) else None
 
 
 def samples_in_turn(batch: int, processes: int) -> int:

@@ -11,7 +11,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from querysplat_cli.encoders.base import Geometry
-from querysplat_cli.scene.cameras import Cameras
+from querysplat_cli.scene.cameras import Cameras, distances
 from querysplat_cli.scene.exposures import Exposures
 from querysplat_cli.scene.views import Views
 from querysplat_cli.tto.exposure_policy import EXPOSURE_POLICY
@@ -91,7 +91,7 @@ def _disagreement(
     Root mean square over views and over channels of the colours that the view shows. The square is the product of what
     two `halves` of the points find. Their errors are independent, and do not add up to a disagreement.
     """
-    distance = torch.cdist(cameras.centres.double(), cameras.centres.double())
+    distance = distances(cameras.centres.double(), cameras.centres.double())
     nearness = 1 / (distance.square() + 1e-6 * distance.max().square() + 1e-12)
     nearness.fill_diagonal_(0)
     nearness /= nearness.sum(1, keepdim=True)

@@ -182,6 +182,7 @@ class _Run(Generic[V]):
             return
         self._note(loss, chosen, step, gaussians)
         if self._splits_left and done >= self._splits_left[0]:
+            self._splits_left = tuple(share for share in self._splits_left if share > done)
             self._split(gaussians)
             return
         rate = _rate_share(step, done, self._settings)
@@ -245,12 +246,11 @@ class _Run(Generic[V]):
 
     def _split(self, gaussians: Gaussians) -> None:
         assert self._densify
-        denser = self._densify(gaussians.detach(), self._target, len(self._splits_left))
+        denser = self._densify(gaussians.detach(), self._target, 1 + len(self._splits_left))
         self._adam.go_on_with(denser)
         self._prices = denser.prices
         if self._refined:
             self._refined.forget_gradient()
-        self._splits_left = self._splits_left[1:]
         self._forget_losses()
 
     def _forget_losses(self) -> None:
@@ -277,5 +277,6 @@ def _draws(views: int, at_once: int | None, generator: torch.Generator) -> Itera
             yield list(range(views))
             continue
         if len(waiting) < at_once:
-            waiting += torch.randperm(views, generator=generator).tolist()
+            again = torch.randperm(views, generator=generator).tolist()
+            waiting += sorted(again, key=waiting.__contains__)  # no set has a view twice
         yield [waiting.pop(0) for _ in range(at_once)]

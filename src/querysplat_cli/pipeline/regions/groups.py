@@ -7,6 +7,7 @@ import torch
 
 from querysplat_cli.encoders.base import PosedViews
 from querysplat_cli.pipeline.policy import PIPELINE_POLICY
+from querysplat_cli.scene.cameras import distances
 from querysplat_cli.scene.sparse_points import shared_points
 
 
@@ -45,7 +46,7 @@ def _closeness(posed: PosedViews) -> np.ndarray:
     size = np.sqrt(np.maximum(1, common.diagonal()))
     shared = common / size[:, None] / size
     centres = posed.cameras.centres.double()
-    apart = torch.cdist(centres, centres).numpy()
+    apart = distances(centres, centres).numpy()
     step = np.median(np.sort(apart, axis=1)[:, min(1, count - 1)])
     near = PIPELINE_POLICY.region_nearness / (1 + apart / max(step, 1e-12))
     close = shared + near

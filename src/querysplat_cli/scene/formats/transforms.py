@@ -17,7 +17,7 @@ from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.runtime.json_files import read_json, shown
 from querysplat_cli.scene.cameras import LONGEST_SIDE, Cameras, PhotoCamera
 from querysplat_cli.scene.files import write_json
-from querysplat_cli.scene.formats.listed_pictures import with_size
+from querysplat_cli.scene.formats.listed_pictures import by_name, with_size
 from querysplat_cli.scene.formats.stated_frames import as_entry, stated_frame
 from querysplat_cli.scene.formats.transforms_frame import FISHEYE, LENS_KEYS, frame_camera, is_rigid, opengl_from_opencv
 from querysplat_cli.scene.photo_names import names_a_photo, short_names, stated_parts
@@ -57,10 +57,10 @@ def read_transforms(
     Raises QuerySplatError when the file is unreadable, incomplete, or states a lens other than OpenCV's. With
     `fisheye`, OpenCV's fisheye lenses are read, too.
     """
-    content, home = _load(path), home or path.parent
+    content, home, named = _load(path), home or path.parent, by_name(photos)
     return {
         name: replace(
-            frame_camera(path, name, _with_size({**content, **frame}, home, photos), fisheye=fisheye),
+            frame_camera(path, name, _with_size({**content, **frame}, home, named), fisheye=fisheye),
             file=_photo(path, frame),
             as_stored=frame.get("as_stored") is True,
             depth_map=_depth_map(path, frame),
@@ -234,9 +234,9 @@ def _named_frames(path: Path, content: Mapping[str, Any]) -> dict[str, dict[str,
     return dict(zip(names, frames, strict=True))
 
 
-def _with_size(frame: Mapping[str, Any], home: Traversable, photos: Sequence[Path]) -> Mapping[str, Any]:
+def _with_size(frame: Mapping[str, Any], home: Traversable, named: Mapping[str, Sequence[Path]]) -> Mapping[str, Any]:
     file = frame["file_path"]
-    return with_size(frame, with_slashes(file), home, photos) if isinstance(file, str) else frame
+    return with_size(frame, with_slashes(file), home, named) if isinstance(file, str) else frame
 
 
 def _photo(path: Path, frame: Any) -> str:
