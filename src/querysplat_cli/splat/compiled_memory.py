@@ -21,7 +21,7 @@ def scratch(typing, size):
 
 @intrinsic
 def prefetch(typing, array, row):
-    """Ask for a row of a 2D float32 array ahead of its use."""
+    """Ask for the line of the cache where a row of a 2D float32 array begins, ahead of its use."""
 
     def generate(context, builder, signature, arguments):
         place = make_array(signature.args[0])(context, builder, arguments[0])
@@ -30,9 +30,7 @@ def prefetch(typing, array, row):
         number, byte = ir.IntType(32), ir.IntType(8).as_pointer()
         kind = ir.FunctionType(ir.VoidType(), [byte, number, number, number])
         fetch = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0")
-        last = builder.gep(first, [builder.sub(columns, ir.Constant(columns.type, 1))])
-        for address in (first, last):
-            builder.call(fetch, [builder.bitcast(address, byte), number(0), number(3), number(1)])
+        builder.call(fetch, [builder.bitcast(first, byte), number(0), number(3), number(1)])
         return context.get_dummy_value()
 
     return types.void(array, types.intp), generate
