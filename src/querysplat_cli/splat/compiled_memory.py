@@ -7,16 +7,25 @@ from numba.extending import intrinsic
 from numba.np.arrayobj import make_array
 
 
-@intrinsic(prefer_literal=True)
-def scratch(typing, size):
-    """`size` float32 on the stack, which LLVM can keep in registers; it cannot do that to a numpy array."""
-
+def _on_stack(size, kind, of_llvm):
     def generate(context, builder, signature, arguments):
-        place = cgutils.alloca_once(builder, ir.FloatType(), size=ir.Constant(ir.IntType(64), size.literal_value))
+        place = cgutils.alloca_once(builder, of_llvm, size=ir.Constant(ir.IntType(64), size.literal_value))
         place.align = 64
         return place
 
-    return types.CPointer(types.float32)(size), generate
+    return types.CPointer(kind)(size), generate
+
+
+@intrinsic(prefer_literal=True)
+def scratch(typing, size):
+    """`size` float32 on the stack, which LLVM can keep in registers; it cannot do that to a numpy array."""
+    return _on_stack(size, types.float32, ir.FloatType())
+
+
+@intrinsic(prefer_literal=True)
+def scratch64(typing, size):
+    """`size` float64 on the stack."""
+    return _on_stack(size, types.float64, ir.DoubleType())
 
 
 @intrinsic

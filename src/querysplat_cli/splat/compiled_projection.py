@@ -1,4 +1,4 @@
-"""The equations of projection.py, compiled, one Gaussian at a time on every core.
+"""The equations of projection.py, compiled, a few Gaussians at a time on every core.
 
 Arithmetic is in float64 and relative to the camera; what is stored is float32. `view` holds the camera:
 rotation world-to-camera (9 numbers), centre (3), fx, fy, cx, cy, width, height. `limits` holds near, far,
@@ -10,6 +10,7 @@ import numba as nb
 import numpy as np
 
 from querysplat_cli.scene.gaussians import SH_0, SH_1, SH_2, SH_3
+from querysplat_cli.splat.compiled_memory import scratch64
 from querysplat_cli.splat.conventions import (
     CLAMP_MARGIN,
     COLOUR_LIMIT,
@@ -30,6 +31,13 @@ GRADIENT_COLUMNS = 10
 VIEW_COLUMNS = 16
 GAUSSIANS_AT_ONCE = 512
 """Gaussians of one task. Each task has its own row of camera gradients."""
+BLOCK = 16
+"""Gaussians whose geometry is computed at once."""
+DX, DY, DZ, Q0, Q1, Q2, Q3, S0, S1, S2, FAINT, SEEN, U, V, Z, FACTOR_A, FACTOR_B, FACTOR_C, WIDTH, HEIGHT = range(20)
+"""Numbers of each Gaussian of a block. First the centre, seen from the camera's, the quaternion and the scales; the
+projection makes the centre a direction, and adds what its row holds, and 1 where it is visible."""
+FIELDS = HEIGHT + 1
+FIELD_NUMBERS = FIELDS * BLOCK
 DIGITS, MASK = 2048, np.uint32(2047)
 INFINITY = np.uint32(0x7F800000)
 """The bits of ∞ in float32."""
@@ -133,61 +141,99 @@ def covariance(a00, a01, a02, a10, a11, a12, low_pass):
     return xx, xy, yy, m0 * m0 + m1 * m1 + m2 * m2 + low_pass * (xx + yy - low_pass)
 
 
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
+def load(gaussians, i, view, fields, lane):
+    """Put the centre of Gaussian i from the camera's, its quaternion and its scales into one lane of the fields."""
+    means, quats, scales, _, _ = gaussians
+    for axis in range(3):
+        fields[DX + axis, lane] = np.float64(means[i, axis]) - view[9 + axis]
+        fields[S0 + axis, lane] = np.float64(scales[i, axis])
+    for part in range(4):
+        fields[Q0 + part, lane] = np.float64(quats[i, part])
+
+
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
+def _project_block(view, limits, fields):
+    """The geometry of BLOCK Gaussians at once: a loop without branches, which becomes vectors."""
+    near, far, low_pass, alpha_min = limits[0], limits[1], limits[2], limits[3]
+    fx, fy, cx, cy, width, height = view[12], view[13], view[14], view[15], view[16], view[17]
+    margin_x, margin_y = CLAMP_MARGIN * width / (2 * fx), CLAMP_MARGIN * height / (2 * fy)
+    bright = -2 * np.log(alpha_min)
+    for lane in range(BLOCK):
+        dx, dy, dz = fields[DX, lane], fields[DY, lane], fields[DZ, lane]
+        q0, q1, q2, q3 = fields[Q0, lane], fields[Q1, lane], fields[Q2, lane], fields[Q3, lane]
+        s0, s1, s2 = fields[S0, lane], fields[S1, lane], fields[S2, lane]
+        x = view[0] * dx + view[1] * dy + view[2] * dz
+        y = view[3] * dx + view[4] * dy + view[5] * dz
+        z = view[6] * dx + view[7] * dy + view[8] * dz
+        length = np.sqrt(q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3)
+        slope_x = min(max(x / z, -cx / fx - margin_x), (width - cx) / fx + margin_x)
+        slope_y = min(max(y / z, -cy / fy - margin_y), (height - cy) / fy + margin_y)
+        turn = rotation(q0 / length, q1 / length, q2 / length, q3 / length)
+        slopes = jacobian(view, fx / z, fy / z, slope_x, slope_y)
+        c00, c01, c02, c10, c11, c12 = product(slopes, turn)
+        xx, xy, yy, det = covariance(s0 * c00, s1 * c01, s2 * c02, s0 * c10, s1 * c11, s2 * c12, low_pass)
+        u, v = fx * x / z + cx, fy * y / z + cy
+        reach = bright - 2 * fields[FAINT, lane]  # σ ≤ reach/2 wherever α ≥ alpha_min
+        half_width, half_height = np.sqrt(max(reach, 0.0) * xx), np.sqrt(max(reach, 0.0) * yy)
+        in_range = (z >= near) & (z <= far) & (reach >= 0) & (length >= SHORTEST_QUATERNION)
+        sized = (min(min(s0, s1), s2) > 0) & (max(max(s0, s1), s2) < SCALE_LIMIT)
+        across = (u + half_width > 0) & (u - half_width < width)
+        seen = in_range & sized & across & (v + half_height > 0) & (v - half_height < height)
+        fields[SEEN, lane] = 1.0 if seen else 0.0
+        distance = np.sqrt(dx * dx + dy * dy + dz * dz)
+        fields[DX, lane], fields[DY, lane], fields[DZ, lane] = dx / distance, dy / distance, dz / distance
+        fields[U, lane], fields[V, lane], fields[Z, lane] = u, v, z
+        fields[FACTOR_A, lane], fields[FACTOR_B, lane] = np.sqrt(yy / det), -xy / np.sqrt(yy * det)
+        fields[FACTOR_C, lane] = 1 / np.sqrt(yy)
+        # Slightly more than float32 rounding, so that the extent never cuts off a pixel that the threshold keeps.
+        fields[WIDTH, lane], fields[HEIGHT, lane] = half_width * 1.0001 + 1e-3, half_height * 1.0001 + 1e-3
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _project_chunk(gaussians, view, limits, rows, depths, first, last):
+    opacities, sh = gaussians[3], gaussians[4]
+    bands, basis = sh.shape[1], np.empty(16)
+    fields = nb.carray(scratch64(FIELD_NUMBERS), (FIELDS, BLOCK))
+    for start in range(first, last, BLOCK):
+        for lane in range(BLOCK):
+            i = min(start + lane, last - 1)
+            load(gaussians, i, view, fields, lane)
+            opacity = np.float64(opacities[i])
+            fields[FAINT, lane] = -np.log(opacity) if opacity >= limits[3] else np.inf
+        _project_block(view, limits, fields)
+        for lane in range(min(BLOCK, last - start)):
+            i = start + lane
+            rows[i, HALF_WIDTH], depths[i] = np.float32(0), np.inf
+            if fields[SEEN, lane] == 0:
+                continue
+            fill_basis(basis, bands, fields[DX, lane], fields[DY, lane], fields[DZ, lane])
+            for channel in range(3):
+                value = 0.5
+                for band in range(bands):
+                    value += basis[band] * np.float64(sh[i, band, channel])
+                rows[i, RED + channel] = min(max(value, 0.0), COLOUR_LIMIT)
+            rows[i, X], rows[i, Y], rows[i, DEPTH], depths[i] = (
+                fields[U, lane],
+                fields[V, lane],
+                fields[Z, lane],
+                fields[Z, lane],
+            )
+            rows[i, A], rows[i, B], rows[i, C] = fields[FACTOR_A, lane], fields[FACTOR_B, lane], fields[FACTOR_C, lane]
+            rows[i, OPACITY], rows[i, LOST] = opacities[i], fields[FAINT, lane]
+            rows[i, HALF_WIDTH], rows[i, HALF_HEIGHT] = fields[WIDTH, lane], fields[HEIGHT, lane]
+
+
 @nb.njit(cache=True, error_model="numpy", parallel=True)
 def project_view(gaussians, view, limits, rows, depths):
     """Fill rows [n, ROW_COLUMNS] for one view, and depths [n]: ∞ for what is not visible.
 
     `gaussians` are means, quats, scales, opacities and sh.
     """
-    means, quats, scales, opacities, sh = gaussians
-    n = means.shape[0]
-    bands = sh.shape[1]
-    near, far, low_pass, alpha_min = limits[0], limits[1], limits[2], limits[3]
-    fx, fy, cx, cy, width, height = view[12], view[13], view[14], view[15], view[16], view[17]
-    margin_x, margin_y = CLAMP_MARGIN * width / (2 * fx), CLAMP_MARGIN * height / (2 * fy)
+    n = len(depths)
     for chunk in nb.prange((n + GAUSSIANS_AT_ONCE - 1) // GAUSSIANS_AT_ONCE):
-        basis = np.empty(16)
-        for i in range(chunk * GAUSSIANS_AT_ONCE, min(n, (chunk + 1) * GAUSSIANS_AT_ONCE)):
-            rows[i, HALF_WIDTH], depths[i] = np.float32(0), np.inf
-            dx = np.float64(means[i, 0]) - view[9]
-            dy = np.float64(means[i, 1]) - view[10]
-            dz = np.float64(means[i, 2]) - view[11]
-            z = view[6] * dx + view[7] * dy + view[8] * dz
-            opacity = np.float64(opacities[i])
-            if z < near or z > far or opacity < alpha_min:
-                continue
-            q0, q1 = np.float64(quats[i, 0]), np.float64(quats[i, 1])
-            q2, q3 = np.float64(quats[i, 2]), np.float64(quats[i, 3])
-            length = np.sqrt(q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3)
-            s0, s1, s2 = np.float64(scales[i, 0]), np.float64(scales[i, 1]), np.float64(scales[i, 2])
-            if length < SHORTEST_QUATERNION or min(s0, s1, s2) <= 0 or max(s0, s1, s2) >= SCALE_LIMIT:
-                continue
-            x = view[0] * dx + view[1] * dy + view[2] * dz
-            y = view[3] * dx + view[4] * dy + view[5] * dz
-            slope_x = min(max(x / z, -cx / fx - margin_x), (width - cx) / fx + margin_x)
-            slope_y = min(max(y / z, -cy / fy - margin_y), (height - cy) / fy + margin_y)
-            turn = rotation(q0 / length, q1 / length, q2 / length, q3 / length)
-            slopes = jacobian(view, fx / z, fy / z, slope_x, slope_y)
-            c00, c01, c02, c10, c11, c12 = product(slopes, turn)
-            xx, xy, yy, det = covariance(s0 * c00, s1 * c01, s2 * c02, s0 * c10, s1 * c11, s2 * c12, low_pass)
-            u, v = fx * x / z + cx, fy * y / z + cy
-            reach = 2 * np.log(opacity / alpha_min)  # σ ≤ reach/2 wherever α ≥ alpha_min
-            half_width, half_height = np.sqrt(reach * xx), np.sqrt(reach * yy)
-            if u + half_width <= 0 or u - half_width >= width or v + half_height <= 0 or v - half_height >= height:
-                continue
-            distance = np.sqrt(dx * dx + dy * dy + dz * dz)
-            fill_basis(basis, bands, dx / distance, dy / distance, dz / distance)
-            for channel in range(3):
-                value = 0.5
-                for band in range(bands):
-                    value += basis[band] * np.float64(sh[i, band, channel])
-                rows[i, RED + channel] = min(max(value, 0.0), COLOUR_LIMIT)
-            rows[i, X], rows[i, Y] = u, v
-            rows[i, A], rows[i, B], rows[i, C] = np.sqrt(yy / det), -xy / np.sqrt(yy * det), 1 / np.sqrt(yy)
-            rows[i, OPACITY], rows[i, LOST], rows[i, DEPTH] = opacity, -np.log(opacity), z
-            depths[i] = z
-            # Slightly more than float32 rounding, so that the extent never cuts off a pixel that the threshold keeps.
-            rows[i, HALF_WIDTH], rows[i, HALF_HEIGHT] = half_width * 1.0001 + 1e-3, half_height * 1.0001 + 1e-3
+        first, last = chunk * GAUSSIANS_AT_ONCE, min(n, (chunk + 1) * GAUSSIANS_AT_ONCE)
+        _project_chunk(gaussians, view, limits, rows, depths, first, last)
 
 
 @nb.njit(cache=True, error_model="numpy")

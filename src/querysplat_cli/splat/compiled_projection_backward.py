@@ -1,4 +1,4 @@
-"""The derivatives of projection.py's equations, compiled, one Gaussian at a time on every core.
+"""The derivatives of projection.py's equations, compiled, a few Gaussians at a time on every core.
 
 `view` and `limits` are those of compiled_projection.py. Numba's cache depends on this file only: after a change of a
 function that is imported here, touch it.
@@ -8,18 +8,34 @@ function that is imported here, touch it.
 import numba as nb
 import numpy as np
 
+from querysplat_cli.splat.compiled_memory import scratch64
 from querysplat_cli.splat.compiled_projection import (
     ALL,
+    BLOCK,
     BY_X,
     BY_XX,
     BY_XY,
     BY_Y,
     BY_YY,
     DEPTH,
+    DX,
+    DY,
+    DZ,
+    FACTOR_A,
+    FACTOR_B,
+    FACTOR_C,
     GAUSSIANS_AT_ONCE,
     GRADIENT_COLUMNS,
     HALF_WIDTH,
+    Q0,
+    Q1,
+    Q2,
+    Q3,
     RED,
+    S0,
+    S1,
+    S2,
+    VIEW_COLUMNS,
     A,
     B,
     C,
@@ -27,10 +43,17 @@ from querysplat_cli.splat.compiled_projection import (
     fill_basis,
     fill_slopes,
     jacobian,
+    load,
     product,
     rotation,
 )
 from querysplat_cli.splat.conventions import CLAMP_MARGIN, COLOUR_LIMIT
+
+SUM = 20
+"""The first of the sums of a row of gradients, among the fields of a block."""
+OF_X, OF_Y, OF_Z = range(SUM + GRADIENT_COLUMNS, SUM + GRADIENT_COLUMNS + 3)
+FIELDS = OF_Z + 1
+FIELD_NUMBERS, VIEW_NUMBERS = FIELDS * BLOCK, VIEW_COLUMNS * BLOCK
 
 
 @nb.njit(cache=True, error_model="numpy")
@@ -39,47 +62,110 @@ def _project_chunk_backward(gaussians, view, limits, rows, given, gradients, of_
 
     A function of its own compiles faster than the body of a parallel loop.
     """
-    means, quats, scales, opacities, sh = gaussians
+    opacities, sh = gaussians[3], gaussians[4]
     d_means, d_quats, d_scales, d_opacities, d_sh = gradients
     if fresh:
         d_means[first:last], d_quats[first:last], d_scales[first:last] = 0, 0, 0
         d_opacities[first:last], d_sh[first:last] = 0, 0
-    bands = sh.shape[1]
+    bands, basis, slope = sh.shape[1], np.empty(16), np.empty((16, 3))
+    moved = np.empty(last - first, np.int64)
+    count = _moved(rows, given, first, last, moved)
+    fields = nb.carray(scratch64(FIELD_NUMBERS), (FIELDS, BLOCK))
+    of_lanes = nb.carray(scratch64(VIEW_NUMBERS), (VIEW_COLUMNS, BLOCK))
+    of_lanes[:, :] = 0.0
+    for start in range(0, count, BLOCK):
+        for lane in range(BLOCK):
+            i = moved[min(start + lane, count - 1)]
+            load(gaussians, i, view, fields, lane)
+            fields[FACTOR_A, lane], fields[FACTOR_B, lane], fields[FACTOR_C, lane] = rows[i, A], rows[i, B], rows[i, C]
+            for column in range(GRADIENT_COLUMNS):
+                total = 0.0
+                for part in range(given.shape[0]):
+                    total += np.float64(given[part, i, column])
+                fields[SUM + column, lane] = total
+        _pull_back(view, limits, fields, of_lanes, count - start)
+        for lane in range(min(BLOCK, count - start)):
+            i = moved[start + lane]
+            dx, dy, dz = fields[DX, lane], fields[DY, lane], fields[DZ, lane]
+            distance = np.sqrt(dx * dx + dy * dy + dz * dz)
+            ux, uy, uz = dx / distance, dy / distance, dz / distance
+            fill_basis(basis, bands, ux, uy, uz)
+            fill_slopes(slope, bands, ux, uy, uz)
+            tx, ty, tz = 0.0, 0.0, 0.0
+            for channel in range(3):
+                value = 0.5
+                for band in range(bands):
+                    value += basis[band] * np.float64(sh[i, band, channel])
+                if value < 0 or value > COLOUR_LIMIT:
+                    continue
+                gradient = fields[SUM + RED + channel, lane]
+                for band in range(bands):
+                    coefficient = np.float64(sh[i, band, channel])
+                    d_sh[i, band, channel] += gradient * basis[band]
+                    tx += gradient * coefficient * slope[band, 0]
+                    ty += gradient * coefficient * slope[band, 1]
+                    tz += gradient * coefficient * slope[band, 2]
+            along = tx * ux + ty * uy + tz * uz
+            gx = fields[OF_X, lane] + (tx - along * ux) / distance
+            gy = fields[OF_Y, lane] + (ty - along * uy) / distance
+            gz = fields[OF_Z, lane] + (tz - along * uz) / distance
+            d_means[i, 0] += gx
+            d_means[i, 1] += gy
+            d_means[i, 2] += gz
+            of_view[9] += gx
+            of_view[10] += gy
+            of_view[11] += gz
+            d_opacities[i] += fields[SUM + ALL, lane] / np.float64(opacities[i])
+            for axis in range(3):
+                d_scales[i, axis] += fields[S0 + axis, lane]
+            for part in range(4):
+                d_quats[i, part] += fields[Q0 + part, lane]
+    for column in range(VIEW_COLUMNS):
+        of_view[column] += of_lanes[column].sum()
+
+
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
+def _moved(rows, given, first, last, moved):
+    """Fill `moved` by the visible Gaussians with a gradient; how many they are."""
+    count = 0
+    for i in range(first, last):
+        size = 0.0
+        if rows[i, HALF_WIDTH] > 0:
+            for part in range(given.shape[0]):
+                for column in range(GRADIENT_COLUMNS):
+                    size += abs(given[part, i, column])
+        if size != 0:
+            moved[count] = i
+            count += 1
+    return count
+
+
+@nb.njit(cache=True, error_model="numpy", forceinline=True)
+def _pull_back(view, limits, fields, of_view, count):
+    """The geometry of BLOCK Gaussians backwards: a loop without branches, which becomes vectors.
+
+    Overwrites scales and quaternions by their gradients, and fills those of the centres, OF_X to OF_Z. Adds what
+    `count` Gaussians bring, or all, to `of_view` [VIEW_COLUMNS, BLOCK].
+    """
     low_pass = limits[2]
     fx, fy, cx, cy, width, height = view[12], view[13], view[14], view[15], view[16], view[17]
     margin_x, margin_y = CLAMP_MARGIN * width / (2 * fx), CLAMP_MARGIN * height / (2 * fy)
-    basis = np.empty(16)
-    slope = np.empty((16, 3))
-    g = np.empty(GRADIENT_COLUMNS)
-    for i in range(first, last):
-        if rows[i, HALF_WIDTH] == 0:
-            continue
-        size = 0.0
-        for column in range(GRADIENT_COLUMNS):
-            total = 0.0
-            for part in range(given.shape[0]):
-                total += np.float64(given[part, i, column])
-            g[column] = total
-            size += abs(total)
-        if size == 0:
-            continue
+    low_x, high_x = -cx / fx - margin_x, (width - cx) / fx + margin_x
+    low_y, high_y = -cy / fy - margin_y, (height - cy) / fy + margin_y
+    for lane in range(BLOCK):
+        counted = 1.0 if lane < count else 0.0
+        dx, dy, dz = fields[DX, lane], fields[DY, lane], fields[DZ, lane]
+        q0, q1, q2, q3 = fields[Q0, lane], fields[Q1, lane], fields[Q2, lane], fields[Q3, lane]
+        s0, s1, s2 = fields[S0, lane], fields[S1, lane], fields[S2, lane]
         # 2σ = across² + (C·dy)² with across = A·dx + B·dy.
-        a, b = np.float64(rows[i, A]), np.float64(rows[i, B])
-        across = a * g[BY_X] + b * g[BY_Y]
-        gu, gv = a * across, b * across + np.float64(rows[i, C]) ** 2 * g[BY_Y]
-        dx = np.float64(means[i, 0]) - view[9]
-        dy = np.float64(means[i, 1]) - view[10]
-        dz = np.float64(means[i, 2]) - view[11]
+        a, b, q, by_y = fields[FACTOR_A, lane], fields[FACTOR_B, lane], fields[FACTOR_C, lane], fields[SUM + BY_Y, lane]
+        across = a * fields[SUM + BY_X, lane] + b * by_y
+        gu, gv = a * across, b * across + q * q * by_y
         x = view[0] * dx + view[1] * dy + view[2] * dz
         y = view[3] * dx + view[4] * dy + view[5] * dz
         z = view[6] * dx + view[7] * dy + view[8] * dz
-        q0, q1 = np.float64(quats[i, 0]), np.float64(quats[i, 1])
-        q2, q3 = np.float64(quats[i, 2]), np.float64(quats[i, 3])
         length = np.sqrt(q0 * q0 + q1 * q1 + q2 * q2 + q3 * q3)
         q0, q1, q2, q3 = q0 / length, q1 / length, q2 / length, q3 / length
-        s0, s1, s2 = np.float64(scales[i, 0]), np.float64(scales[i, 1]), np.float64(scales[i, 2])
-        low_x, high_x = -cx / fx - margin_x, (width - cx) / fx + margin_x
-        low_y, high_y = -cy / fy - margin_y, (height - cy) / fy + margin_y
         slope_x, slope_y = min(max(x / z, low_x), high_x), min(max(y / z, low_y), high_y)
         turn = rotation(q0, q1, q2, q3)
         jx, jy = fx / z, fy / z
@@ -90,7 +176,8 @@ def _project_chunk_backward(gaussians, view, limits, rows, given, gradients, of_
         xx, xy, yy, det = covariance(a00, a01, a02, a10, a11, a12, low_pass)
         i00, i01, i11 = yy / det, -xy / det, xx / det
         # dΣ⁻¹ = −Σ⁻¹ dΣ Σ⁻¹, so the gradient of the covariance is −Σ⁻¹ G Σ⁻¹ with G symmetric.
-        g00, g01, g11 = -0.5 * g[BY_XX], -0.5 * g[BY_XY], -0.5 * g[BY_YY]
+        g00, g01 = -0.5 * fields[SUM + BY_XX, lane], -0.5 * fields[SUM + BY_XY, lane]
+        g11 = -0.5 * fields[SUM + BY_YY, lane]
         t00, t01 = i00 * g00 + i01 * g01, i00 * g01 + i01 * g11
         t10, t11 = i01 * g00 + i11 * g01, i01 * g01 + i11 * g11
         h00 = -(t00 * i00 + t01 * i01)
@@ -102,9 +189,8 @@ def _project_chunk_backward(gaussians, view, limits, rows, given, gradients, of_
         e10 = 2 * (h01 * a00 + h11 * a10)
         e11 = 2 * (h01 * a01 + h11 * a11)
         e12 = 2 * (h01 * a02 + h11 * a12)
-        d_scales[i, 0] += e00 * c00 + e10 * c10
-        d_scales[i, 1] += e01 * c01 + e11 * c11
-        d_scales[i, 2] += e02 * c02 + e12 * c12
+        fields[S0, lane], fields[S1, lane] = e00 * c00 + e10 * c10, e01 * c01 + e11 * c11
+        fields[S2, lane] = e02 * c02 + e12 * c12
         e00, e01, e02, e10, e11, e12 = e00 * s0, e01 * s1, e02 * s2, e10 * s0, e11 * s1, e12 * s2
         # Rotation of the Gaussian: axes = B·R·S.
         p00, p01, p02 = b00 * e00 + b10 * e10, b00 * e01 + b10 * e11, b00 * e02 + b10 * e12
@@ -115,10 +201,8 @@ def _project_chunk_backward(gaussians, view, limits, rows, given, gradients, of_
         f2 = 2 * (q1 * (p01 + p10) + q3 * (p12 + p21) + q0 * (p02 - p20) - 2 * q2 * (p00 + p22))
         f3 = 2 * (q1 * (p02 + p20) + q2 * (p12 + p21) + q0 * (p10 - p01) - 2 * q3 * (p00 + p11))
         along = f0 * q0 + f1 * q1 + f2 * q2 + f3 * q3
-        d_quats[i, 0] += (f0 - along * q0) / length
-        d_quats[i, 1] += (f1 - along * q1) / length
-        d_quats[i, 2] += (f2 - along * q2) / length
-        d_quats[i, 3] += (f3 - along * q3) / length
+        fields[Q0, lane], fields[Q1, lane] = (f0 - along * q0) / length, (f1 - along * q1) / length
+        fields[Q2, lane], fields[Q3, lane] = (f2 - along * q2) / length, (f3 - along * q3) / length
         r00, r01, r02, r10, r11, r12, r20, r21, r22 = turn
         # The Jacobian: B = J·W.
         d00 = e00 * r00 + e01 * r01 + e02 * r02
@@ -132,67 +216,31 @@ def _project_chunk_backward(gaussians, view, limits, rows, given, gradients, of_
         k11 = d10 * view[3] + d11 * view[4] + d12 * view[5]
         k12 = d10 * view[6] + d11 * view[7] + d12 * view[8]
         # A slope that is held at the border moves with the border.
-        lens_x, lens_y = k00 / z, k11 / z
-        middle_x, middle_y = k02 / z, k12 / z
-        if low_x < x / z < high_x:
-            lens_x, middle_x = lens_x - middle_x * slope_x, 0.0
-        if low_y < y / z < high_y:
-            lens_y, middle_y = lens_y - middle_y * slope_y, 0.0
-        of_view[12] += gu * x / z + lens_x
-        of_view[13] += gv * y / z + lens_y
-        of_view[14] += gu + middle_x
-        of_view[15] += gv + middle_y
-        gx, gy, gz = gu * jx, gv * jy, g[DEPTH]
+        free_x, free_y = (x / z > low_x) & (x / z < high_x), (y / z > low_y) & (y / z < high_y)
+        free02, free12 = k02 if free_x else 0.0, k12 if free_y else 0.0
+        of_view[12, lane] += counted * (gu * x / z + (k00 - free02 * slope_x) / z)
+        of_view[13, lane] += counted * (gv * y / z + (k11 - free12 * slope_y) / z)
+        of_view[14, lane] += counted * (gu + (0.0 if free_x else k02 / z))
+        of_view[15, lane] += counted * (gv + (0.0 if free_y else k12 / z))
+        gx, gy, gz = gu * jx, gv * jy, fields[SUM + DEPTH, lane]
         gz -= gu * jx * x / z + gv * jy * y / z
         gz -= (k00 - k02 * slope_x) * jx / z + (k11 - k12 * slope_y) * jy / z
-        if low_x < x / z < high_x:
-            gx -= k02 * jx / z
-            gz += k02 * jx * x / (z * z)
-        if low_y < y / z < high_y:
-            gy -= k12 * jy / z
-            gz += k12 * jy * y / (z * z)
+        gx -= free02 * jx / z
+        gy -= free12 * jy / z
+        gz += free02 * jx * x / (z * z) + free12 * jy * y / (z * z)
         jz0, jz1 = -jx * slope_x, -jy * slope_y
-        of_view[0] += gx * dx + jx * d00
-        of_view[1] += gx * dy + jx * d01
-        of_view[2] += gx * dz + jx * d02
-        of_view[3] += gy * dx + jy * d10
-        of_view[4] += gy * dy + jy * d11
-        of_view[5] += gy * dz + jy * d12
-        of_view[6] += gz * dx + jz0 * d00 + jz1 * d10
-        of_view[7] += gz * dy + jz0 * d01 + jz1 * d11
-        of_view[8] += gz * dz + jz0 * d02 + jz1 * d12
-        gwx = view[0] * gx + view[3] * gy + view[6] * gz
-        gwy = view[1] * gx + view[4] * gy + view[7] * gz
-        gwz = view[2] * gx + view[5] * gy + view[8] * gz
-        d_opacities[i] += g[ALL] / np.float64(opacities[i])
-        distance = np.sqrt(dx * dx + dy * dy + dz * dz)
-        ux, uy, uz = dx / distance, dy / distance, dz / distance
-        fill_basis(basis, bands, ux, uy, uz)
-        fill_slopes(slope, bands, ux, uy, uz)
-        tx, ty, tz = 0.0, 0.0, 0.0
-        for channel in range(3):
-            value = 0.5
-            for band in range(bands):
-                value += basis[band] * np.float64(sh[i, band, channel])
-            if value < 0 or value > COLOUR_LIMIT:
-                continue
-            gradient = g[RED + channel]
-            for band in range(bands):
-                coefficient = np.float64(sh[i, band, channel])
-                d_sh[i, band, channel] += gradient * basis[band]
-                tx += gradient * coefficient * slope[band, 0]
-                ty += gradient * coefficient * slope[band, 1]
-                tz += gradient * coefficient * slope[band, 2]
-        along = tx * ux + ty * uy + tz * uz
-        gwx += (tx - along * ux) / distance
-        gwy += (ty - along * uy) / distance
-        gwz += (tz - along * uz) / distance
-        d_means[i, 0] += gwx
-        d_means[i, 1] += gwy
-        d_means[i, 2] += gwz
-        of_view[9] += gwx
-        of_view[10] += gwy
-        of_view[11] += gwz
+        of_view[0, lane] += counted * (gx * dx + jx * d00)
+        of_view[1, lane] += counted * (gx * dy + jx * d01)
+        of_view[2, lane] += counted * (gx * dz + jx * d02)
+        of_view[3, lane] += counted * (gy * dx + jy * d10)
+        of_view[4, lane] += counted * (gy * dy + jy * d11)
+        of_view[5, lane] += counted * (gy * dz + jy * d12)
+        of_view[6, lane] += counted * (gz * dx + jz0 * d00 + jz1 * d10)
+        of_view[7, lane] += counted * (gz * dy + jz0 * d01 + jz1 * d11)
+        of_view[8, lane] += counted * (gz * dz + jz0 * d02 + jz1 * d12)
+        fields[OF_X, lane] = view[0] * gx + view[3] * gy + view[6] * gz
+        fields[OF_Y, lane] = view[1] * gx + view[4] * gy + view[7] * gz
+        fields[OF_Z, lane] = view[2] * gx + view[5] * gy + view[8] * gz
 
 
 @nb.njit(cache=True, error_model="numpy", parallel=True)
