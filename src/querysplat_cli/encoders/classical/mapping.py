@@ -16,7 +16,7 @@ from querysplat_cli.encoders.classical.dense_agreement import dense_agreement
 from querysplat_cli.encoders.classical.epipolar import epipolar_support
 from querysplat_cli.encoders.classical.matches import Matches
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY, Attempt
-from querysplat_cli.encoders.classical.self_calibration import adjusted, self_calibrated
+from querysplat_cli.encoders.classical.self_calibration import centred, self_calibrated
 from querysplat_cli.encoders.classical.sparse_model import SparseModel
 from querysplat_cli.encoders.classical.two_views import map_two_photos
 from querysplat_cli.encoders.classical.verified_pairs import Pair, read_candidates
@@ -42,7 +42,7 @@ class Mapped:
     def adjusted(self) -> pycolmap.Reconstruction:
         """COLMAP's form after a bundle adjustment without priors."""
         assert self.reconstruction is not None
-        return adjusted(self.reconstruction, second_term=False, fit_lens=self.fit_lens)
+        return centred(self.reconstruction, fit_lens=self.fit_lens)
 
     def refined(self, matches: Matches) -> SparseModel:
         """The model after the final bundle adjustment.

@@ -155,6 +155,8 @@ class CameraPolicy:
     """Reprojection error in pixels beyond which the Cauchy loss gives a feature less and less weight."""
     second_term_error: float = 0.98
     """A second distortion term stays when it lowers the mean reprojection error to this share."""
+    principal_error: float = 0.98
+    """Fitted principal points stay when they lower it to this share."""
     second_term_photos: int = 3
     """A lens may have a second distortion term from this many photos on."""
     largest_distortion: float = 1.0
