@@ -178,6 +178,8 @@ class CameraPolicy:
     breathe when they focus."""
     stated_focal_limit: float = 3.0
     """More than four photos that differ from EXIF by so many standard deviations are adjusted again with the prior."""
+    contradiction: float = 0.95
+    """They keep their own focal length where the mean error with it is below this share of that with the prior."""
     usual_focal: float = 0.75
     """Median focal length of photos without EXIF, in longer sides of a 4:3 frame around the photo."""
     usual_focal_spread: float = 0.35
