@@ -195,6 +195,8 @@ class CameraPolicy:
     `lens_apart_error` holds."""
     lens_apart_error: float = 0.85
     """With a lens of its own, the mean error of its observations falls below this share (docs/tried.md)."""
+    lens_apart_cost: float = 0.85
+    """Two photos share no lens where `lens_difference` holds, and two lenses lower the cost below this share."""
     wrong_error: float = 4.0
     """In pixels; larger errors of observations count as this."""
     lens_gaps: tuple[float, ...] = (0.12, 0.06, 0.03)
@@ -206,6 +208,8 @@ class CameraPolicy:
     """With so few photos or fewer the mapper keeps the lens of the prior, and only the adjustment fits it."""
     tried_focals: tuple[float, ...] = (-1.0, 0.0, 1.0)
     """Focal lengths from which two photos without EXIF are adjusted, in standard deviations of the prior."""
+    tried_zooms: tuple[tuple[float, float], ...] = ((-0.75, 0.75), (0.75, -0.75))
+    """The same for two photos with a lens each."""
     fewest_two_view_points: int = 15
     """Two photos need so many points."""
     fewest_two_view_share: float = 0.25

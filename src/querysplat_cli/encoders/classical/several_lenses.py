@@ -19,6 +19,7 @@ from querysplat_cli.encoders.classical.matches import Matches, frame_of, write_l
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
 from querysplat_cli.encoders.classical.self_calibration import adjusted
 from querysplat_cli.encoders.classical.sparse_model import SparseModel, mean_error, photo_error
+from querysplat_cli.encoders.classical.two_views import share_a_lens
 from querysplat_cli.scene.views import Photo
 
 
@@ -49,18 +50,26 @@ def with_lenses_apart(mapped: Mapped, matches: Matches, photos: Sequence[Photo],
 def few_refined(mapped: Mapped, matches: Matches) -> tuple[SparseModel, tuple[str, ...]]:
     """`mapped.refined` of two to four photos, and what is to be said of their lenses.
 
-    Three and four photos get a lens each where one of them fits much better then, as zoomed or cropped ones do. The
-    prior of each lens stands in for the photos that would determine it.
+    They get a lens each where one of them fits much better then, as zoomed or cropped ones do; of two, the model has
+    them already. The prior of each lens stands in for the photos that would determine it.
     """
     together = mapped.refined(matches)
-    if mapped.reconstruction is None or len(together.cameras) < 3:
+    if mapped.reconstruction is None:
+        differ = len({camera.focal for camera in together.cameras.values()}) > 1
+        found = differ and share_a_lens(matches.sizes, matches.focals, matches.expected_focals)
+        return together, (_few_lenses(together),) if found else ()
+    if len(together.cameras) < 3:
         return together, ()
     divided = with_lenses(mapped.reconstruction, range(len(matches.sizes)))
     alone = bundle_adjusted(divided, matches.focals, matches.expected_focals)
     if not _fits_better(alone, together):
         return together, ()
-    found = f"the photos do not share a lens: {_spans(alone)}"
-    return alone, (f"{found}; so few hardly determine that, and the cameras may be wrong",)
+    return alone, (_few_lenses(alone),)
+
+
+def _few_lenses(model: SparseModel) -> str:
+    found = f"the photos do not share a lens: {_spans(model)}"
+    return f"{found}; so few hardly determine that, and the cameras may be wrong"
 
 
 def focal_groups(focals: Mapping[int, float], shared: Sequence[int], gap: float) -> list[int]:
