@@ -195,8 +195,10 @@ class CameraPolicy:
     `lens_apart_error` holds."""
     lens_apart_error: float = 0.85
     """With a lens of its own, the mean error of its observations falls below this share (docs/tried.md)."""
+    zoom_difference: float = 0.12
+    """Two photos share no lens where focal lengths of their own differ by more, and `lens_apart_cost` holds."""
     lens_apart_cost: float = 0.85
-    """Two photos share no lens where `lens_difference` holds, and two lenses lower the cost below this share."""
+    """Two lenses lower the cost below this share."""
     wrong_error: float = 4.0
     """In pixels; larger errors of observations count as this."""
     lens_gaps: tuple[float, ...] = (0.12, 0.06, 0.03)

@@ -89,7 +89,7 @@ def share_a_lens(
 def _zoomed(apart: _Candidate, shared: _Candidate) -> bool:
     """Whether the photos fit far better with two focal lengths that differ, as of a zoomed photo and another one."""
     one, two = (camera.focal[0] for camera in apart.cameras)
-    differ = abs(np.log(two / one)) > np.log1p(CAMERA_POLICY.lens_difference)
+    differ = abs(np.log(two / one)) > np.log1p(CAMERA_POLICY.zoom_difference)
     return bool(differ and apart.cost < CAMERA_POLICY.lens_apart_cost * shared.cost)
 
 
