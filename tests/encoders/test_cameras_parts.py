@@ -217,15 +217,26 @@ def test_the_largest_group_is_connected_and_no_other_is_larger(ends: list[tuple[
     assert found == min(sorted(group) for group in groups if len(group) == largest)
 
 
+@pytest.mark.parametrize("worse", [1.0, 1.1])
 @pytest.mark.parametrize("photos", [CAMERA_POLICY.adjusted_photos, CAMERA_POLICY.adjusted_photos + 1])
-def test_many_photos_outvote_the_focal_lengths_of_exif(photos: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    nothing = (0.0, 0.0, 0.0, 0.0)
-    camera = PhotoCamera(np.eye(4), (500.0, 500.0), (32.0, 24.0), nothing, 48, 64)
-    found, pulled = (SparseModel(dict.fromkeys(range(photos), camera), np.zeros((0, 3)), {}) for _ in range(2))
-    monkeypatch.setattr(mapping, "adjusted", lambda reconstruction, **lenses: reconstruction)
+def test_photos_outvote_the_focal_length_of_exif_where_they_are_many_or_fit_worse_with_it(
+    photos: int, worse: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The photos say half of EXIF's focal length, and have `worse` times the error with that of EXIF."""
+    camera = PhotoCamera(np.eye(4), (500.0, 500.0), (32.0, 24.0), (0.0, 0.0, 0.0, 0.0), 48, 64)
+    found, pulled = (
+        SparseModel(
+            dict.fromkeys(range(photos), camera),
+            np.array([[0.0, 0.0, 1.0]]),
+            dict.fromkeys(range(photos), np.array([0])),
+            dict.fromkeys(range(photos), np.array([[32.0 + error, 24.0]])),
+        )
+        for error in (0.5, 0.5 * worse)
+    )
+    monkeypatch.setattr(mapping, "centred", lambda reconstruction, **lenses: reconstruction)
     monkeypatch.setattr(mapping, "self_calibrated", lambda plain, fit_lens: plain)
     monkeypatch.setattr(mapping, "from_colmap", lambda reconstruction: found)
     monkeypatch.setattr(mapping, "bundle_adjusted", lambda *given: pulled)
     matches = Matches(Path(), ((48, 64),) * photos, (1000.0,) * photos, (), (0,) * photos, ())
     refined = Mapped(found, (), pycolmap.Reconstruction()).refined(matches)
-    assert refined is (found if photos > CAMERA_POLICY.adjusted_photos else pulled)
+    assert refined is (found if photos > CAMERA_POLICY.adjusted_photos or worse > 1 else pulled)

@@ -23,12 +23,13 @@ def cloud() -> np.ndarray:
 
 def test_what_a_cut_photo_states_does_not_hold(cloud: np.ndarray, monkeypatch: pytest.MonkeyPatch) -> None:
     found, matches = scene(arc(6), cloud)
-    pulled = SparseModel({}, np.zeros((0, 3)), {})
-    monkeypatch.setattr(mapping, "adjusted", lambda reconstruction, **lenses: reconstruction)
+    pulled = replace(found)
+    monkeypatch.setattr(mapping, "centred", lambda reconstruction, **lenses: reconstruction)
     monkeypatch.setattr(mapping, "self_calibrated", lambda plain, fit_lens: plain)
     monkeypatch.setattr(mapping, "from_colmap", lambda reconstruction: found)
     monkeypatch.setattr(mapping, "bundle_adjusted", lambda *given: pulled)
-    for share, kept in ((1.0, True), (0.85, False), (0.7, True)):
+    for share, worse, kept in ((1.0, 1.0, True), (0.85, 1.0, False), (0.7, 1.0, False), (0.7, 1.1, True)):
+        monkeypatch.setattr(mapping, "mean_error", lambda model, pull=worse: pull if model is pulled else 1.0)
         stated = replace(matches, focals=(share * found.cameras[0].focal[0],) * 6)
         refined = Mapped(found, (), pycolmap.Reconstruction()).refined(stated)
         assert refined is (found if kept else pulled)

@@ -13,8 +13,10 @@ from querysplat_cli.encoders.classical import two_views
 from querysplat_cli.encoders.classical.camera_warnings import camera_warnings
 from querysplat_cli.encoders.classical.dense_agreement import dense_agreement
 from querysplat_cli.encoders.classical.lens_prior import usual_focal
+from querysplat_cli.encoders.classical.mapping import Mapped
 from querysplat_cli.encoders.classical.matches import Matches
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
+from querysplat_cli.encoders.classical.several_lenses import few_refined
 from querysplat_cli.encoders.classical.sparse_model import SparseModel
 from querysplat_cli.encoders.classical.two_views import map_two_photos
 from querysplat_cli.encoders.classical.verified_pairs import Pair
@@ -116,6 +118,21 @@ def test_a_plane_is_reconstructed_as_one(stated: float | None) -> None:
         given = " ".join(camera_warnings(model, found, known=True))
         assert "one plane" not in given
         assert "hardly determine" not in given
+
+
+@pytest.mark.parametrize("zoom", [1.0, 1.25, 1.7])
+def test_a_zoomed_photo_beside_another_one_gets_a_lens_of_its_own(zoom: float) -> None:
+    """Nothing states that one of both is zoomed."""
+    one, two = cameras(PRIOR_FOCAL)[0], cameras(zoom * PRIOR_FOCAL)[1]
+    found = matches(cloud(150), [one, two], stated=None)
+    model = mapped(found)
+    assert model is not None
+    first, second = (model.cameras[i].focal[0] for i in (0, 1))
+    assert (first == second) is (zoom == 1)
+    assert second / first == pytest.approx(zoom, rel=0.04)
+    assert turn_error(model.cameras, [one, two]) < 7
+    said = few_refined(Mapped(model, found.pairs), found)[1]
+    assert bool(said) is (zoom != 1)
 
 
 def test_each_of_two_lenses_has_its_focal_length() -> None:

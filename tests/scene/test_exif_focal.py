@@ -77,6 +77,16 @@ def test_pixels_that_a_program_turned_keep_their_focal_length() -> None:
         assert stated_focal(tags, size) == pytest.approx(300)
 
 
+@pytest.mark.parametrize(("ratio", "times"), [(0.0, 1.0), (1.0, 1.0), (1.5, 1.5)])
+def test_digital_zoom_lengthens_what_the_sensor_states(ratio: float, times: float) -> None:
+    """The 35 mm equivalents of phones have it already: 28 mm with a ratio of 1.951 is 55."""
+    zoomed = {ExifTags.Base.DigitalZoomRatio: ratio}
+    sensor = {ExifTags.Base.FocalLength: 30.0, ExifTags.Base.FocalPlaneXResolution: 10 * 25.4}
+    assert stated_focal(sensor | zoomed) == pytest.approx(300 * times)
+    film = {ExifTags.Base.FocalLengthIn35mmFilm: 55}
+    assert stated_focal(film | zoomed) == stated_focal(film)
+
+
 @pytest.mark.parametrize("size", [(160, 120), (120, 120), (160, 90), (120, 160)])
 def test_the_film_equivalent_is_that_of_the_whole_sensor(size: tuple[int, int]) -> None:
     """A phone of 160 × 120 states 26 mm for squares and 16:9, too, which it cuts from that."""
@@ -109,11 +119,17 @@ def test_a_photo_that_was_cut_afterwards_states_no_focal_length() -> None:
     ),
     millimetres=st.floats(0, 1e4),
     density=st.floats(0, 1e6),
+    zoom=st.floats(0, 1e6),
 )
 def test_any_entries_give_a_plausible_focal_length_or_none(
-    tags: dict[int, object], millimetres: float, density: float
+    tags: dict[int, object], millimetres: float, density: float, zoom: float
 ) -> None:
-    tags = {**tags, ExifTags.Base.FocalLength: millimetres, ExifTags.Base.FocalPlaneXResolution: density}
+    tags = {
+        **tags,
+        ExifTags.Base.FocalLength: millimetres,
+        ExifTags.Base.FocalPlaneXResolution: density,
+        ExifTags.Base.DigitalZoomRatio: zoom,
+    }
     focal = stated_focal(tags)
     low, high = SENSIBLE_FOCAL
     assert focal is None or low < focal / WIDTH < high

@@ -106,7 +106,8 @@ def _was_cut(exif: dict[int, Any], width: int, height: int) -> bool:
 def _focal_from_sensor(exif: dict[int, Any], width: int, height: int) -> float | None:
     """Focal length times the sensor's pixels per millimetre; the file may have been reduced or turned since.
 
-    Some cameras state the density along one side only.
+    Some cameras state the density along one side only. Both are those of the lens and the sensor, so digital zoom comes
+    on top; 35 mm equivalents of phones have it already.
     """
     millimetres = float(exif.get(ExifTags.Base.FocalLength, 0))
     unit = MILLIMETRES[int(exif.get(ExifTags.Base.FocalPlaneResolutionUnit, 2))]
@@ -116,4 +117,5 @@ def _focal_from_sensor(exif: dict[int, Any], width: int, height: int) -> float |
     sides = [(full, pixels) for full, pixels in zip(stated, (width, height), strict=True) if full]
     # The longer sides belong together, also where a program turned the pixels and left the entries.
     scale = max(pixels for _, pixels in sides) / max(full for full, _ in sides) if sides else 1.0
-    return millimetres * density / unit * scale or None
+    zoom = max(1.0, float(exif.get(ExifTags.Base.DigitalZoomRatio, 1)))  # 0 says that there was none
+    return millimetres * density / unit * scale * zoom or None

@@ -11,13 +11,13 @@ import numpy as np
 import pycolmap
 
 from querysplat_cli.encoders.classical.bundle_adjustment import bundle_adjusted
-from querysplat_cli.encoders.classical.camera_warnings import exif_ratios, has_ordinary_lens, is_flat
+from querysplat_cli.encoders.classical.camera_warnings import exif_ratios, has_ordinary_lens
 from querysplat_cli.encoders.classical.dense_agreement import dense_agreement
 from querysplat_cli.encoders.classical.epipolar import epipolar_support
 from querysplat_cli.encoders.classical.matches import Matches
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY, Attempt
-from querysplat_cli.encoders.classical.self_calibration import adjusted, self_calibrated
-from querysplat_cli.encoders.classical.sparse_model import SparseModel
+from querysplat_cli.encoders.classical.self_calibration import centred, self_calibrated
+from querysplat_cli.encoders.classical.sparse_model import SparseModel, mean_error
 from querysplat_cli.encoders.classical.two_views import map_two_photos
 from querysplat_cli.encoders.classical.verified_pairs import Pair, read_candidates
 from querysplat_cli.scene.formats.colmap import photo_camera
@@ -42,24 +42,27 @@ class Mapped:
     def adjusted(self) -> pycolmap.Reconstruction:
         """COLMAP's form after a bundle adjustment without priors."""
         assert self.reconstruction is not None
-        return adjusted(self.reconstruction, second_term=False, fit_lens=self.fit_lens)
+        return centred(self.reconstruction, fit_lens=self.fit_lens)
 
     def refined(self, matches: Matches) -> SparseModel:
         """The model after the final bundle adjustment.
 
         Priors take part for a few photos, and where more photos contradict the focal length that EXIF states, unless
-        they do so by far: a photo that was cut has another one. A plane says nothing of focal lengths, so that EXIF's
-        holds there in any case.
+        they fit much worse then: a photo that was cut has another one. Photos of a plane, and others that do not
+        determine their focal length, fit as well with that of EXIF.
         """
         if self.reconstruction is None:
             return self.model
-        if len(self.model.cameras) > CAMERA_POLICY.few_photos:
-            found = from_colmap(self_calibrated(self.adjusted, fit_lens=self.fit_lens))
-            ratios = exif_ratios(found, matches)
-            if len(self.model.cameras) > CAMERA_POLICY.adjusted_photos or _keep_exif(ratios):
-                return found
-            if any(abs(ratio - 1) > CAMERA_POLICY.exif_difference for ratio in ratios) and not is_flat(found):
-                return found
+        if len(self.model.cameras) <= CAMERA_POLICY.few_photos:
+            return self._under_priors(matches)
+        found = from_colmap(self_calibrated(self.adjusted, fit_lens=self.fit_lens))
+        if len(self.model.cameras) > CAMERA_POLICY.adjusted_photos or _keep_exif(exif_ratios(found, matches)):
+            return found
+        stated = self._under_priors(matches)
+        return found if mean_error(found) < CAMERA_POLICY.contradiction * mean_error(stated) else stated
+
+    def _under_priors(self, matches: Matches) -> SparseModel:
+        assert self.reconstruction is not None
         return bundle_adjusted(self.reconstruction, matches.focals, matches.expected_focals)
 
 

@@ -155,6 +155,8 @@ class CameraPolicy:
     """Reprojection error in pixels beyond which the Cauchy loss gives a feature less and less weight."""
     second_term_error: float = 0.98
     """A second distortion term stays when it lowers the mean reprojection error to this share."""
+    principal_error: float = 0.98
+    """Fitted principal points stay when they lower it to this share."""
     second_term_photos: int = 3
     """A lens may have a second distortion term from this many photos on."""
     largest_distortion: float = 1.0
@@ -176,6 +178,8 @@ class CameraPolicy:
     breathe when they focus."""
     stated_focal_limit: float = 3.0
     """More than four photos that differ from EXIF by so many standard deviations are adjusted again with the prior."""
+    contradiction: float = 0.95
+    """They keep their own focal length where the mean error with it is below this share of that with the prior."""
     usual_focal: float = 0.75
     """Median focal length of photos without EXIF, in longer sides of a 4:3 frame around the photo."""
     usual_focal_spread: float = 0.35
@@ -191,6 +195,10 @@ class CameraPolicy:
     `lens_apart_error` holds."""
     lens_apart_error: float = 0.85
     """With a lens of its own, the mean error of its observations falls below this share (docs/tried.md)."""
+    zoom_difference: float = 0.12
+    """Two photos share no lens where focal lengths of their own differ by more, and `lens_apart_cost` holds."""
+    lens_apart_cost: float = 0.85
+    """Two lenses lower the cost below this share."""
     wrong_error: float = 4.0
     """In pixels; larger errors of observations count as this."""
     lens_gaps: tuple[float, ...] = (0.12, 0.06, 0.03)
@@ -202,6 +210,8 @@ class CameraPolicy:
     """With so few photos or fewer the mapper keeps the lens of the prior, and only the adjustment fits it."""
     tried_focals: tuple[float, ...] = (-1.0, 0.0, 1.0)
     """Focal lengths from which two photos without EXIF are adjusted, in standard deviations of the prior."""
+    tried_zooms: tuple[tuple[float, float], ...] = ((-0.75, 0.75), (0.75, -0.75))
+    """The same for two photos with a lens each."""
     fewest_two_view_points: int = 15
     """Two photos need so many points."""
     fewest_two_view_share: float = 0.25

@@ -18,7 +18,8 @@ from querysplat_cli.encoders.classical.mapping import Mapped, from_colmap, map_p
 from querysplat_cli.encoders.classical.matches import Matches, frame_of, write_lens
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
 from querysplat_cli.encoders.classical.self_calibration import adjusted
-from querysplat_cli.encoders.classical.sparse_model import SparseModel
+from querysplat_cli.encoders.classical.sparse_model import SparseModel, mean_error, photo_error
+from querysplat_cli.encoders.classical.two_views import share_a_lens
 from querysplat_cli.scene.views import Photo
 
 
@@ -49,18 +50,26 @@ def with_lenses_apart(mapped: Mapped, matches: Matches, photos: Sequence[Photo],
 def few_refined(mapped: Mapped, matches: Matches) -> tuple[SparseModel, tuple[str, ...]]:
     """`mapped.refined` of two to four photos, and what is to be said of their lenses.
 
-    Three and four photos get a lens each where one of them fits much better then, as zoomed or cropped ones do. The
-    prior of each lens stands in for the photos that would determine it.
+    They get a lens each where one of them fits much better then, as zoomed or cropped ones do; of two, the model has
+    them already. The prior of each lens stands in for the photos that would determine it.
     """
     together = mapped.refined(matches)
-    if mapped.reconstruction is None or len(together.cameras) < 3:
+    if mapped.reconstruction is None:
+        differ = len({camera.focal for camera in together.cameras.values()}) > 1
+        found = differ and share_a_lens(matches.sizes, matches.focals, matches.expected_focals)
+        return together, (_few_lenses(together),) if found else ()
+    if len(together.cameras) < 3:
         return together, ()
     divided = with_lenses(mapped.reconstruction, range(len(matches.sizes)))
     alone = bundle_adjusted(divided, matches.focals, matches.expected_focals)
     if not _fits_better(alone, together):
         return together, ()
-    found = f"the photos do not share a lens: {_spans(alone)}"
-    return alone, (f"{found}; so few hardly determine that, and the cameras may be wrong",)
+    return alone, (_few_lenses(alone),)
+
+
+def _few_lenses(model: SparseModel) -> str:
+    found = f"the photos do not share a lens: {_spans(model)}"
+    return f"{found}; so few hardly determine that, and the cameras may be wrong"
 
 
 def focal_groups(focals: Mapping[int, float], shared: Sequence[int], gap: float) -> list[int]:
@@ -112,7 +121,7 @@ def _fits_better(alone: SparseModel, together: SparseModel) -> bool:
     policy = CAMERA_POLICY
     for photo, camera in alone.cameras.items():
         apart = abs(np.log(camera.focal[0] / together.cameras[photo].focal[0])) > np.log1p(policy.lens_difference)
-        if apart and _error(alone, photo) < policy.lens_apart_error * _error(together, photo):
+        if apart and photo_error(alone, photo) < policy.lens_apart_error * photo_error(together, photo):
             return True
     return False
 
@@ -120,12 +129,12 @@ def _fits_better(alone: SparseModel, together: SparseModel) -> bool:
 def _groups(model: pycolmap.Reconstruction, shared: Sequence[int]) -> list[int]:
     """The fewest lenses with which photos fit as well as with one each. `model` has one each."""
     alone = _adjusted(model)
-    limit = CAMERA_POLICY.lens_tolerance * _mean_error(alone)
+    limit = CAMERA_POLICY.lens_tolerance * mean_error(alone)
     focals = {photo: camera.focal[0] for photo, camera in alone.cameras.items()}
     groups: list[int] = []
     for gap in CAMERA_POLICY.lens_gaps:
         groups = focal_groups(focals, shared, gap)
-        if _mean_error(_adjusted(with_lenses(model, groups))) < limit:
+        if mean_error(_adjusted(with_lenses(model, groups))) < limit:
             break
     return groups
 
@@ -138,15 +147,6 @@ def _spans(model: SparseModel) -> str:
     """The angle that each lens spans, in words."""
     count = Counter(round(field_of_view(camera)) for camera in model.cameras.values())
     return ", ".join(f"{number} span {angle}°" for angle, number in sorted(count.items()))
-
-
-def _mean_error(model: SparseModel) -> float:
-    return float(np.mean([_error(model, photo) for photo in model.cameras]))
-
-
-def _error(model: SparseModel, photo: int) -> float:
-    """The mean error of a photo's observations in pixels, each cut off where it says only that a match is wrong."""
-    return float(np.fmin(model.errors(photo), CAMERA_POLICY.wrong_error).mean())
 
 
 def _lenses(matches: Matches) -> list[int]:

@@ -8,6 +8,7 @@ import numpy as np
 import torch
 
 from querysplat_cli.encoders.base import PosedViews
+from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.undistort import undistorted
 from querysplat_cli.scene.views import Photo
@@ -43,6 +44,16 @@ class SparseModel:
         """The camera centre of a photo [3], in the world."""
         w2c = self.cameras[photo].w2c
         return np.asarray(-w2c[:3, :3].T @ w2c[:3, 3])
+
+
+def mean_error(model: SparseModel) -> float:
+    """The mean over the photos of `photo_error`."""
+    return float(np.mean([photo_error(model, photo) for photo in model.cameras]))
+
+
+def photo_error(model: SparseModel, photo: int) -> float:
+    """The mean error of a photo's observations in pixels, each cut off where it says only that a match is wrong."""
+    return float(np.fmin(model.errors(photo), CAMERA_POLICY.wrong_error).mean())
 
 
 def in_first_camera_frame(model: SparseModel) -> SparseModel:

@@ -53,22 +53,44 @@ def map_two_photos(
     fewest = max(policy.fewest_two_view_points, policy.fewest_two_view_share * len(pair))
     if len(pair) < fewest:
         return None
-    shared = all(some[0] == some[1] for some in (sizes, focals, expected))
-    lenses = np.array([0, 0] if shared else [0, 1])
-    count = int(lenses.max()) + 1
-    prior = lens_prior(sizes[:count], focals[:count], expected[:count], two_photos=True)
-    numbers = [0.0] if all(focals) else policy.tried_focals
-    candidates = [
-        _adjusted(pair, start, prior, lenses, sizes)
-        for number in numbers
-        for start in _starts(pair, sizes, np.exp(prior.mean[lenses, 0] + number * prior.sigma[lenses, 0]))
-    ]
-    ordered = sorted((each for each in candidates if each), key=lambda each: each.cost)
+
+    def ordered_by_cost(lenses: Sequence[int], numbers: Sequence[tuple[float, float]]) -> list[_Candidate]:
+        count = max(lenses) + 1
+        prior = lens_prior(sizes[:count], focals[:count], expected[:count], two_photos=True)
+        usual, spread = prior.mean[lenses, 0], prior.sigma[lenses, 0]
+        candidates = [
+            _adjusted(pair, start, prior, np.array(lenses), sizes)
+            for number in numbers
+            for start in _starts(pair, sizes, np.exp(usual + np.array(number) * spread))
+        ]
+        return sorted((each for each in candidates if each), key=lambda each: each.cost)
+
+    shared = share_a_lens(sizes, focals, expected)
+    ordered = ordered_by_cost(
+        [0, 0] if shared else [0, 1], [(0.0, 0.0)] if all(focals) else [(each, each) for each in policy.tried_focals]
+    )
+    if ordered and shared and not any(focals):
+        apart = ordered_by_cost([0, 1], policy.tried_zooms)
+        ordered = apart if apart and _zoomed(apart[0], ordered[0]) else ordered
     if not ordered or len(ordered[0].points) < fewest:
         return None
     best = _chosen([each for each in ordered if len(each.points) >= fewest], agreement)
     agreeing = epipolar_error(pair, *best.cameras) < policy.epipolar_tolerance
     return best.model(), Pair(0, 1, pair.first_pixels[agreeing], pair.second_pixels[agreeing])
+
+
+def share_a_lens(
+    sizes: Sequence[tuple[int, int]], focals: Sequence[float | None], expected: Sequence[ExpectedFocal]
+) -> bool:
+    """Whether nothing that is known of the two photos before their matches says that their lenses differ."""
+    return all(some[0] == some[1] for some in (sizes, focals, expected))
+
+
+def _zoomed(apart: _Candidate, shared: _Candidate) -> bool:
+    """Whether the photos fit far better with two focal lengths that differ, as of a zoomed photo and another one."""
+    one, two = (camera.focal[0] for camera in apart.cameras)
+    differ = abs(np.log(two / one)) > np.log1p(CAMERA_POLICY.zoom_difference)
+    return bool(differ and apart.cost < CAMERA_POLICY.lens_apart_cost * shared.cost)
 
 
 def _chosen(ordered: Sequence[_Candidate], agreement: Callable[[SparseModel], float]) -> _Candidate:
