@@ -212,11 +212,13 @@ def test_opacity_has_a_price_in_guessed_pixels_alone(monkeypatch: pytest.MonkeyP
     free, all_confirmed, priced = (optimised(100, confirmed=each) for each in (None, tuple(left | ~left), tuple(left)))
     assert all(a.equal(b) for a, b in zip(all_confirmed.gaussians.tensors(), free.gaussians.tensors(), strict=True))
 
-    def opacity(result: TtoResult, side: int) -> float:
-        return float(result.gaussians.opacities[result.gaussians.means[:, 0] * side > 0.2].mean())
+    def guessed_to_confirmed(result: TtoResult) -> float:
+        """Mean opacity on the guessed side over that on the other one: 0.87 to 1.06 without a price, by rounding alone."""
+        sides = (result.gaussians.opacities[result.gaussians.means[:, 0] * side > 0.2] for side in (1, -1))
+        guessed, confirmed = (float(opacities.mean()) for opacities in sides)
+        return guessed / confirmed
 
-    assert opacity(free, 1) > 0.9 * opacity(free, -1)
-    assert opacity(priced, 1) < 0.3 * opacity(priced, -1)
+    assert guessed_to_confirmed(priced) < 0.3 * min(1.0, guessed_to_confirmed(free))
 
 
 def test_splitting_is_repeatable() -> None:
