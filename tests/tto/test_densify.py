@@ -213,7 +213,7 @@ def test_opacity_has_a_price_in_guessed_pixels_alone(monkeypatch: pytest.MonkeyP
     assert all(a.equal(b) for a, b in zip(all_confirmed.gaussians.tensors(), free.gaussians.tensors(), strict=True))
 
     def guessed_to_confirmed(result: TtoResult) -> float:
-        """Mean opacity on the guessed side over that on the other one: 0.87 to 1.06 without a price, by rounding alone."""
+        """Mean opacity on the guessed side over the other one: 0.87 to 1.06 without a price, by rounding alone."""
         sides = (result.gaussians.opacities[result.gaussians.means[:, 0] * side > 0.2] for side in (1, -1))
         guessed, confirmed = (float(opacities.mean()) for opacities in sides)
         return guessed / confirmed
