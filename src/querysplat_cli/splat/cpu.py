@@ -1,6 +1,6 @@
 """The CPU splatter: compiled projection, dealing and blending behind one differentiable function."""
 
-import math
+import threading
 from dataclasses import dataclass
 from typing import Any
 
@@ -104,7 +104,7 @@ class _Blend(torch.autograd.Function):
         gradients = tuple((np.empty_like if ctx.views else np.zeros_like)(array) for array in arrays)
         parts = _parts(len(arrays[0]))
         of_views = np.zeros((len(ctx.views), *_of_view_shape(len(arrays[0]))))
-        slopes = np.empty_like(ctx.planes)
+        slopes = _again("slopes", ctx.planes.size).reshape(ctx.planes.shape)
         for part, given in ((slopes[:, :3], of_colour), (slopes[:, 3], of_alpha), (slopes[:, 4], of_depth)):
             part[:] = 0 if given is None else given.numpy()
         for v, view in enumerate(ctx.views):
@@ -171,17 +171,32 @@ def _arrays(gaussians: Gaussians) -> tuple[np.ndarray, ...]:
     return tuple(field.detach().float().contiguous().numpy() for field in gaussians.tensors())
 
 
+class _Kept(threading.local):
+    parts = slopes = np.empty(0, np.float32)
+
+
+_kept = _Kept()
+
+
 def _parts(count: int) -> np.ndarray:
     """Room for the gradients of the projected rows, for each thread."""
-    return _lines(numba.get_num_threads(), count)
+    threads = numba.get_num_threads()
+    return _again("parts", threads * count * ROW_COLUMNS).reshape(threads, count, ROW_COLUMNS)
 
 
-def _lines(*shape: int) -> np.ndarray:
-    """float32 [*shape, ROW_COLUMNS], of which each row is one line of the cache, of 64 bytes."""
-    numbers = math.prod(shape) * ROW_COLUMNS
-    space = np.empty(numbers + ROW_COLUMNS, np.float32)
+def _again(name: str, count: int) -> np.ndarray:
+    """`count` float32 that are the caller's until the name is asked for again: new memory is slow to get."""
+    if len(getattr(_kept, name)) < count:
+        setattr(_kept, name, _on_lines(count))
+    kept: np.ndarray = getattr(_kept, name)
+    return kept[:count]
+
+
+def _on_lines(count: int) -> np.ndarray:
+    """`count` float32, the first at the beginning of a line of the cache, of 64 bytes."""
+    space = np.empty(count + ROW_COLUMNS, np.float32)
     first = -space.ctypes.data % 64 // space.itemsize
-    return space[first : first + numbers].reshape(*shape, ROW_COLUMNS)
+    return space[first : first + count]
 
 
 def _of_view_shape(count: int) -> tuple[int, int]:
@@ -205,7 +220,7 @@ def _dealt(arrays: tuple[np.ndarray, ...], camera: Cameras, settings: RenderSett
             f'Take alpha_min ≥ {LOWEST_ALPHA_MIN}, or backend="reference".',
         )
     row, tiles_x, tiles_y = _camera_row(camera), -(-camera.width // WIDE), -(-camera.height // HIGH)
-    rows = _lines(len(arrays[0]))
+    rows = _on_lines(len(arrays[0]) * ROW_COLUMNS).reshape(-1, ROW_COLUMNS)
     depths = np.empty(len(arrays[0]), np.float32)
     project_view(arrays, row, _projection_limits(settings), rows, depths)
     order = by_depth(depths.view(np.uint32))
