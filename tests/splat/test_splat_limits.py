@@ -114,6 +114,19 @@ def test_buffers_are_written_before_they_are_read(monkeypatch: pytest.MonkeyPatc
         assert torch.equal(found.gradients[name], expected.gradients[name]), name
 
 
+def test_what_a_picture_brought_stays_when_the_next_one_is_drawn() -> None:
+    """The working memory of the backward pass is used again."""
+    cameras = camera(33, 50, views=2)
+    target = torch.ones(4, 33, 50)
+    drawn = cpu.Drawn.of(cloud(6, 120, cameras), cameras[[0]], RenderSettings())
+    slopes, weights = drawn.pull_back(target)
+    gradients = outcome(cloud(6, 120, cameras), cameras, "cpu").gradients
+    kept = [tensor.clone() for tensor in (*slopes.tensors(), weights, *gradients.values())]
+    outcome(cloud(7, 240, cameras), cameras, "cpu")
+    now = (*slopes.tensors(), weights, *gradients.values())
+    assert all(torch.equal(before, after) for before, after in zip(kept, now, strict=True))
+
+
 def test_no_view_sends_no_gradient() -> None:
     cameras = camera(8, 8)
     scene = outcome(cloud(6, 120, cameras), cameras[[]], "cpu")
