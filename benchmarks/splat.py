@@ -106,9 +106,9 @@ def work(gaussians: Gaussians, cameras: Cameras) -> tuple[int, int]:
         tile = torch.arange(len(lengths)).repeat_interleave(lengths)
         rows = torch.from_numpy(view.rows)[torch.from_numpy(view.lists).long()]
         lanes += LANES * int(_groups(rows, tile % tiles_x * WIDE, tile // tiles_x * HIGH).sum())
-        a, c, opacity = (torch.from_numpy(view.rows)[:, column] for column in (2, 4, 5))
+        a, c, lost = (torch.from_numpy(view.rows)[:, column] for column in (2, 4, 5))
         seen = torch.from_numpy(view.rows)[:, 10] > 0
-        evaluations += int((2 * math.pi * (255 * opacity).log() / (a * c))[seen].sum())
+        evaluations += int((2 * math.pi * (math.log(255) - lost) / (a * c))[seen].sum())
     return lanes, evaluations
 
 

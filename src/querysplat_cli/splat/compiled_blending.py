@@ -120,8 +120,8 @@ def _blend_tile(rows, members, left, top, limits, planes):
     for batch in range(0, len(members), BATCH):
         _look_ahead(rows, members, batch, left, top, ahead)
         for k in range(batch, min(batch + BATCH, len(members))):
-            row = rows[np.uint32(members[np.uint64(k)])]
-            i = np.uint64(k - batch)
+            member, i = np.uint32(members[np.uint64(k)]), np.uint64(k - batch)
+            row = rows[member]
             a, b, q, lost = ahead[ACROSS, i], ahead[TILTED, i], ahead[UP, i], ahead[FAINT, i]
             offset, below = ahead[OFFSET, i], ahead[BELOW, i]
             for g in range(np.uint64(ahead[BEGIN, i]), np.uint64(ahead[END, i])):
@@ -164,8 +164,8 @@ def _blend_tile_backward(rows, members, left, top, limits, planes, given, out):
         _look_ahead(rows, members, batch, left, top, ahead)
         for k in range(batch, min(batch + BATCH, len(members))):
             prefetch(out, members[min(k + BATCH, len(members) - 1)])
-            row = rows[np.uint32(members[np.uint64(k)])]
-            i = np.uint64(k - batch)
+            member, i = np.uint32(members[np.uint64(k)]), np.uint64(k - batch)
+            row = rows[member]
             a, b, q, lost = ahead[ACROSS, i], ahead[TILTED, i], ahead[UP, i], ahead[FAINT, i]
             offset, below = ahead[OFFSET, i], ahead[BELOW, i]
             lanes[:, :] = ZERO
@@ -196,7 +196,7 @@ def _blend_tile_backward(rows, members, left, top, limits, planes, given, out):
                     lanes[4, c] += weight * slopes[1, g, c]
                     lanes[5, c] += weight * slopes[2, g, c]
                     lanes[6, c] += weight * slopes[4, g, c]
-            add_sums(summed, np.float32(left) + HALF - row[X], out, members[np.uint64(k)])
+            add_sums(summed, np.float32(left) + HALF - row[X], out, member)
         if not any_open(light):
             break
 

@@ -28,14 +28,18 @@ def scratch64(typing, size):
     return _on_stack(size, types.float64, ir.DoubleType())
 
 
+def row_of(context, builder, kind, array, number):
+    """In LLVM's words, where a row of a 2D array of a numba type begins."""
+    place = make_array(kind)(context, builder, array)
+    return builder.gep(place.data, [builder.mul(number, builder.extract_value(place.shape, 1))])
+
+
 @intrinsic
 def prefetch(typing, array, row):
     """Ask for the line of the cache where a row of a 2D float32 array begins, ahead of its use."""
 
     def generate(context, builder, signature, arguments):
-        place = make_array(signature.args[0])(context, builder, arguments[0])
-        columns = builder.extract_value(place.shape, 1)
-        first = builder.gep(place.data, [builder.mul(arguments[1], columns)])
+        first = row_of(context, builder, signature.args[0], *arguments)
         number, byte = ir.IntType(32), ir.IntType(8).as_pointer()
         kind = ir.FunctionType(ir.VoidType(), [byte, number, number, number])
         fetch = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0")

@@ -18,7 +18,7 @@ from querysplat_cli.splat.conventions import (
     SHORTEST_QUATERNION,
 )
 
-X, Y, A, B, C, OPACITY, RED, GREEN, BLUE, DEPTH, HALF_WIDTH, HALF_HEIGHT, LOST = range(13)
+X, Y, A, B, C, LOST, RED, GREEN, BLUE, DEPTH, HALF_WIDTH, HALF_HEIGHT = range(12)
 """Columns of a projected row: centre and half extent in pixels (0: not visible), and the conic's factor, px⁻¹:
 2σ = (A·dx + B·dy)² + (C·dy)². In this form a needle keeps its digits, which the three terms of the conic would cancel.
 LOST = −ln(opacity), so that α = exp(−σ − LOST)."""
@@ -33,9 +33,13 @@ GAUSSIANS_AT_ONCE = 512
 """Gaussians of one task. Each task has its own row of camera gradients."""
 BLOCK = 16
 """Gaussians whose geometry is computed at once."""
-DX, DY, DZ, Q0, Q1, Q2, Q3, S0, S1, S2, FAINT, SEEN, U, V, Z, FACTOR_A, FACTOR_B, FACTOR_C, WIDTH, HEIGHT = range(20)
-"""Numbers of each Gaussian of a block. First the centre, seen from the camera's, the quaternion and the scales; the
-projection makes the centre a direction, and adds what its row holds, and 1 where it is visible."""
+DX, DY, DZ, Q0, Q1, Q2, Q3, S0, S1, S2, FACTOR_A, FACTOR_B, FACTOR_C = range(13)
+"""Numbers of each Gaussian of a block, forward and backward: the centre from the camera's, the quaternion, the scales,
+and A, B and C."""
+SHARED = FACTOR_C + 1
+FAINT, SEEN, U, V, Z, WIDTH, HEIGHT = range(SHARED, SHARED + 7)
+"""Further numbers forward: what else the row holds, and 1 where the Gaussian is visible. The centre becomes the
+direction to it."""
 FIELDS = HEIGHT + 1
 FIELD_NUMBERS = FIELDS * BLOCK
 DIGITS, MASK = 2048, np.uint32(2047)
@@ -192,7 +196,7 @@ def _project_block(view, limits, fields):
 
 @nb.njit(cache=True, error_model="numpy")
 def _project_chunk(gaussians, view, limits, rows, depths, first, last):
-    opacities, sh = gaussians[3], gaussians[4]
+    opacities, sh, alpha_min = gaussians[3], gaussians[4], limits[3]
     bands, basis = sh.shape[1], np.empty(16)
     fields = nb.carray(scratch64(FIELD_NUMBERS), (FIELDS, BLOCK))
     for start in range(first, last, BLOCK):
@@ -200,7 +204,7 @@ def _project_chunk(gaussians, view, limits, rows, depths, first, last):
             i = min(start + lane, last - 1)
             load(gaussians, i, view, fields, lane)
             opacity = np.float64(opacities[i])
-            fields[FAINT, lane] = -np.log(opacity) if opacity >= limits[3] else np.inf
+            fields[FAINT, lane] = -np.log(opacity) if opacity >= alpha_min else np.inf
         _project_block(view, limits, fields)
         for lane in range(min(BLOCK, last - start)):
             i = start + lane
@@ -220,7 +224,7 @@ def _project_chunk(gaussians, view, limits, rows, depths, first, last):
                 fields[Z, lane],
             )
             rows[i, A], rows[i, B], rows[i, C] = fields[FACTOR_A, lane], fields[FACTOR_B, lane], fields[FACTOR_C, lane]
-            rows[i, OPACITY], rows[i, LOST] = opacities[i], fields[FAINT, lane]
+            rows[i, LOST] = fields[FAINT, lane]
             rows[i, HALF_WIDTH], rows[i, HALF_HEIGHT] = fields[WIDTH, lane], fields[HEIGHT, lane]
 
 

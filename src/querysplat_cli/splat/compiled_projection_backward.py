@@ -35,6 +35,7 @@ from querysplat_cli.splat.compiled_projection import (
     S0,
     S1,
     S2,
+    SHARED,
     VIEW_COLUMNS,
     A,
     B,
@@ -49,8 +50,8 @@ from querysplat_cli.splat.compiled_projection import (
 )
 from querysplat_cli.splat.conventions import CLAMP_MARGIN, COLOUR_LIMIT
 
-SUM = 20
-"""The first of the sums of a row of gradients, among the fields of a block."""
+SUM = SHARED
+"""The first of the sums of a row of gradients, among the numbers of a block."""
 OF_X, OF_Y, OF_Z = range(SUM + GRADIENT_COLUMNS, SUM + GRADIENT_COLUMNS + 3)
 FIELDS = OF_Z + 1
 FIELD_NUMBERS, VIEW_NUMBERS = FIELDS * BLOCK, VIEW_COLUMNS * BLOCK

@@ -4,8 +4,8 @@
 from llvmlite import ir
 from numba.core import types
 from numba.extending import intrinsic
-from numba.np.arrayobj import make_array
 
+from querysplat_cli.splat.compiled_memory import row_of
 from querysplat_cli.splat.compiled_tiles import WIDE
 
 LANES = 16
@@ -53,9 +53,7 @@ def add_sums(typing, place, left, array, row):
             vectors += [ir.Constant(kind, None)] * (len(vectors) % 2)
             pairs = zip(vectors[::2], vectors[1::2], strict=True)
             vectors = [_merged(builder, first, second, summands) for first, second in pairs]
-        data = make_array(signature.args[2])(context, builder, array).data
-        target = builder.gep(data, [builder.mul(row, ir.Constant(row.type, LANES))])
-        target = builder.bitcast(target, kind.as_pointer())
+        target = builder.bitcast(row_of(context, builder, signature.args[2], array, row), kind.as_pointer())
         builder.store(builder.fadd(builder.load(target, align=4), vectors[0]), target, align=4)
         return context.get_dummy_value()
 

@@ -43,10 +43,10 @@ def adjusted(
     """A copy after bundle adjustment of all cameras, points and lenses with a robust loss, without priors.
 
     With `second_term`, lenses of enough photos have it; with `fit_lens` False, all stay as they are; principal points
-    do without `fit_principal`. Priors of the
-    weight that a handful of photos needs bend the lens of more: held out, kermit's eight photos lose 0.3 dB in feature
-    space and 0.8 dB after Gaussian space. Most features scatter by 0.2 px, but some are wrong by pixels. Under a
-    squared loss those would bend the focal length, which a handful of photos of a shallow scene hardly determine.
+    do without `fit_principal`. Priors of the weight that a handful of photos needs bend the lens of more: held out,
+    kermit's eight photos lose 0.3 dB in feature space and 0.8 dB after Gaussian space. Most features scatter by 0.2 px,
+    but some are wrong by pixels. Under a squared loss those would bend the focal length, which a handful of photos of a
+    shallow scene hardly determine.
     """
     copy = deepcopy(model)
     photos = _photos_of_lenses(copy)
