@@ -30,10 +30,10 @@ def photos(images: torch.Tensor, masks: torch.Tensor | None = None) -> Views:
     return Views(images, shown, tuple(f"{i}.png" for i in range(len(images))), ((SIZE, SIZE),) * len(images))
 
 
-@pytest.mark.parametrize("reduced", [0.0, 1.0])
+@pytest.mark.parametrize("halved", [0.0, 1.0])
 @pytest.mark.parametrize(("gain", "offset"), [(1.4, 0.0), (1.0, -0.9)], ids=["white", "black"])
 def test_a_clipped_photo_of_the_true_scene_changes_nothing(
-    gain: float, offset: float, reduced: float, monkeypatch: pytest.MonkeyPatch
+    gain: float, offset: float, halved: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The loss on the white photo was 0.065, and darkened the scene."""
     scene, cameras = wall(12, size=1.2, opacity=0.99), facing([0.0, 0.1])
@@ -52,9 +52,9 @@ def test_a_clipped_photo_of_the_true_scene_changes_nothing(
         photos(torch.cat(exact).clamp(0, 1), middle),
         cameras,
         torch.full((3,), MID_GREY),
-        backgrounds=torch.Generator().manual_seed(0) if reduced else None,
+        backgrounds=torch.Generator().manual_seed(0) if halved else None,
         exposures=exposures,
-        reduced=reduced,
+        halved=halved,
     )
     assert target.value(scene, [0]) < 1e-3
     assert float(target.value_and_gradient(scene, [0]).gradient.sh.abs().sum()) < 1e-3

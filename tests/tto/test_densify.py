@@ -13,7 +13,7 @@ from querysplat_cli.scene.gaussians import SH_0, Gaussians
 from querysplat_cli.scene.rotations import quaternion_to_matrix
 from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.render import render
-from querysplat_cli.tto.densify import LARGEST_SPLIT_DISTANCE, SPLIT_DISTANCE, Share, densify, split
+from querysplat_cli.tto.densify import Share, densify, split
 from querysplat_cli.tto.gaussians import optimise_gaussians
 from querysplat_cli.tto.optimise import TtoResult
 from querysplat_cli.tto.options import Callbacks, TtoSettings
@@ -54,16 +54,15 @@ def covariance(some: Gaussians) -> torch.Tensor:
 
 def test_two_halves_have_the_centre_and_covariance_of_the_whole() -> None:
     whole = ellipsoids(20, 0.7)
-    one, other = split(whole, torch.linspace(0.1, 0.9, 20).double())
+    one, other = split(whole)
     torch.testing.assert_close((one.means + other.means) / 2, whole.means)
     aside = (one.means - other.means)[:, :, None] / 2
     torch.testing.assert_close(covariance(one) + aside @ aside.mT, covariance(whole))
     torch.testing.assert_close(one.sh, whole.sh)
 
 
-@pytest.mark.parametrize("distance", [SPLIT_DISTANCE, LARGEST_SPLIT_DISTANCE])
 @pytest.mark.parametrize("opacity", [0.01, 0.5, 0.99])
-def test_two_halves_cover_as_much_as_the_whole(opacity: float, distance: float) -> None:
+def test_two_halves_cover_as_much_as_the_whole(opacity: float) -> None:
     """The integral of α = 1 − (1 − α₁)(1 − α₂) over the plane that the longest axis lies in."""
     whole = replace(ellipsoids(1, opacity), quats=torch.tensor([[1.0, 0, 0, 0]]).double())
     whole = replace(whole, means=torch.zeros(1, 3).double(), scales=torch.tensor([[2.0, 1.0, 0.5]]).double())
@@ -73,7 +72,7 @@ def test_two_halves_cover_as_much_as_the_whole(opacity: float, distance: float) 
     def alpha(some: Gaussians) -> torch.Tensor:
         return some.opacities * torch.exp(-0.5 * ((points - some.means[0, :2]) / some.scales[0, :2]).square().sum(-1))
 
-    one, other = split(whole, torch.tensor([distance]).double())
+    one, other = split(whole)
     together = 1 - (1 - alpha(one)) * (1 - alpha(other))
     assert float(together.sum() * (line[1] - line[0]) ** 2) == pytest.approx(opacity * 2 * math.pi * 2, rel=1e-9)
 
@@ -87,7 +86,7 @@ def test_splitting_hardly_changes_the_picture(opacity: float, most: float) -> No
         opacities=torch.tensor([opacity]).double(),
         sh=torch.ones(1, 1, 3).double(),
     )
-    one, other = split(whole, torch.tensor([SPLIT_DISTANCE]).double())
+    one, other = split(whole)
     halves = Gaussians(*(torch.cat(pair) for pair in zip(one.tensors(), other.tensors(), strict=True)))
     before, after = (render(some, cameras(1).to(torch.float64)).colour for some in (whole, halves))
     assert float((after - before).norm() / before.norm()) < most
@@ -137,29 +136,6 @@ def test_gaussians_of_a_wrong_colour_are_split() -> None:
     torch.testing.assert_close(more.gaussians.means[once], some.means[more.origin[once]])
     assert len(densify(some, target, 1000).gaussians) == 72
     assert len(densify(some, target, 5).gaussians) == 36
-
-
-def test_halves_lie_farther_apart_where_photos_confirm_the_whole_and_are_seen_reduced() -> None:
-    some = wall(6, size=0.8, opacity=0.8)
-    photos, right = views(torch.rand(3, 3, SIZE, SIZE)), torch.zeros(3, SIZE, SIZE, dtype=torch.bool)
-    right[:, :, SIZE // 2 :] = True
-    target = RenderingLoss(photos, cameras(3), confirmed=tuple(right), reduced=1.0)
-
-    def distances(target: RenderingLoss) -> torch.Tensor:
-        """In standard deviations, by the wholes."""
-        more = densify(some, target, 72)
-        assert more.origin[:36].equal(more.origin[36:])
-        apart = (more.gaussians.means[:36] - more.gaussians.means[36:]).norm(dim=1) / 2
-        found = apart / some.scales[more.origin[:36]].amax(1)
-        return found[more.origin[:36].argsort()]
-
-    usual = torch.full((36,), SPLIT_DISTANCE)
-    torch.testing.assert_close(distances(replace(target, reduced=0.0)), usual)
-    torch.testing.assert_close(distances(replace(target, confirmed=None)), usual)
-    found, share = distances(target), Share.of(some, target)
-    torch.testing.assert_close(found[share.guessed == 1], usual[share.guessed == 1])
-    torch.testing.assert_close(found[share.guessed == 0], usual[share.guessed == 0] + 0.35)
-    assert {float(share.guessed.min()), float(share.guessed.max())} == {0, 1}
 
 
 def test_faint_gaussians_of_guessed_pixels_go_and_others_are_split_instead() -> None:

@@ -11,8 +11,7 @@ from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.exposures import Exposures
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.views import Views
-from querysplat_cli.splat.render import Rendering, render
-from querysplat_cli.tto import rendering_loss
+from querysplat_cli.splat.render import render
 from querysplat_cli.tto.full_size import FullSizeResult, PhotoFacts, optimise_full_size
 from querysplat_cli.tto.full_size_plan import FullSizePlan, FullSizeStage
 from querysplat_cli.tto.options import TtoSettings, TtoStep
@@ -121,45 +120,23 @@ def test_gradients_are_over_changing_backgrounds_and_losses_over_grey() -> None:
     assert [step.loss for step in steps] == pytest.approx([target.value(faint, [0])] * 6, rel=1e-5)
 
 
-@pytest.mark.parametrize("factor", TTO_POLICY.reductions)
-def test_reduced_views_add_their_share_of_the_gradient(factor: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """As a loss of its own has it, on pictures that are reduced already, over the same background."""
-    monkeypatch.setattr(rendering_loss, "TTO_POLICY", replace(TTO_POLICY, reductions=(factor,)))
+def test_halved_views_add_half_of_their_gradient() -> None:
+    """As a loss of its own has it, on pictures that are halved already, over the same background."""
     views, some = views_at(SIZE)
-    size = SIZE // factor
     smaller = replace(
         views,
-        images=F.avg_pool2d(views.images.float() / 255, factor),
-        masks=views.masks[:, ::factor, ::factor],
-        sizes=((size, size),) * 4,
+        images=F.avg_pool2d(views.images.float() / 255, 2),
+        masks=views.masks[:, ::2, ::2],
+        sizes=((SIZE // 2, SIZE // 2),) * 4,
     )
 
-    def gradient(what: Views, where: Cameras, reduced: float) -> list[torch.Tensor]:
+    def gradient(what: Views, where: Cameras, halved: float) -> list[torch.Tensor]:
         target = RenderingLoss.for_solid_scenes(what, where, torch.Generator().manual_seed(1))
-        return replace(target, reduced=reduced).value_and_gradient(coarse(), [2]).gradient.tensors()
+        return replace(target, halved=halved).value_and_gradient(coarse(), [2]).gradient.tensors()
 
-    alone = gradient(smaller, some.resized(size, size), 0.0)
-    for whole, both, other in zip(gradient(views, some, 0.0), gradient(views, some, 1.0), alone, strict=True):
-        torch.testing.assert_close(both, whole + TTO_POLICY.reduced_weight * other, rtol=1e-4, atol=1e-7)
-
-
-def test_as_many_gradients_see_one_smaller_size_as_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
-    heights = []
-
-    def noted(scene: Gaussians, camera: Cameras, **settings: object) -> Rendering:
-        heights.append(camera.height)
-        return render(scene, camera, **settings)  # type: ignore[arg-type]
-
-    monkeypatch.setattr(rendering_loss, "render", noted)
-    views, some = views_at(24)
-    target = replace(RenderingLoss.for_solid_scenes(views, some, torch.Generator().manual_seed(3)), reduced=0.4)
-    for _ in range(300):
-        target.value_and_gradient(coarse(), [0])
-    counts = {height: heights.count(height) for height in (24, 12, 6)}
-    assert sum(counts.values()) == len(heights)
-    assert counts[24] == 300
-    assert 40 < counts[12] < 80
-    assert 40 < counts[6] < 80
+    half = gradient(smaller, some.resized(SIZE // 2, SIZE // 2), 0.0)
+    for whole, both, other in zip(gradient(views, some, 0.0), gradient(views, some, 1.0), half, strict=True):
+        torch.testing.assert_close(both, whole + TTO_POLICY.half * other, rtol=1e-4, atol=1e-7)
 
 
 def test_a_given_time_ends_the_stages_by_the_clock() -> None:

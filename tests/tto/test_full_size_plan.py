@@ -28,9 +28,9 @@ def test_a_stage_that_goes_on_starts_at_a_lower_rate() -> None:
 @pytest.mark.parametrize("level", ["standard", "high", "max"])
 def test_large_photos_of_long_plans_are_seen_from_farther_away_too(level: FullSizeLevel) -> None:
     large, small = (plan_full_size(level, photos, 40_000) for photos in (LARGE, replace(LARGE, height=360, width=480)))
-    assert {each.reduced for each in large.stages} == {FULL_SIZE_POLICY.levels[level].reduced}
-    assert {each.reduced for each in small.stages} == {0.0}
-    assert large.round is None or large.round.reduced == FULL_SIZE_POLICY.levels[level].reduced
+    assert {each.halved for each in large.stages} == {FULL_SIZE_POLICY.levels[level].halved}
+    assert {each.halved for each in small.stages} == {0.0}
+    assert large.round is None or large.round.halved == FULL_SIZE_POLICY.levels[level].halved
 
 
 def test_the_plan_goes_from_coarse_to_fine() -> None:

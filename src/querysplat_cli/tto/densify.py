@@ -1,5 +1,6 @@
 """More Gaussians where renders and photos disagree, as in 3DGS; chosen by the pictures' error alone."""
 
+import math
 from dataclasses import dataclass, fields, replace
 
 import torch
@@ -12,9 +13,8 @@ from querysplat_cli.splat.blending_weights import three_blending_weights
 from querysplat_cli.tto.policy import TTO_POLICY
 from querysplat_cli.tto.rendering_loss import RenderingLoss
 
-SPLIT_DISTANCE, LARGEST_SPLIT_DISTANCE = 0.5, 0.85
-"""From the centre of a Gaussian to the centres of its two halves, in standard deviations of its longest axis. The
-larger one is for what photos confirm, where the loss sees them at smaller sizes, too (`_split_distances`)."""
+SPLIT_DISTANCE = 0.5
+"""From the centre of a Gaussian to the centres of its two parts, in standard deviations of its longest axis."""
 
 
 @dataclass(frozen=True)
@@ -69,44 +69,31 @@ def densify(gaussians: Gaussians, target: RenderingLoss, count: int) -> Densifie
     order = left[share.error[left].argsort(descending=True, stable=True)]
     chosen, others = order.tensor_split([max(0, count - len(left))])
     others = others.sort().values
-    parts = gaussians[others], *split(gaussians[chosen], _split_distances(share, target)[chosen])
+    parts = gaussians[others], *split(gaussians[chosen])
     whole = {field.name: torch.cat([getattr(part, field.name) for part in parts]) for field in fields(gaussians)}
     origin = torch.cat([others, chosen, chosen])
     return Densified(Gaussians(**whole), origin, share.guessed[origin])
 
 
-def split(gaussians: Gaussians, distances: Float[Tensor, "n"]) -> tuple[Gaussians, Gaussians]:
-    """Two halves of each Gaussian along its longest axis, `distances` d < 1 to either side in standard deviations σ.
+def split(gaussians: Gaussians) -> tuple[Gaussians, Gaussians]:
+    """Two halves of each Gaussian along its longest axis, `SPLIT_DISTANCE` standard deviations σ to either side.
 
-    The halves together keep the centre and the covariance when their standard deviation along the axis is w·σ with
-    w² = 1 − d². As in 3DGS-MCMC (Kheradmand 2024), they also keep the integral of α over a picture that shows the axis
-    from the side. Their opacity p then solves 2wp − a·p² = opacity, where a = w·exp(−d²/w²)/2 is what their overlap
-    takes.
+    With d for `SPLIT_DISTANCE`, the halves together keep the centre and the covariance when their standard deviation
+    along the axis is w·σ with w² = 1 − d². As in 3DGS-MCMC (Kheradmand 2024), they also keep the integral of α over a
+    picture that shows the axis from the side. Their opacity p then solves 2wp − a·p² = opacity, where
+    a = w·exp(−d²/w²)/2 is what their overlap takes.
     """
     longest = gaussians.scales.argmax(1)
     rows = torch.arange(len(longest), device=longest.device)
-    narrower = (1 - distances.square()).sqrt()
-    overlap = narrower * (-(distances / narrower).square()).exp() / 2
+    narrower = math.sqrt(1 - SPLIT_DISTANCE**2)
+    overlap = narrower * math.exp(-((SPLIT_DISTANCE / narrower) ** 2)) / 2
     axis = quaternion_to_matrix(gaussians.quats)[rows, :, longest]
-    aside = distances[:, None] * gaussians.scales[rows, longest, None] * axis
+    aside = SPLIT_DISTANCE * gaussians.scales[rows, longest, None] * axis
     scales = gaussians.scales.clone()
     scales[rows, longest] *= narrower
     opacities = (narrower - (narrower**2 - overlap * gaussians.opacities).sqrt()) / overlap
     half = replace(gaussians, scales=scales, opacities=opacities)
     return replace(half, means=half.means + aside), replace(half, means=half.means - aside)
-
-
-def _split_distances(share: Share, target: RenderingLoss) -> Float[Tensor, "n"]:
-    """How far apart the halves of each Gaussian would lie.
-
-    Halves that are far apart are narrower and more opaque, which is sharper. But at a wrong depth they hide what other
-    photos show, so that what is guessed has halves that overlap. And where they are smaller than a pixel they are drawn
-    too large, which only photos at a smaller size hold down.
-    """
-    distances = torch.full_like(share.guessed, SPLIT_DISTANCE)
-    if not target.reduced or target.confirmed is None:
-        return distances
-    return distances + (LARGEST_SPLIT_DISTANCE - SPLIT_DISTANCE) * (1 - share.guessed)
 
 
 def _needless(gaussians: Gaussians, share: Share) -> Bool[Tensor, "n"]:

@@ -88,7 +88,7 @@ def optimise_full_size(
             views, cameras = views_at(stage.max_size)
             target = full_size_loss(views, cameras, facts.confirmed, generator, refitted)
             size = stage.max_size
-        target = replace(target, reduced=stage.reduced)
+        target = replace(target, halved=stage.halved)
         start = runs[-1][1].gaussians if runs else gaussians
         result = optimise_gaussians(
             start,

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import dataclass, replace
-from statistics import fmean
 
 from querysplat_cli.runtime.choices import FullSizeLevel
 from querysplat_cli.tto.full_size_policy import FULL_SIZE_POLICY, LevelPolicy
@@ -55,13 +54,13 @@ class TimeLimit:
 class FullSizeStage:
     """One run in Gaussian space on photos of at most `max_size` pixels, splitting until there are `gaussians`.
 
-    reduced: the share of its steps that see their photo at a smaller size, too (`TtoPolicy.reductions`).
+    halved: the share of its steps that see their photo at half of that size, too.
     """
 
     max_size: int
     settings: TtoSettings
     gaussians: int
-    reduced: float = 0.0
+    halved: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -102,7 +101,7 @@ def plan_full_size(
     allowed = limit.counted if limit else limits.planned_seconds(photos.count, megapixels)
     size = _size(photos, largest, max(gaussians, limits.sure_gaussians(photos.count)), allowed)
     target = _target(photos, photos.pixels(size), gaussians, limits, allowed, most)
-    reduced = limits.reduced if photos.enlarged(size) else 0.0
+    halved = limits.halved if photos.enlarged(size) else 0.0
     shares = _stages(photos, size)
     most_steps = max(1, int(_most_passes(photos, size, limits) * photos.count / len(shares)))
     stages: list[FullSizeStage] = []
@@ -110,8 +109,7 @@ def plan_full_size(
     for number, (share, part) in enumerate(shares, start=1):
         more = round(gaussians * (target / gaussians) ** (number / len(shares)))
         seen = photos.pixels(size) * share**2
-        smaller = [step_seconds(seen / factor**2, more) for factor in TTO_POLICY.reductions]
-        cost = step_seconds(seen, more) + reduced * fmean(smaller)
+        cost = step_seconds(seen, more) + halved * step_seconds(seen / 4, more)
         in_time = max(1, min(int(allowed * part / cost), most_steps))
         steps = most_steps if limit else in_time
         settings = TtoSettings(
@@ -123,7 +121,7 @@ def plan_full_size(
             densify_after=policy.splits,
             dropout=policy.dropout if in_time > policy.dropout_passes * photos.count else 0.0,
         )
-        stages.append(FullSizeStage(round(size * share), settings, more, reduced))
+        stages.append(FullSizeStage(round(size * share), settings, more, halved))
         expected += steps * cost
     if not limits.most_rounds or limit:
         return FullSizePlan(tuple(stages), limit.seconds if limit else expected, level=level)

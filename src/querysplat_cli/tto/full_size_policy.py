@@ -32,9 +32,9 @@ class LevelPolicy:
     """However many pixels there are."""
     seconds_per_photo: float = 0.0
     """The plan may take so long for each photo, where that is more than all of the above."""
-    reduced: float = 0.0
-    """Share of the steps that see their photo at a smaller size, too, where photos are larger than the working pictures
-    (`RenderingLoss.reduced`)."""
+    halved: float = 0.0
+    """Share of the steps that see their photo at half of its size, too, where photos are larger than the working
+    pictures (`RenderingLoss.halved`)."""
     most_rounds: int = 0
     """Rounds after the stages at most; they end when the loss stops falling."""
 
@@ -76,7 +76,7 @@ class FullSizePolicy:
                 shared_gaussians=200_000,
                 pixels_each=30.0,
                 most_seconds=900.0,
-                reduced=1 / 3,
+                halved=1 / 3,
             ),
             "max": LevelPolicy(
                 WHOLE,
@@ -85,7 +85,7 @@ class FullSizePolicy:
                 passes=50.0,
                 shared_gaussians=500_000,
                 pixels_each=30.0,
-                reduced=1 / 3,
+                halved=1 / 3,
                 most_rounds=8,
             ),
         }

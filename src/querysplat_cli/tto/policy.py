@@ -26,10 +26,8 @@ class TtoPolicy:
     """For learned queries, as in the authors' release."""
     lpips: float = 0.05
     """Weight of LPIPS in the loss, where it takes part (the paper and the release)."""
-    reduced_weight: float = 0.5
-    """Weight in the loss of views at a smaller size, where they take part (docs/tried.md)."""
-    reductions: tuple[int, ...] = (2, 4)
-    """How many times smaller those are, one as often as the other (docs/tried.md)."""
+    half: float = 0.5
+    """Weight in the loss of views at half of their size, where they take part (docs/tried.md)."""
     smoothness: float = 2 / 448
     """In Gaussian space, weight in the loss of how rough the depth is that no other view confirms
     (`tto/smooth_depth.py`). Chosen on fortress, dtu106, kermit and fox (docs/tried.md)."""

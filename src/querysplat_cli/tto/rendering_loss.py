@@ -63,9 +63,9 @@ class RenderingLoss:
     finest: cameras that bound how thin and how large optimisation may make a Gaussian (`tto/scale_bounds.py`; None:
         nothing bounds that).
     perceptual: LPIPS with its weights (None: it is left out).
-    reduced: share of the gradients that have, beside the views, the same ones at a smaller size
-        (`TtoPolicy.reductions`, by `reduced_weight`); `backgrounds` draws them. Gaussians smaller than a pixel are
-        drawn larger than they are, so that a scene of many has other colours from farther away.
+    halved: share of the gradients that have, beside the views, the same ones at half of the size, by `TtoPolicy.half`;
+        `backgrounds` draws them. Gaussians smaller than a pixel are drawn larger than they are, so that a scene of many
+        has other colours from farther away.
     confirmed: where the depth of each working picture agrees with another view. These maps may be smaller than the
         pictures here, and have no padding. Elsewhere gradients keep the depth of the scene smooth
         (`tto/smooth_depth.py`; None: nothing does).
@@ -81,7 +81,7 @@ class RenderingLoss:
     exposures: RefittedExposures | None = None
     finest: Cameras | None = None
     perceptual: Perceptual | None = None
-    reduced: float = 0.0
+    halved: float = 0.0
     confirmed: tuple[Bool[Tensor, "_ _"], ...] | None = None
     ssim_weight: float = SSIM_WEIGHT
     cut_out: bool = False
@@ -122,7 +122,7 @@ class RenderingLoss:
         asked = self.cameras.w2c.requires_grad
         w2c, K = (field.detach().requires_grad_(asked) for field in (self.cameras.w2c, self.cameras.K))
         cameras = replace(self.cameras, w2c=w2c, K=K)
-        factor = self._reduction()
+        halve = self.halved > 0 and bool(torch.rand((), generator=self.backgrounds) < self.halved)
         losses, errors = [], []
         for view in chosen:
             rendering = self._render(leaves, cameras, view)
@@ -133,9 +133,8 @@ class RenderingLoss:
                 rendering = self._exposed(rendering, view)
             picture = self._recorded(rendering.over(behind), photo[0])
             distance = self._distance(picture, photo)
-            if factor:
-                beside = beside + self._reduced_loss(leaves, cameras, behind, view, photo, factor)
-            loss = photometric_loss(picture, *photo, self.ssim_weight) + distance + beside
+            smaller = TTO_POLICY.half * self._half_loss(leaves, cameras, behind, view, photo) if halve else 0.0
+            loss = photometric_loss(picture, *photo, self.ssim_weight) + distance + smaller + beside
             (loss / len(chosen)).backward()
             # Over changing backgrounds the distance is another one than that of the value.
             value, error = self._compared(rendering, photo, view, None if self.backgrounds else distance.detach())
@@ -147,24 +146,15 @@ class RenderingLoss:
     def _render(self, gaussians: Gaussians, cameras: Cameras, view: int) -> Rendering:
         return render(gaussians, cameras[[view]], settings=self.settings)
 
-    def _reduction(self) -> int:
-        """By what factor the views of a gradient are reduced beside themselves; 0 where they are not."""
-        if not self.reduced or torch.rand((), generator=self.backgrounds) >= self.reduced:
-            return 0
-        factors = TTO_POLICY.reductions
-        return factors[int(torch.randint(len(factors), (), generator=self.backgrounds))]
-
-    def _reduced_loss(
-        self, gaussians: Gaussians, cameras: Cameras, behind: Tensor | None, view: int,
-        photo: tuple[Tensor, Tensor], factor: int,
-    ) -> Tensor:  # fmt: skip
-        """L1 and D-SSIM of a view at a smaller size, by their weight; pixels count where none of theirs is masked."""
-        size = max(1, cameras.height // factor), max(1, cameras.width // factor)
+    def _half_loss(
+        self, gaussians: Gaussians, cameras: Cameras, behind: Tensor | None, view: int, photo: tuple[Tensor, Tensor]
+    ) -> Tensor:
+        """L1 and D-SSIM of a view at half of the size; pixels count where none of theirs is masked."""
+        size = cameras.height // 2, cameras.width // 2
         smaller = F.interpolate(photo[0], size, mode="area")
         mask = F.interpolate(photo[1][:, None].float(), size, mode="area")[:, 0] == 1
         picture = self._exposed(self._render(gaussians, cameras.resized(*size), view), view).over(behind)
-        loss = photometric_loss(self._recorded(picture, smaller), smaller, mask, self.ssim_weight)
-        return TTO_POLICY.reduced_weight * loss
+        return photometric_loss(self._recorded(picture, smaller), smaller, mask, self.ssim_weight)
 
     def _roughness(self, rendering: Rendering, photo: tuple[Tensor, Tensor], view: int) -> Tensor | float:
         """How rough the depth is that no other view confirms, by its weight; 0 where this takes no part."""
