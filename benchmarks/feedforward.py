@@ -5,7 +5,8 @@
 DATA is the folder of the photo sets, by default $QUERYSPLAT_DATA. Every 4th photo is held out; cameras come from one
 pass over all photos (joint). The encoder works once for each set, and every model and number of steps reads what it
 found; `--passes DIR` keeps that. What `reconstruct` adds to a model is left out: scenes have as many queries as the
-photos need, all Gaussians and SH bands stay, and nothing guards what lies between a few photos.
+photos need, all Gaussians and SH bands stay, and nothing guards what lies between a few photos. With `--backdrop` there
+is what it puts behind everything, so that scores hardly depend on the background.
 
 `--made-up N` adds N procedural scenes. They are made as those of the training `--config`, but with a seed that no
 training uses.
@@ -26,7 +27,7 @@ from querysplat_cli.evaluation.baseline import back_project
 from querysplat_cli.model.checkpoints import load
 from querysplat_cli.reporting.view_scores import score
 from querysplat_cli.runtime.progress import silent
-from querysplat_cli.scene.gaussians import Gaussians
+from querysplat_cli.scene.gaussians import Gaussians, joined
 from querysplat_cli.training.config import load_config
 from querysplat_cli.training.data import cache_folder, prepare_samples
 from querysplat_cli.training.passes import Sample, read_sample
@@ -58,7 +59,7 @@ def made_up(config: str, count: int, folder: Path) -> Iterator[tuple[PhotoSet, S
         yield PhotoSet(f"made up {path.stem[:6]}", "only reported", str(path)), read_sample(path)
 
 
-def scenes(sample: Sample, models: list[str], steps: list[int]) -> Iterator[tuple[str, int, Gaussians]]:
+def scenes(sample: Sample, models: list[str], steps: list[int], backdrop: bool) -> Iterator[tuple[str, int, Gaussians]]:
     """Splatted depth, and the scene of each model after each number of steps."""
     assert sample.geometry.depth is not None
     yield "depth", 0, back_project(sample.views, sample.cameras, sample.geometry.depth)
@@ -67,7 +68,8 @@ def scenes(sample: Sample, models: list[str], steps: list[int]) -> Iterator[tupl
         scene = build(model, sample, tto=0, prune="off", queries=UNLIMITED)
         for count in steps:
             again = optimised_again(model, scene, "off", steps=count, keep_cover=False) if count else scene
-            yield name, count, again.gaussians
+            behind = (scene.inputs.backdrop(again.gaussians),) if backdrop else ()
+            yield name, count, joined(again.gaussians, *behind)
 
 
 def show_means(table: Table, found: list[Row]) -> None:
@@ -86,6 +88,7 @@ def main() -> None:
     parser.add_argument("--made-up", type=int, default=0, metavar="N", help="procedural scenes beside the real sets")
     parser.add_argument("--config", default="small", help="the training whose first source makes them")
     parser.add_argument("--background", type=float, default=0.0, help="grey value of what no Gaussian covers")
+    parser.add_argument("--backdrop", action="store_true", help="put the far Gaussians of `reconstruct` behind models")
     options = parser.parse()
     found: list[Row] = []
     table = Table(FORMATS)
@@ -95,7 +98,7 @@ def main() -> None:
             groups = {"made up": made_up(options.config, options.made_up, folder), **groups}
         for group, samples in groups.items():
             for photo_set, sample in samples:
-                for name, steps, gaussians in scenes(sample, options.models, options.tto):
+                for name, steps, gaussians in scenes(sample, options.models, options.tto, options.backdrop):
                     quality = score(gaussians, sample.targets, sample.target_cameras, options.background)
                     scores = round(quality.psnr, 3), round(quality.ssim, 4)
                     row = Row(group, photo_set.name, photo_set.use, name, steps, *scores)
