@@ -61,6 +61,7 @@ def test_a_model_of_more_photos_is_worth_more_than_one_of_more_matches(
     whole = Matches(Path(), matches.sizes[:1] * 14, (None,) * 14, (), (0,) * 14, (*matches.pairs, *pairs, stray))
     cameras, seen = ({photo + 5: each for photo, each in part.items()} for part in (sparse.cameras, sparse.seen))
     built = [(pycolmap.Reconstruction(), dense), (pycolmap.Reconstruction(), SparseModel(cameras, sparse.points, seen))]
+    monkeypatch.setattr(Mapped, "misplaced", lambda self, matches: [])
     monkeypatch.setattr(mapping, "_mapped", lambda *given: [each for each, _ in built])
     monkeypatch.setattr(mapping, "_extended", lambda best, *given: best)
     monkeypatch.setattr(mapping, "from_colmap", lambda model: next(mine for each, mine in built if each is model))

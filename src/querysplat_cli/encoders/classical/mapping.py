@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -16,8 +17,8 @@ from querysplat_cli.encoders.classical.dense_agreement import dense_agreement
 from querysplat_cli.encoders.classical.epipolar import epipolar_support
 from querysplat_cli.encoders.classical.matches import Matches
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY, Attempt
-from querysplat_cli.encoders.classical.self_calibration import centred, self_calibrated
-from querysplat_cli.encoders.classical.sparse_model import SparseModel, mean_error
+from querysplat_cli.encoders.classical.self_calibration import adjusted, centred, self_calibrated
+from querysplat_cli.encoders.classical.sparse_model import SparseModel, mean_error, misplaced
 from querysplat_cli.encoders.classical.two_views import map_two_photos
 from querysplat_cli.encoders.classical.verified_pairs import Pair, read_candidates
 from querysplat_cli.scene.formats.colmap import photo_camera
@@ -43,6 +44,13 @@ class Mapped:
         """COLMAP's form after a bundle adjustment without priors."""
         assert self.reconstruction is not None
         return centred(self.reconstruction, fit_lens=self.fit_lens)
+
+    def misplaced(self, matches: Matches) -> list[int]:
+        """Photos that wrong matches seem to have placed, by the adjusted model.
+
+        A few photos are not judged: their lens is not fitted yet, so that a zoomed one fits badly, too.
+        """
+        return [] if self.reconstruction is None or matches.few else misplaced(from_colmap(self.adjusted))
 
     def refined(self, matches: Matches) -> SparseModel:
         """The model after the final bundle adjustment.
@@ -74,9 +82,9 @@ def _keep_exif(ratios: Sequence[float]) -> bool:
 def map_photos(matches: Matches, photos: Sequence[Photo], *, seed: int) -> Mapped | None:
     """The sound model of most photos, or None when no two photos make one.
 
-    The search ends with the first attempt whose model is sound and contains all photos that matches connect. Where no
-    model is sound, it is the one that explains most of the matches: those grow with the square of the photos that see
-    one thing, so that they say nothing of models of different photos.
+    The search ends with the first attempt whose model is sound and contains all photos that matches connect, none of
+    them misplaced. Where no model is sound, it is the one that explains most of the matches: those grow with the square
+    of the photos that see one thing, so that they say nothing of models of different photos.
     """
     if len(matches.sizes) == 2:
         with pycolmap.Database.open(matches.database) as store:
@@ -84,22 +92,48 @@ def map_photos(matches: Matches, photos: Sequence[Photo], *, seed: int) -> Mappe
         agreement = partial(dense_agreement, photos)
         two = map_two_photos(candidates, matches.sizes, matches.focals, matches.expected_focals, agreement)
         return Mapped(two[0], (two[1],)) if two else None
-    connected = len(matches.largest_group())
+    connected, explained = len(matches.largest_group()), 0
     best: tuple[tuple[int, float], pycolmap.Reconstruction, bool] | None = None
     for attempt in _attempts(matches):
         for reconstruction in _mapped(matches, attempt, seed):
             model = from_colmap(reconstruction)
             support, ordinary = epipolar_support(model, matches), has_ordinary_lens(model)
             sound = support.sound and ordinary
-            if sound and len(model.cameras) >= connected:
-                return Mapped(model, matches.pairs, reconstruction, attempt.fit_lens)
-            worth = len(model.cameras) if sound else 0, support.score if ordinary else support.score / 2
+            if not attempt.fit_lens and not matches.few and support.explained < explained:
+                continue  # the photos tell their lens, and it is not the assumed one
+            explained = max(explained, support.explained if ordinary else 0)
+            mapped = Mapped(model, matches.pairs, reconstruction, attempt.fit_lens)
+            right = len(model.cameras) - len(mapped.misplaced(matches))
+            if sound and right >= connected:
+                return mapped
+            worth = right if sound else 0, support.score if ordinary else support.score / 2
             if best is None or worth > best[0]:
                 best = worth, reconstruction, attempt.fit_lens
     if best is None:
         return None
     grown = _extended(best[1], matches, seed)
     return Mapped(from_colmap(grown), matches.pairs, grown, best[2])
+
+
+def without_misplaced(mapped: Mapped, matches: Matches, seed: int) -> Mapped:
+    """The model without the photos that wrong matches have placed, or with them where they fit once it is adjusted."""
+    if not mapped.misplaced(matches):
+        return mapped
+    rest = _without(mapped, mapped.misplaced(matches))
+    grown = _extended(rest, matches, seed)
+    again = replace(mapped, model=from_colmap(grown), reconstruction=grown)
+    kept = _without(again, again.misplaced(matches))
+    return replace(mapped, model=from_colmap(kept), reconstruction=kept)
+
+
+def _without(mapped: Mapped, photos: Sequence[int]) -> pycolmap.Reconstruction:
+    """COLMAP's model without some photos, adjusted once more."""
+    rest = deepcopy(mapped.adjusted)
+    if not photos:
+        return rest
+    for photo in photos:
+        rest.deregister_frame(rest.images[photo + 1].frame_id)
+    return adjusted(rest, second_term=False, fit_lens=mapped.fit_lens)
 
 
 def _attempts(matches: Matches) -> list[Attempt]:

@@ -150,6 +150,14 @@ class CameraPolicy:
     moving_cover: float = 0.5
     """Matches that moved cover at least this share of the number of cells that resting ones cover."""
 
+    judged_photos: int = 4
+    """Of fewer placed photos, none is called misplaced: which of them are right is not known."""
+    misplaced_ratio: float = 2.4
+    """A photo is misplaced where the mean error of its observations is more than so many times that of the median of
+    the others. Right photos of small parts of the sets that are tuned on reach 2.1, and those of whole sets 1.4."""
+    misplaced_error: float = 0.7
+    """And more than so many pixels."""
+
     # Bundle adjustment.
     adjustment_loss_scale: float = 0.5
     """Reprojection error in pixels beyond which the Cauchy loss gives a feature less and less weight."""
@@ -195,6 +203,8 @@ class CameraPolicy:
     `lens_apart_error` holds."""
     lens_apart_error: float = 0.85
     """With a lens of its own, the mean error of its observations falls below this share (docs/tried.md)."""
+    lens_apart_observations: int = 80
+    """A photo with fewer observations does not tell its own lens from wrong matches."""
     zoom_difference: float = 0.12
     """Two photos share no lens where focal lengths of their own differ by more, and `lens_apart_cost` holds."""
     lens_apart_cost: float = 0.85

@@ -15,7 +15,7 @@ from querysplat_cli.encoders.classical.features import are_large
 from querysplat_cli.encoders.classical.learned_matchers import LearnedMatcher, find_learned_matcher
 from querysplat_cli.encoders.classical.learned_matches import all_pairs, weak_pairs, with_learned_matches
 from querysplat_cli.encoders.classical.learned_policy import LEARNED_POLICY
-from querysplat_cli.encoders.classical.mapping import Mapped, map_photos
+from querysplat_cli.encoders.classical.mapping import Mapped, map_photos, without_misplaced
 from querysplat_cli.encoders.classical.matches import Matches, matched
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
 from querysplat_cli.encoders.classical.pure_rotation import placed_by_rotation
@@ -80,7 +80,12 @@ class _Trial:
     def of(matches: Matches, photos: Sequence[Photo], seed: int) -> "_Trial":
         """The matches mapped; of two photos, those that the cameras explain."""
         mapped = map_photos(matches, photos, seed=seed)
-        mapped = mapped and with_lenses_apart(mapped, matches, photos, seed)
+        if mapped:
+            mended = without_misplaced(mapped, matches, seed)
+            whole = len(mended.model.cameras) == len(mapped.model.cameras)
+            # A photo that is left out may be a zoomed one.
+            apart = with_lenses_apart(mended if whole else mapped, matches, photos, seed)
+            mapped = without_misplaced(apart, matches, seed)
         return _Trial(replace(matches, pairs=mapped.pairs) if mapped else matches, mapped)
 
     def refined(self) -> Found:

@@ -39,9 +39,12 @@ def with_lenses_apart(mapped: Mapped, matches: Matches, photos: Sequence[Photo],
         _divide_lenses(trial, list(range(len(photos))))
         alone = map_photos(trial, photos, seed=seed)
         if alone and alone.reconstruction:
-            _divide_lenses(trial, _groups(alone.reconstruction, shared))
+            groups = _groups(alone.reconstruction, shared)
+            if len(set(groups)) == len(set(shared)):
+                return mapped
+            _divide_lenses(trial, groups)
             apart = map_photos(trial, photos, seed=seed)
-            if apart and _explains_as_much(apart.model, mapped.model, matches):
+            if apart and _explains_as_much(apart, mapped.model, matches):
                 shutil.copy(trial.database, matches.database)
                 return replace(apart, warnings=(f"the photos do not share a lens: {_spans(apart.model)}",))
     return replace(mapped, warnings=("the photos do not seem to share a lens, so the cameras may be wrong",))
@@ -120,6 +123,8 @@ def _fits_better(alone: SparseModel, together: SparseModel) -> bool:
     """Whether a photo has another focal length and far smaller errors in the model `alone`, with a lens for each."""
     policy = CAMERA_POLICY
     for photo, camera in alone.cameras.items():
+        if len(alone.seen[photo]) < policy.lens_apart_observations:
+            continue
         apart = abs(np.log(camera.focal[0] / together.cameras[photo].focal[0])) > np.log1p(policy.lens_difference)
         if apart and photo_error(alone, photo) < policy.lens_apart_error * photo_error(together, photo):
             return True
@@ -169,7 +174,7 @@ def _divide_lenses(matches: Matches, groups: Sequence[int]) -> None:
             store.update_image(image)
 
 
-def _explains_as_much(new: SparseModel, old: SparseModel, matches: Matches) -> bool:
-    if len(new.cameras) < len(old.cameras):
+def _explains_as_much(new: Mapped, old: SparseModel, matches: Matches) -> bool:
+    if not new.fit_lens or len(new.model.cameras) < len(old.cameras) or new.misplaced(matches):
         return False
-    return epipolar_support(new, matches).explained >= epipolar_support(old, matches).explained
+    return epipolar_support(new.model, matches).explained >= epipolar_support(old, matches).explained

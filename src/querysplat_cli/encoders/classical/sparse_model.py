@@ -35,6 +35,8 @@ class SparseModel:
     def errors(self, photo: int) -> np.ndarray:
         """Distances [n] in pixels between what a photo observes and the projections of these points."""
         camera = self.cameras[photo]
+        if not len(self.seen[photo]):
+            return np.empty(0)  # OpenCV refuses to project nothing
         turn, shift = cv2.Rodrigues(camera.w2c[:3, :3])[0], camera.w2c[:3, 3]
         places = self.points[self.seen[photo]]
         projected, _ = cv2.projectPoints(places, turn, shift, camera.K, np.array(camera.distortion))
@@ -52,8 +54,25 @@ def mean_error(model: SparseModel) -> float:
 
 
 def photo_error(model: SparseModel, photo: int) -> float:
-    """The mean error of a photo's observations in pixels, each cut off where it says only that a match is wrong."""
-    return float(np.fmin(model.errors(photo), CAMERA_POLICY.wrong_error).mean())
+    """The mean error of a photo's observations in pixels, each cut off where it says only that a match is wrong.
+
+    Nothing holds a photo without observations, so that its error is that of wrong ones.
+    """
+    errors = model.errors(photo)
+    return float(np.fmin(errors, CAMERA_POLICY.wrong_error).mean()) if len(errors) else CAMERA_POLICY.wrong_error
+
+
+def misplaced(model: SparseModel) -> list[int]:
+    """Photos that wrong matches seem to have placed: they fit far worse than the others. None of three or fewer."""
+    policy, errors = CAMERA_POLICY, {photo: photo_error(model, photo) for photo in model.cameras}
+    if len(errors) < policy.judged_photos:
+        return []
+    wrong = []
+    for photo, error in errors.items():
+        others = float(np.median([each for other, each in errors.items() if other != photo]))
+        if error > max(policy.misplaced_error, policy.misplaced_ratio * others):
+            wrong.append(photo)
+    return wrong
 
 
 def in_first_camera_frame(model: SparseModel) -> SparseModel:
