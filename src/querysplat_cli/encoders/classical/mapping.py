@@ -83,8 +83,9 @@ def map_photos(matches: Matches, photos: Sequence[Photo], *, seed: int) -> Mappe
     """The sound model of most photos, or None when no two photos make one.
 
     The search ends with the first attempt whose model is sound and contains all photos that matches connect, none of
-    them misplaced. Where no model is sound, it is the one that explains most of the matches: those grow with the square
-    of the photos that see one thing, so that they say nothing of models of different photos.
+    them misplaced. The attempt with an assumed lens is made where no other model holds half of these photos. Where no
+    model is sound, it is the one that explains most of the matches: those grow with the square of the photos that see
+    one thing, so that they say nothing of models of different photos.
     """
     if len(matches.sizes) == 2:
         with pycolmap.Database.open(matches.database) as store:
@@ -92,16 +93,15 @@ def map_photos(matches: Matches, photos: Sequence[Photo], *, seed: int) -> Mappe
         agreement = partial(dense_agreement, photos)
         two = map_two_photos(candidates, matches.sizes, matches.focals, matches.expected_focals, agreement)
         return Mapped(two[0], (two[1],)) if two else None
-    connected, explained = len(matches.largest_group()), 0
+    connected = len(matches.largest_group())
     best: tuple[tuple[int, float], pycolmap.Reconstruction, bool] | None = None
     for attempt in _attempts(matches):
+        if best and not attempt.fit_lens and best[0][0] >= max(CAMERA_POLICY.judged_photos, connected / 2):
+            break  # most photos tell their lens, which need not be assumed
         for reconstruction in _mapped(matches, attempt, seed):
             model = from_colmap(reconstruction)
             support, ordinary = epipolar_support(model, matches), has_ordinary_lens(model)
             sound = support.sound and ordinary
-            if not attempt.fit_lens and not matches.few and support.explained < explained:
-                continue  # the photos tell their lens, and it is not the assumed one
-            explained = max(explained, support.explained if ordinary else 0)
             mapped = Mapped(model, matches.pairs, reconstruction, attempt.fit_lens)
             right = len(model.cameras) - len(mapped.misplaced(matches))
             if sound and right >= connected:

@@ -203,7 +203,7 @@ class CameraPolicy:
     `lens_apart_error` holds."""
     lens_apart_error: float = 0.85
     """With a lens of its own, the mean error of its observations falls below this share (docs/tried.md)."""
-    lens_apart_observations: int = 80
+    lens_apart_observations: int = 60
     """A photo with fewer observations does not tell its own lens from wrong matches."""
     zoom_difference: float = 0.12
     """Two photos share no lens where focal lengths of their own differ by more, and `lens_apart_cost` holds."""
