@@ -95,6 +95,14 @@ def cameras_of(encoder: Encoder, photos: Sequence[Photo]) -> tuple[dict[str, Pho
     return found, time.process_time() - start
 
 
+def set_and_reference(name: str, data: Path, encoder: Encoder) -> tuple[Sequence[Photo], dict[str, PhotoCamera]]:
+    """All photos of a set, and its own cameras, or where it has none those that the encoder finds."""
+    files = PHOTO_SETS[name].files(data)
+    photos, _ = load_photos(find_photos(files))
+    known = files[0].parents[1] / "transforms.json"
+    return photos, read_known_cameras(known) if known.is_file() else cameras_of(encoder, photos)[0]
+
+
 def pairs_of(count: int, apart: int) -> list[tuple[int, int]]:
     """Places of both photos of at most `MOST_PAIRS` pairs among `count` photos."""
     starts = np.linspace(0, count - apart - 1, min(MOST_PAIRS, max(count - apart, 0))).round().astype(int)
@@ -162,11 +170,8 @@ def main() -> None:
     columns = {"rotation, °": ".2f", "shift, °": ".2f", "focal": ".1%", "AUC 5°": ".1f", "AUC 15°": ".1f", "s": ".1f"}
     table = Table({"pairs": "", "matcher": "", "placed": "", **columns})
     for name in options.sets:
-        files = PHOTO_SETS[name].files(options.data)
-        photos, _ = load_photos(find_photos(files))
-        known = files[0].parents[1] / "transforms.json"
         sift = encoders.get("sift") or find_encoder("classical", EncoderOptions(matcher="sift"))
-        true = read_known_cameras(known) if known.is_file() else cameras_of(sift, photos)[0]
+        photos, true = set_and_reference(name, options.data, sift)
         rows = list(rows_of(name, photos, encoders, true))
         for apart in dict.fromkeys(row.apart for row in rows):
             summarise(table, f"{name}, {apart} apart", [row for row in rows if row.apart == apart])

@@ -20,16 +20,13 @@ import torch
 
 from common.arguments import PhotoParser
 from common.output import Table, write_json
-from common.photo_sets import PHOTO_SETS
 from common.pose_errors import pose_errors
 from common.samples import SEED
-from pairs import cameras_of
+from pairs import cameras_of, set_and_reference
 from querysplat_cli.encoders.base import Encoder, EncoderOptions
 from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.runtime.choices import Matcher
 from querysplat_cli.scene.cameras import PhotoCamera
-from querysplat_cli.scene.formats.known import read_known_cameras
-from querysplat_cli.scene.photos import find_photos, load_photos
 from querysplat_cli.scene.rotations import rotation_angles
 from querysplat_cli.scene.views import Photo
 
@@ -84,10 +81,7 @@ def main() -> None:
     rows: list[Choice] = []
     table = Table(dict.fromkeys(("set", "choices", "placed", "wrong", "scenes", "focal"), "") | {"s": ".0f"})
     for name in options.sets:
-        files = PHOTO_SETS[name].files(options.data)
-        photos, _ = load_photos(find_photos(files))
-        known = files[0].parents[1] / "transforms.json"
-        true = read_known_cameras(known) if known.is_file() else cameras_of(encoder, photos)[0]
+        photos, true = set_and_reference(name, options.data, encoder)
         picks = picks_of(len(photos), options.counts, options.choices, options.seed)
         own = list(choices_of(name, photos, encoder, true, picks))
         placed = f"{sum(each.placed for each in own)} of {sum(len(each.photos) for each in own)}"

@@ -126,10 +126,11 @@ def test_a_misplaced_photo_is_left_out_or_placed_anew(cloud: np.ndarray, monkeyp
     models = {bad: wrong, good: whole, rest: whole}
     _, matches = scene(arc(6), cloud)
     taken: list[list[int]] = []
-    monkeypatch.setattr(mapping, "_without", lambda mapped, photos: taken.append(photos) or rest)
+    monkeypatch.setattr(mapping, "_without", lambda mapped, photos: taken.append(photos) or Mapped(whole, (), rest))
     monkeypatch.setattr(mapping, "centred", lambda reconstruction, **lenses: reconstruction)
     monkeypatch.setattr(mapping, "from_colmap", models.__getitem__)
-    for grown, expected in ((good, [[2], []]), (bad, [[2], [2]])):
+    placed = {good: Mapped(whole, (), good), bad: Mapped(wrong, (), bad)}
+    for grown, expected in ((placed[good], [[2], []]), (placed[bad], [[2], [2]])):
         taken.clear()
         monkeypatch.setattr(mapping, "_extended", lambda best, *given, grown=grown: grown)
         mapping.without_misplaced(Mapped(wrong, (), bad), matches, 0)

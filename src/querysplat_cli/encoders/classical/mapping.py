@@ -94,7 +94,7 @@ def map_photos(matches: Matches, photos: Sequence[Photo], *, seed: int) -> Mappe
         two = map_two_photos(candidates, matches.sizes, matches.focals, matches.expected_focals, agreement)
         return Mapped(two[0], (two[1],)) if two else None
     connected = len(matches.largest_group())
-    best: tuple[tuple[int, float], pycolmap.Reconstruction, bool] | None = None
+    best: tuple[tuple[int, float], Mapped] | None = None
     for attempt in _attempts(matches):
         if best and not attempt.fit_lens and best[0][0] >= max(CAMERA_POLICY.judged_photos, connected / 2):
             break  # most photos tell their lens, which need not be assumed
@@ -108,32 +108,28 @@ def map_photos(matches: Matches, photos: Sequence[Photo], *, seed: int) -> Mappe
                 return mapped
             worth = right if sound else 0, support.score if ordinary else support.score / 2
             if best is None or worth > best[0]:
-                best = worth, reconstruction, attempt.fit_lens
-    if best is None:
-        return None
-    grown = _extended(best[1], matches, seed)
-    return Mapped(from_colmap(grown), matches.pairs, grown, best[2])
+                best = worth, mapped
+    return _extended(best[1], matches, seed) if best else None
 
 
 def without_misplaced(mapped: Mapped, matches: Matches, seed: int) -> Mapped:
     """The model without the photos that wrong matches have placed, or with them where they fit once it is adjusted."""
-    if not mapped.misplaced(matches):
+    wrong = mapped.misplaced(matches)
+    if not wrong:
         return mapped
-    rest = _without(mapped, mapped.misplaced(matches))
-    grown = _extended(rest, matches, seed)
-    again = replace(mapped, model=from_colmap(grown), reconstruction=grown)
-    kept = _without(again, again.misplaced(matches))
-    return replace(mapped, model=from_colmap(kept), reconstruction=kept)
+    again = _extended(_without(mapped, wrong), matches, seed)
+    return _without(again, again.misplaced(matches))
 
 
-def _without(mapped: Mapped, photos: Sequence[int]) -> pycolmap.Reconstruction:
-    """COLMAP's model without some photos, adjusted once more."""
-    rest = deepcopy(mapped.adjusted)
+def _without(mapped: Mapped, photos: Sequence[int]) -> Mapped:
+    """The adjusted model without some photos, adjusted once more; `mapped` where there are none."""
     if not photos:
-        return rest
+        return mapped
+    rest = deepcopy(mapped.adjusted)
     for photo in photos:
         rest.deregister_frame(rest.images[photo + 1].frame_id)
-    return adjusted(rest, second_term=False, fit_lens=mapped.fit_lens)
+    rest = adjusted(rest, second_term=False, fit_lens=mapped.fit_lens)
+    return replace(mapped, model=from_colmap(rest), reconstruction=rest)
 
 
 def _attempts(matches: Matches) -> list[Attempt]:
@@ -176,13 +172,14 @@ def _mapped(
     return [found[i] for i in sorted(found)]
 
 
-def _extended(model: pycolmap.Reconstruction, matches: Matches, seed: int) -> pycolmap.Reconstruction:
+def _extended(mapped: Mapped, matches: Matches, seed: int) -> Mapped:
     """The model, extended by photos that have few matches with it where that raises its score."""
     attempt = CAMERA_POLICY.extending_few if matches.few else CAMERA_POLICY.extending
-    for grown in _mapped(matches, attempt, seed, model):
-        if epipolar_support(from_colmap(grown), matches).score > epipolar_support(from_colmap(model), matches).score:
-            model = grown
-    return model
+    for grown in _mapped(matches, attempt, seed, mapped.reconstruction):
+        model = from_colmap(grown)
+        if epipolar_support(model, matches).score > epipolar_support(mapped.model, matches).score:
+            mapped = replace(mapped, model=model, reconstruction=grown)
+    return mapped
 
 
 def _options(attempt: Attempt, seed: int, *, many: bool) -> pycolmap.IncrementalPipelineOptions:
