@@ -12,6 +12,7 @@ import numpy as np
 from querysplat_cli.encoders.base import Matching
 from querysplat_cli.encoders.classical.epipolar import epipolar_support
 from querysplat_cli.encoders.classical.features import are_large
+from querysplat_cli.encoders.classical.few_focals import from_other_focals
 from querysplat_cli.encoders.classical.learned_matchers import LearnedMatcher, find_learned_matcher
 from querysplat_cli.encoders.classical.learned_matches import all_pairs, weak_pairs, with_learned_matches
 from querysplat_cli.encoders.classical.learned_policy import LEARNED_POLICY
@@ -79,7 +80,7 @@ class _Trial:
     @staticmethod
     def of(matches: Matches, photos: Sequence[Photo], seed: int) -> "_Trial":
         """The matches mapped; of two photos, those that the cameras explain."""
-        mapped = map_photos(matches, photos, seed=seed)
+        mapped = from_other_focals(map_photos(matches, photos, seed=seed), matches, photos, seed)
         if mapped:
             mended = without_misplaced(mapped, matches, seed)
             whole = len(mended.model.cameras) == len(mapped.model.cameras)
