@@ -221,8 +221,8 @@ class CameraPolicy:
     tried_focals: tuple[float, ...] = (-1.0, 0.0, 1.0)
     """Focal lengths from which two photos without EXIF are adjusted, in standard deviations of the prior."""
     few_focals: tuple[float, ...] = (-1.0, 1.0, 2.0, 3.0)
-    """The same for three and four photos, beside the mean of the prior. Too short a focal length stays too short: lenses
-    of 20° need the last one."""
+    """The same for three and four photos, beside the mean of the prior. Too short a focal length stays too short:
+    lenses of 20° need the last one."""
     tried_zooms: tuple[tuple[float, float], ...] = ((-0.75, 0.75), (0.75, -0.75))
     """The same for two photos with a lens each."""
     fewest_two_view_points: int = 15
