@@ -15,10 +15,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import cv2
-import numpy as np
-import torch
-
 from common.arguments import folder_or_scratch
 from querysplat_cli.pipeline.gaussian_files import read_gaussians
 from querysplat_cli.reporting.report import machine
@@ -29,6 +25,10 @@ from querysplat_cli.scene.pictures import eight_bit, write_picture
 from querysplat_cli.splat.render import render
 from querysplat_cli.training.photographer import cast, walk
 from querysplat_cli.training.rooms import make_room
+
+import cv2
+import numpy as np
+import torch
 
 SEED, COUNT = 42, 7
 SMALL = ("--quality", "draft", "--tto", "20", "--max-size", "224")

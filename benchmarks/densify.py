@@ -12,8 +12,6 @@ the process, so that other work on the machine hardly counts.
 import time
 from dataclasses import dataclass
 
-import torch
-
 from common.arguments import PhotoParser, folder_or_scratch
 from common.builds import build
 from common.output import Table, write_json
@@ -30,6 +28,8 @@ from querysplat_cli.tto.gaussians import optimise_gaussians
 from querysplat_cli.tto.options import OptimiseOptions
 from querysplat_cli.tto.plan import plan_tto
 from querysplat_cli.tto.policy import TTO_POLICY
+
+import torch
 
 
 @dataclass(frozen=True)

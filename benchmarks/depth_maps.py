@@ -16,9 +16,6 @@ from itertools import product
 from pathlib import Path
 from typing import Any
 
-import cv2
-import numpy as np
-
 from common.arguments import folder_or_scratch
 from common.command import reconstructed
 from common.output import Table, write_json
@@ -26,6 +23,9 @@ from common.samples import HOLDOUT_EVERY, SEED
 from querysplat_cli.training.photographer import cast, walk
 from querysplat_cli.training.rooms import make_room
 from querysplat_cli.training.solids import Scene
+
+import cv2
+import numpy as np
 
 SIZE = (360, 480)
 LIDAR_NOISE = 0.01

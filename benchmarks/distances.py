@@ -14,8 +14,6 @@ from argparse import Namespace
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from torch.nn import functional as F
-
 from common.arguments import PhotoParser
 from common.builds import settings
 from common.output import Table, write_json
@@ -33,6 +31,8 @@ from querysplat_cli.scene.photo_files import large_views, photo_files
 from querysplat_cli.scene.views import PhotoSource, Views
 from querysplat_cli.splat import smoothing
 from querysplat_cli.splat.conventions import MID_GREY
+
+from torch.nn import functional as F
 
 LEAST_VARIANCE = 1e-12
 """What stands for no filter."""

@@ -13,8 +13,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from time import process_time
 
-import torch
-
 from common.arguments import PhotoParser
 from common.builds import settings
 from common.output import Table, write_json
@@ -27,6 +25,8 @@ from querysplat_cli.reporting.view_scores import score
 from querysplat_cli.runtime.progress import silent
 from querysplat_cli.scene.pictures import linear_of_srgb
 from querysplat_cli.scene.views import Views
+
+import torch
 
 
 @dataclass(frozen=True)

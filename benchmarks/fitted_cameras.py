@@ -3,13 +3,13 @@
 import re
 from dataclasses import replace
 
-import torch
-
 from querysplat_cli.evaluation.fitted import fit_camera
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.paths import interpolate
 from querysplat_cli.training.passes import Sample
+
+import torch
 
 PATH = 101
 """Cameras on the path between two input cameras, of which one is a start."""

@@ -6,15 +6,15 @@ Speed and memory do not depend on the values of weights.
 from collections.abc import Callable
 from typing import TypeVar
 
-import torch
-from torch import nn
-
 from querysplat_cli.encoders.vggt_omega.model import VGGT_OMEGA_CONFIG, VggtOmega
 from querysplat_cli.model.config import preset
 from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.runtime.choices import Precision
 from querysplat_cli.runtime.precision import weight_dtypes
 from querysplat_cli.scene.cameras import Cameras
+
+import torch
+from torch import nn
 
 SPREAD = {"gamma": 0.1, "deconv": 0.01, "head.weight": 0.01, "queries": 0.5, "token": 0.5}
 """Standard deviation, or value of a gain, by part of the name. Others: 0.02, so that sizes stay about 1."""

@@ -14,9 +14,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-import torch
-
 from common.arguments import PhotoParser, folder_or_scratch
 from common.command import reconstructed
 from common.output import Table, write_json
@@ -33,6 +30,9 @@ from querysplat_cli.scene.pictures import eight_bit, write_picture
 from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.conventions import MID_GREY
 from querysplat_cli.splat.render import render
+
+import numpy as np
+import torch
 
 FULL_SCREEN = 1600
 """The longer side of a picture at full screen, in pixels."""

@@ -19,8 +19,6 @@ import time
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from querysplat_cli.reporting.view_scores import score
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
@@ -29,6 +27,8 @@ from querysplat_cli.splat.conventions import MID_GREY
 from querysplat_cli.tto.gaussians import optimise_gaussians
 from querysplat_cli.tto.options import TtoSettings
 from querysplat_cli.tto.rendering_loss import RenderingLoss
+
+import torch
 
 ROOT = Path(__file__).resolve().parents[1]
 SETS = ("fortress", "dtu106", "kermit", "fox")

@@ -6,13 +6,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import torch
-from safetensors.torch import load_file
-from torch import Tensor
-
 from querysplat_cli.model.checkpoints import our_name
 from querysplat_cli.model.config import ModelConfig
 from querysplat_cli.model.querysplat import QuerySplat
+
+import torch
+from safetensors.torch import load_file
+from torch import Tensor
 
 Tensors = dict[str, Tensor]
 

@@ -21,8 +21,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import torch
-
 import full_size
 from common.output import machine, markdown, read_rows, write_rows
 from querysplat_cli.encoders.vggt_omega.model import VGGT_OMEGA_CONFIG, VggtOmega
@@ -32,6 +30,8 @@ from querysplat_cli.model.querysplat import QuerySplat
 from querysplat_cli.pipeline.policy import PIPELINE_POLICY
 from querysplat_cli.runtime.device import peak_gib
 from querysplat_cli.runtime.precision import check_precision, matrix_products
+
+import torch
 
 VIEWS = [1, 2, 3, 4, 5, 6, 8, 12, 24, 48, 72, 100, 200, 300]
 QUERIES = [1024, 8192]

@@ -15,9 +15,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import numpy as np
-import pycolmap
-
 from common.arguments import PhotoParser
 from common.output import Table, write_json
 from common.photo_sets import PHOTO_SETS
@@ -30,6 +27,9 @@ from querysplat_cli.runtime.progress import silent
 from querysplat_cli.scene.formats.known import read_known_cameras
 from querysplat_cli.scene.photos import find_photos, load_photos
 from querysplat_cli.scene.views import Photo
+
+import numpy as np
+import pycolmap
 
 
 @dataclass(frozen=True)

@@ -10,15 +10,15 @@ Triangles are drawn by the package's own splatter, as small opaque Gaussians at 
 import argparse
 from pathlib import Path
 
-import cv2
-import numpy as np
-import torch
-import trimesh
-
 from querysplat_cli.commands.compared_views import cameras_beside
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
 from querysplat_cli.scene.pictures import eight_bit
 from querysplat_cli.splat.render import render
+
+import cv2
+import numpy as np
+import torch
+import trimesh
 
 
 def main() -> None:

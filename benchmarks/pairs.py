@@ -25,8 +25,6 @@ from pathlib import Path
 from statistics import mean, median
 from typing import get_args
 
-import numpy as np
-
 from common.arguments import PhotoParser
 from common.output import Table, write_json
 from common.photo_sets import PHOTO_SETS, Use
@@ -43,6 +41,8 @@ from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.formats.known import read_known_cameras
 from querysplat_cli.scene.photos import find_photos, load_photos
 from querysplat_cli.scene.views import Photo
+
+import numpy as np
 
 DISTANCES = {"fox": (6, 12, 24), "kermit": (1, 2), "sceaux": (1, 2), "fortress": (1, 2), "dtu106": (1, 3)}
 """Photos from the first of a pair to the second."""

@@ -23,9 +23,6 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any
 
-from matplotlib.axes import Axes
-from matplotlib.transforms import Bbox
-
 import fullscreen
 from common import opensplat
 from common.arguments import PhotoParser, folder_or_scratch
@@ -35,6 +32,9 @@ from querysplat_cli.pipeline.full_size import files_of
 from querysplat_cli.pipeline.read_scene import read_scene, read_scene_gaussians
 from querysplat_cli.runtime.figures import new_figure, save_figure
 from querysplat_cli.scene.decoding import longer_side
+
+from matplotlib.axes import Axes
+from matplotlib.transforms import Bbox
 
 PIXELS = (224, 896, 1600)
 """Longer sides of the working pictures beside the default's 448."""

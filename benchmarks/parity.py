@@ -15,13 +15,13 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import torch
-from torch import Tensor
-
 import parity_encoders
 import parity_model
 from common.locations import FIXTURES, location
 from golden import Fixture, Tensors, read_fixtures
+
+import torch
+from torch import Tensor
 
 TOLERANCES = {
     "appearance_decoder": 2e-5,

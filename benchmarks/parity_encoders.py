@@ -3,10 +3,6 @@
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-import torch
-from jaxtyping import Float
-from torch import Tensor, nn
-
 from golden import Fixture, Tensors
 from parity_model import querysplat_outputs
 from querysplat_cli.encoders.transformer.config import VgmConfig
@@ -18,6 +14,10 @@ from querysplat_cli.encoders.vggt_omega.aggregator import OmegaAggregator
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.fit import normalised
 from querysplat_cli.scene.rotations import matrix_to_quaternion
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
 
 CHUNK = 2
 """Views in one chunk: fewer than a fixture has, so that joining chunks is tested."""

@@ -2,9 +2,6 @@
 
 from collections.abc import Callable
 
-import torch
-from torch import Tensor
-
 from golden import Fixture, Tensors
 from querysplat_cli.model.config import GEOMETRY_CHANNELS
 from querysplat_cli.model.decoders import Decoder
@@ -17,6 +14,9 @@ from querysplat_cli.scene.formats.ply import columns, export_rows
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.splat.similarity import RADIUS, photometric_loss, ssim_map, ssim_metric
 from querysplat_cli.training.visibility import outside, projected
+
+import torch
+from torch import Tensor
 
 
 def decoder_block(fixture: Fixture, model: QuerySplat, scene: Tensors) -> Tensors:

@@ -15,9 +15,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import get_args
 
-import numpy as np
-import torch
-
 from common.arguments import PhotoParser
 from common.output import Table, write_json
 from common.pose_errors import pose_errors
@@ -29,6 +26,9 @@ from querysplat_cli.runtime.choices import Matcher
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.rotations import rotation_angles
 from querysplat_cli.scene.views import Photo
+
+import numpy as np
+import torch
 
 RIGHT_DEGREES = 3.0
 FOCAL_SHARE = 0.1

@@ -17,15 +17,15 @@ import time
 from pathlib import Path
 from typing import Any
 
-import torch
-from safetensors.torch import load_file, save_file
-from torch import Tensor
-
 import full_size
 from common.output import machine, markdown, write_json
 from querysplat_cli.runtime.device import peak_gib
 from querysplat_cli.runtime.precision import check_precision, matrix_products
 from querysplat_cli.splat.render import render
+
+import torch
+from safetensors.torch import load_file, save_file
+from torch import Tensor
 
 SIZE = 512
 

@@ -13,8 +13,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import torch
-
 from common.arguments import PhotoParser
 from common.builds import UNLIMITED, settings
 from common.output import Table, write_json
@@ -32,6 +30,8 @@ from querysplat_cli.runtime.progress import silent
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.sim3 import align_cameras
 from querysplat_cli.tto.cameras import with_refined_focal
+
+import torch
 
 
 @dataclass(frozen=True)

@@ -19,9 +19,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
-import numpy as np
-
 from common.output import markdown, write_json
 from querysplat_cli.cli import run
 from querysplat_cli.commands.edits import inside_box
@@ -29,6 +26,9 @@ from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.scene.formats.ply import read_ply, write_ply
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.pictures import write_picture
+
+import cv2
+import numpy as np
 
 CHANGED = 6 / 255
 """A pixel that changes by more than this when the region is left out belongs to it."""

@@ -3,11 +3,11 @@
 import math
 from dataclasses import fields
 
-import torch
-from torch import Tensor
-
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
+
+import torch
+from torch import Tensor
 
 FIELDS = ("means", "quats", "scales", "opacities", "sh")
 

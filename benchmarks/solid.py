@@ -11,14 +11,14 @@ than 0.99.
 import argparse
 from pathlib import Path
 
-import torch
-
 from common.output import Table
 from querysplat_cli.pipeline.read_scene import read_scene, read_scene_gaussians
 from querysplat_cli.reporting.view_scores import score
 from querysplat_cli.scene.paths import halfway
 from querysplat_cli.splat.conventions import MID_GREY
 from querysplat_cli.splat.render import render
+
+import torch
 
 SOLID = 0.99
 """The alpha of a pixel that one cannot look through."""

@@ -26,10 +26,6 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import numba
-import numpy as np
-import torch
-
 from common.output import machine
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
@@ -37,6 +33,10 @@ from querysplat_cli.splat.compiled_blending import GROUPS, LANES, PAIRED, SLACK
 from querysplat_cli.splat.compiled_tiles import HIGH, WIDE
 from querysplat_cli.splat.render import render
 from splat_kernel import ROOT, Scale, Timing, add_scale_options, both, in_tree, measure, random_scene, scale_of, timing
+
+import numba
+import numpy as np
+import torch
 
 TURNS = 5
 """Runs of either revision in a comparison."""

@@ -19,12 +19,12 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-import torch
-
 import splat
 from querysplat_cli.splat.render import RenderSettings, render
 from splat_kernel import ROOT, Scale, in_tree, random_scene, timing
 from splat_page import PIECE, Row, page, plot
+
+import torch
 
 EXACT = RenderSettings(alpha_min=1e-8, transmittance_min=0.0)
 WHOLE = Scale()

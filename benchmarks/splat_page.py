@@ -3,12 +3,12 @@
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 import splat
 from common.output import markdown
 from querysplat_cli.runtime.figures import new_figure, save_figure
 from splat_kernel import Scale
+
+import numpy as np
 
 PIECE = Scale(3125, 128)
 """What the error of the knobs is measured on."""

@@ -17,10 +17,6 @@ import time
 from dataclasses import asdict
 from pathlib import Path
 
-import numba
-import torch
-from torch import Tensor
-
 import stiff_steps
 from common.output import machine
 from querysplat_cli.runtime.errors import QuerySplatError
@@ -28,6 +24,10 @@ from querysplat_cli.splat.render import render
 from scenes import FIELDS, camera, cloud, single
 from stability_cases import IMAGE, TURNS, Case, away, cases, rounded
 from stability_page import SWEPT, Curves, Measured, page, plot
+
+import numba
+import torch
+from torch import Tensor
 
 POISON = (0.0, -0.0, 1e-45, -1e-45, 1e-40, -1e-40, 1e-38, -1e-38, 1e-20, -1e-20, 1e-6, -1e-6, 1.0, -1.0, 1e6, -1e6,
           1e20, -1e20, 3.4e38, -3.4e38, math.nan, math.inf, -math.inf)  # fmt: skip

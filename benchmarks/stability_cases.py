@@ -4,12 +4,12 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
-import torch
-
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.splat.render import RenderSettings
 from scenes import camera, cloud, single, stacked
+
+import torch
 
 IMAGE, GRADIENT = 1e-5, 1e-4
 """Largest errors of a case that states no others."""

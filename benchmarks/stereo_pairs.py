@@ -14,8 +14,6 @@ from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import get_args
 
-import numpy as np
-
 from common.output import Table, write_json
 from pairs import LIMITS, cameras_of, pair_errors
 from querysplat_cli.encoders.base import Encoder, EncoderOptions
@@ -24,6 +22,8 @@ from querysplat_cli.evaluation.poses import area_under_recall
 from querysplat_cli.runtime.choices import Matcher
 from querysplat_cli.scene.cameras import PhotoCamera
 from querysplat_cli.scene.photos import find_photos, load_photos
+
+import numpy as np
 
 
 @dataclass(frozen=True)

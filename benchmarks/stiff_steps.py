@@ -8,10 +8,6 @@ NOTE describes the experiment. docs/stability.md holds the table.
 import argparse
 from dataclasses import dataclass, fields, replace
 
-import torch
-from torch import Tensor
-from torch.nn import functional as F
-
 from common.output import markdown
 from querysplat_cli.scene.gaussians import Gaussians
 from querysplat_cli.scene.tensor_dataclass import TensorDataclass
@@ -24,6 +20,10 @@ from querysplat_cli.tto.policy import TTO_POLICY
 from querysplat_cli.tto.rendering_loss import RenderingLoss
 from querysplat_cli.tto.variables import Parametrisation
 from scenes import camera, cloud
+
+import torch
+from torch import Tensor
+from torch.nn import functional as F
 
 STEPS = 100
 NOTE = """Sixty Gaussians whose longest axis is κ times the shortest are displaced by about a tenth of the longest axis

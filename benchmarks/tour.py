@@ -15,10 +15,10 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
-
 from common.arguments import folder_or_scratch
 from querysplat_cli.reporting.report import machine
+
+import cv2
 
 WIDTH = 960
 """Pixels of the pictures on the page."""

@@ -14,10 +14,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
-import numpy as np
-from safetensors.torch import load_file
-
 from common.arguments import PhotoParser, folder_or_scratch
 from common.command import reconstructed
 from common.output import Table, write_json
@@ -26,6 +22,10 @@ from common.samples import HOLDOUT_EVERY, SEED
 from querysplat_cli.scene.masks import MASKS
 from querysplat_cli.scene.photos import find_photos, load_photos
 from querysplat_cli.scene.views import Photo
+
+import cv2
+import numpy as np
+from safetensors.torch import load_file
 
 SHARE = 0.5
 """Of the photos that are not held out, so many show somebody."""

@@ -13,8 +13,6 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, get_args
 
-import torch
-
 from common.arguments import PhotoParser, folder_or_scratch
 from common.builds import settings
 from common.output import Table, write_json
@@ -34,6 +32,8 @@ from querysplat_cli.training.passes import Sample
 from querysplat_cli.tto.features import Start
 from querysplat_cli.tto.options import OptimiseOptions
 from querysplat_cli.tto.plan import TtoRun, plan_tto
+
+import torch
 
 SCORED = (0.1, 0.2, 0.35, 0.5, 0.75)
 """Shares of the steps after which a run is scored. It is also scored at its start and at its end."""

@@ -14,8 +14,6 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any
 
-import torch
-
 from common.arguments import PhotoParser, folder_or_scratch
 from common.command import reconstructed
 from common.output import Table, read_rows, write_rows
@@ -29,6 +27,8 @@ from querysplat_cli.scene.formats.known import read_known_cameras
 from querysplat_cli.scene.formats.ply import read_ply
 from querysplat_cli.scene.photos import WHOLE, load_photo
 from querysplat_cli.scene.views import Photo
+
+import torch
 
 VIEWS = (1, 2, 3, 4, 6, 8, 12, 24, 48)
 HELD = (23, 26)

@@ -4,8 +4,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from common.samples import SEED, posed
 from querysplat_cli.model.memories import Features, Memories
 from querysplat_cli.model.querysplat import QuerySplat
@@ -18,6 +16,8 @@ from querysplat_cli.training.passes import Sample
 from querysplat_cli.tto.adapt import Adapted
 from querysplat_cli.tto.features import Start
 from querysplat_cli.tto.options import OptimiseOptions
+
+import torch
 
 UNLIMITED = 10**9
 """As a limit of queries: more than any photos need, so that a query stands for every smallest block."""

@@ -14,12 +14,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-import psutil
-
 from common.command import children_cpu_seconds
 from querysplat_cli.cli import run
 from querysplat_cli.runtime.colmap import load_pycolmap
 from querysplat_cli.scene.photo_files import PhotoFile
+
+import psutil
 
 PROGRAM = "opensplat"
 STEPS = 2000

@@ -7,8 +7,6 @@ from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from pathlib import Path
 
-import torch
-
 from common.photo_sets import PHOTO_SETS, PhotoSet
 from querysplat_cli.encoders.base import CameraRequest, Encoder, PosedViews
 from querysplat_cli.encoders.holdout import PosedSplit, estimate_holdout_cameras
@@ -16,6 +14,8 @@ from querysplat_cli.encoders.registry import find_encoder
 from querysplat_cli.runtime.progress import silent
 from querysplat_cli.scene.photos import find_photos, load_photos
 from querysplat_cli.training.passes import Sample, read_sample, write_sample
+
+import torch
 
 SEED = 42
 SIZE = 448

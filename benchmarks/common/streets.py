@@ -3,13 +3,13 @@
 import math
 from collections.abc import Iterator
 
-import numpy as np
-
 from querysplat_cli.scene.cameras import Cameras
 from querysplat_cli.training.photographer import aimed
 from querysplat_cli.training.raycast import BALL, BOX, CYLINDER
 from querysplat_cli.training.solids import Scene, Solid
 from querysplat_cli.training.surfaces import SURFACES, drawn_look, drawn_seed
+
+import numpy as np
 
 HALF_ROAD = 3.5
 """From the middle of the road to the houses, in metres."""

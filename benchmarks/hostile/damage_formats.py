@@ -8,14 +8,14 @@ import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from hostile.damage import damaged
+
 import cv2
 import numpy as np
 import torch
 from PIL import Image
 from safetensors import safe_open
 from safetensors.torch import load_file, save_file
-
-from hostile.damage import damaged
 
 
 def changed_tensors(file: Path, count: int) -> Iterator[tuple[str, Callable[[Path], object]]]:

@@ -11,10 +11,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import psutil
-
 from hostile.attempt import SLOW, STUCK, Outcome, attempt
 from hostile.case import Case
+
+import psutil
 
 LAST = 0.95
 """Share of a command's length in which it is ended. The same command takes a little more or less the next time."""

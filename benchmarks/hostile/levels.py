@@ -7,11 +7,11 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from PIL import Image
-
 from hostile.case import QUIET, WRITTEN, Case
 from hostile.damage import changed_json, damaged, noise
 from hostile.sound import Sound
+
+from PIL import Image
 
 INDEX = "lod-meta.json"
 CHUNK = "0_0/meta.json"

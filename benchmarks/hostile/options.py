@@ -2,11 +2,11 @@
 
 from collections.abc import Iterator
 
-from hypothesis import strategies as st
-
 from hostile.case import ANY, QUIET, REFUSED, WRITTEN, Case
 from hostile.damage import drawn
 from hostile.sound import Sound
+
+from hypothesis import strategies as st
 
 NINES = "9" * 5000
 EXTREMES = ("-1", "0", "1e30", "nan", "inf", "-inf", NINES, "99999999999999999999", "", "x", "0x10", "１２")

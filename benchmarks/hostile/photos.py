@@ -3,14 +3,14 @@
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import cv2
-import numpy as np
-
 import querysplat_cli
 from hostile.case import QUIET, REFUSED, Case, one_file, several
 from hostile.damage import damaged, noise
 from hostile.damage_formats import changed_tensors, exif, gps, masks
 from hostile.sound import Sound
+
+import cv2
+import numpy as np
 
 PRESET = Path(querysplat_cli.__file__).parent / "weights" / "compact.safetensors"
 SMALL = ("--tto", "0", "--max-size", "96", "--quality", "draft", "-o", "out.ply", QUIET)

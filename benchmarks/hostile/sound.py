@@ -5,11 +5,6 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
-import av
-import cv2
-import numpy as np
-import torch
-
 from querysplat_cli.cli import run
 from querysplat_cli.prune.merging import halved
 from querysplat_cli.scene.cameras import Cameras, PhotoCamera
@@ -26,6 +21,11 @@ from querysplat_cli.scene.sparse_points import NAME, SparsePoints, write_sparse_
 from querysplat_cli.training.photographer import cast, walk
 from querysplat_cli.training.rooms import make_room
 from querysplat_cli.training.solids import Scene
+
+import av
+import cv2
+import numpy as np
+import torch
 
 TRAINING = """start = "scratch"
 seed = 0

@@ -3,12 +3,6 @@
 import json
 from pathlib import Path
 
-import av
-import numpy as np
-from PIL import Image
-from safetensors import SafetensorError
-from safetensors.torch import load_file
-
 from querysplat_cli.pipeline.gaussian_files import read_gaussians
 from querysplat_cli.pipeline.read_scene import read_scene
 from querysplat_cli.runtime.errors import QuerySplatError
@@ -16,6 +10,12 @@ from querysplat_cli.scene.drafts import SCRATCH, sweep
 from querysplat_cli.scene.files import check_writable
 from querysplat_cli.scene.formats.streamed_index import INDEX_NAME
 from querysplat_cli.scene.formats.streamed_sog import read_levels
+
+import av
+import numpy as np
+from PIL import Image
+from safetensors import SafetensorError
+from safetensors.torch import load_file
 
 
 def next_run(work: Path, temporary: Path) -> None:
