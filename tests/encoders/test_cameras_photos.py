@@ -76,6 +76,13 @@ def test_two_photos_whose_matches_leave_two_poses(real_photos: Path) -> None:
     assert abs(float(errors.pair_translation[0])) < 3
 
 
+def test_a_photo_that_few_photos_lack_is_searched_again(real_photos: Path) -> None:
+    """Enough matches determine the cameras of three. The fourth photo had none, and was left out."""
+    taken = photos(real_photos, "fox")
+    found = place([taken[i] for i in (3, 11, 27, 36)])
+    assert len(found.views) == 4
+
+
 def test_the_middles_of_photos_keep_the_focal_length_that_exif_states(real_photos: Path) -> None:
     """Whole photos of fortress determine it. The middles of five do not: 1.7 times as much was found."""
     whole = photos(real_photos, "fortress")

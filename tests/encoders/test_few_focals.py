@@ -10,7 +10,7 @@ from synthetic import FOCAL, arc, camera, photographs, room
 from querysplat_cli.encoders.base import CameraRequest
 from querysplat_cli.encoders.classical import few_focals
 from querysplat_cli.encoders.classical.cameras import estimate_cameras
-from querysplat_cli.encoders.classical.few_focals import from_other_focals
+from querysplat_cli.encoders.classical.few_focals import few_placed
 from querysplat_cli.encoders.classical.mapping import map_photos
 from querysplat_cli.encoders.classical.matches import matched
 from querysplat_cli.encoders.classical.search import MatcherChoice
@@ -45,11 +45,11 @@ def test_the_database_follows_the_cameras() -> None:
     photos = long_photos()
     with matched(photos, seed=0, progress=silent) as matches:
         start = map_photos(matches, photos, seed=0)
-        found = from_other_focals(start, matches, photos, 0)
-        assert found is not start
+        found = few_placed(start, matches, photos, 0)
         assert found is not None
+        assert found.mapped is not start
         with pycolmap.Database.open(matches.database) as store:
-            assert store.read_camera(1).focal_length == pytest.approx(found.model.cameras[0].focal[0])
+            assert store.read_camera(1).focal_length == pytest.approx(found.mapped.model.cameras[0].focal[0])
 
 
 def test_photos_that_state_their_focal_lengths_are_placed_once(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -57,13 +57,15 @@ def test_photos_that_state_their_focal_lengths_are_placed_once(monkeypatch: pyte
     with matched(photos, seed=0, progress=silent) as matches:
         start = map_photos(matches, photos, seed=0)
         monkeypatch.setattr(few_focals, "map_photos", None)
-        assert from_other_focals(start, matches, photos, 0) is start
+        found = few_placed(start, matches, photos, 0)
+    assert found is not None
+    assert found.mapped is start
 
 
 def test_photos_of_a_usual_lens_keep_theirs() -> None:
     photos = photographs(room(), arc(3))
     with matched(photos, seed=0, progress=silent) as matches:
-        found = from_other_focals(map_photos(matches, photos, seed=0), matches, photos, 0)
-        assert found
-        cameras = found.refined(matches).cameras.values()
+        found = few_placed(map_photos(matches, photos, seed=0), matches, photos, 0)
+    assert found is not None
+    cameras = found.refined.cameras.values()
     assert [each.focal[0] / FOCAL for each in cameras] == pytest.approx([1.0] * 3, rel=0.05)

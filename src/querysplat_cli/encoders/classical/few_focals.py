@@ -7,7 +7,7 @@ that explain all matches best under the prior.
 
 import shutil
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -16,6 +16,7 @@ import numpy as np
 import pycolmap
 
 from querysplat_cli.encoders.classical.epipolar import epipolar_error
+from querysplat_cli.encoders.classical.least_squares import Loss
 from querysplat_cli.encoders.classical.lens_prior import lens_prior
 from querysplat_cli.encoders.classical.mapping import Mapped, map_photos
 from querysplat_cli.encoders.classical.matches import Matches
@@ -26,27 +27,41 @@ from querysplat_cli.encoders.classical.verified_pairs import Pair, read_candidat
 from querysplat_cli.scene.views import Photo
 
 
-def from_other_focals(mapped: Mapped | None, matches: Matches, photos: Sequence[Photo], seed: int) -> Mapped | None:
-    """`mapped` of three or four photos, or their model from another focal length where that costs less.
+@dataclass(frozen=True)
+class FewPhotos:
+    """A model of two to four photos and its final form; `warnings` say that the photos do not share a lens."""
 
-    Pairs are verified anew with each focal length of `few_focals`. The database of `matches` follows. Photos whose
-    EXIF states their focal lengths, and any other number of them, keep `mapped`.
+    mapped: Mapped
+    refined: SparseModel
+    warnings: tuple[str, ...]
+
+    @staticmethod
+    def of(mapped: Mapped | None, matches: Matches) -> "FewPhotos | None":
+        return FewPhotos(mapped, *few_refined(mapped, matches)) if mapped else None
+
+
+def few_placed(mapped: Mapped | None, matches: Matches, photos: Sequence[Photo], seed: int) -> FewPhotos | None:
+    """`mapped` of two to four photos refined, or their model from another focal length where that costs less.
+
+    Pairs of three and four photos are verified anew with each focal length of `few_focals`. The database of `matches`
+    follows. Two photos, and those whose EXIF states their focal lengths, keep `mapped`.
     """
-    if not 2 < len(matches.sizes) <= CAMERA_POLICY.few_photos or all(matches.focals):
-        return mapped
+    best = FewPhotos.of(mapped, matches)
+    if len(matches.sizes) == 2 or all(matches.focals):
+        return best
     with pycolmap.Database.open(matches.database) as store:
         found = (read_candidates(store, *ends) for ends in combinations(range(len(matches.sizes)), 2))
         candidates = [pair for pair in found if len(pair)]
-    best, lowest = mapped, _cost(mapped, matches, candidates)
+    lowest = _cost(best, matches, candidates)
     with TemporaryDirectory(dir=matches.folder) as folder:
         taken = Path(folder, "taken.db")
         for trial in _trials(matches, candidates, Path(folder), seed):
-            mapped_again = map_photos(trial, photos, seed=seed)
-            cost = _cost(mapped_again, trial, candidates)
+            again = FewPhotos.of(map_photos(trial, photos, seed=seed), trial)
+            cost = _cost(again, matches, candidates)
             if cost < lowest:
-                best, lowest = mapped_again, cost
+                best, lowest = again, cost
                 shutil.copy(trial.database, taken)
-        if best is not mapped:
+        if taken.exists():
             shutil.copy(taken, matches.database)
     return best
 
@@ -68,29 +83,28 @@ def _trials(matches: Matches, candidates: Sequence[Pair], folder: Path, seed: in
         yield trial.verified_again(pairs, CAMERA_POLICY.ordinary, seed)
 
 
-def _cost(mapped: Mapped | None, matches: Matches, candidates: Sequence[Pair]) -> float:
+def _cost(found: FewPhotos | None, matches: Matches, candidates: Sequence[Pair]) -> float:
     """What the refined cameras leave unexplained of all matches, right and wrong ones, and what their lenses cost."""
-    if mapped is None:
+    if found is None:
         return np.inf
-    policy = CAMERA_POLICY
-    model, _ = few_refined(mapped, matches)
-    worst = (policy.epipolar_tolerance / policy.adjustment_loss_scale) ** 2
-    loss = 0.0
-    for pair in candidates:
-        if all(photo in model.cameras for photo in pair.ends):
-            error = epipolar_error(pair, *(model.cameras[photo] for photo in pair.ends))
-            loss += np.log1p(np.minimum((error / policy.adjustment_loss_scale) ** 2, worst)).sum()
-        else:
-            loss += len(pair) * np.log1p(worst)
-    weight = min(1.0, policy.independent_observations / max(sum(map(len, candidates)), 1))
-    return float(weight * policy.adjustment_loss_scale**2 * loss + _prior_cost(model, matches))
+    policy, cameras = CAMERA_POLICY, found.refined.cameras
+    errors = [
+        epipolar_error(pair, *(cameras[photo] for photo in pair.ends))
+        if all(photo in cameras for photo in pair.ends)
+        else np.full(len(pair), np.inf)
+        for pair in candidates
+    ]
+    worst = np.minimum(np.concatenate([*errors, []]), policy.epipolar_tolerance)
+    loss = Loss(policy.adjustment_loss_scale, min(1.0, policy.independent_observations / max(len(worst), 1)))
+    return loss.total(worst**2) + _lens_cost(found.refined, matches)
 
 
-def _prior_cost(model: SparseModel, matches: Matches) -> float:
+def _lens_cost(model: SparseModel, matches: Matches) -> float:
     """What the lenses of the model cost under their prior, each once."""
-    prior = lens_prior(matches.sizes, matches.focals, matches.expected_focals)
-    lenses = {}
-    for photo, camera in model.cameras.items():
-        lens = (float(np.log(camera.focal[0])), *camera.principal, *camera.distortion[:2])
-        lenses[lens] = (((lens - prior.mean[photo]) / prior.sigma[photo]) ** 2).sum()
-    return float(prior.weight * sum(lenses.values()))
+    lenses = {
+        (float(np.log(camera.focal[0])), *camera.principal, *camera.distortion[:2]): photo
+        for photo, camera in model.cameras.items()
+    }
+    known = [(matches.sizes[photo], matches.focals[photo], matches.expected_focals[photo]) for photo in lenses.values()]
+    sizes, focals, expected = zip(*known, strict=True)
+    return lens_prior(sizes, focals, expected).cost(np.array(list(lenses)))

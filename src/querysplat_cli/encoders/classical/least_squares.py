@@ -42,6 +42,10 @@ class LensPrior:
     sigma: np.ndarray
     weight: float
 
+    def cost(self, lenses: np.ndarray) -> float:
+        """What lenses [l, 5] cost, in pixels²."""
+        return float(self.weight * (((lenses - self.mean) / self.sigma) ** 2).sum())
+
 
 @dataclass(frozen=True)
 class Loss:
@@ -49,6 +53,10 @@ class Loss:
 
     scale: float
     weight: float = 1.0
+
+    def total(self, squares: np.ndarray) -> float:
+        """What observations cost whose residuals have these squares, in pixels²."""
+        return float(self.weight * (self.scale**2 * np.log1p(squares / self.scale**2).sum()))
 
 
 @dataclass(frozen=True)
@@ -119,10 +127,7 @@ def objective(bundle: Bundle, seen: Observations, prior: LensPrior, loss: Loss) 
     residuals, depth = project(bundle, seen)
     if (depth <= 0).any():
         return np.inf
-    squares = ((residuals - seen.pixels) ** 2).sum(1)
-    data = loss.scale**2 * np.log1p(squares / loss.scale**2).sum()
-    deviation = (bundle.lenses - prior.mean) / prior.sigma
-    return float(loss.weight * data + prior.weight * (deviation**2).sum())
+    return loss.total(((residuals - seen.pixels) ** 2).sum(1)) + prior.cost(bundle.lenses)
 
 
 def project(bundle: Bundle, seen: Observations) -> tuple[np.ndarray, np.ndarray]:

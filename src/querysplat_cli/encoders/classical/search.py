@@ -12,7 +12,7 @@ import numpy as np
 from querysplat_cli.encoders.base import Matching
 from querysplat_cli.encoders.classical.epipolar import epipolar_support
 from querysplat_cli.encoders.classical.features import are_large
-from querysplat_cli.encoders.classical.few_focals import from_other_focals
+from querysplat_cli.encoders.classical.few_focals import few_placed
 from querysplat_cli.encoders.classical.learned_matchers import LearnedMatcher, find_learned_matcher
 from querysplat_cli.encoders.classical.learned_matches import all_pairs, weak_pairs, with_learned_matches
 from querysplat_cli.encoders.classical.learned_policy import LEARNED_POLICY
@@ -21,7 +21,7 @@ from querysplat_cli.encoders.classical.matches import Matches, matched
 from querysplat_cli.encoders.classical.policy import CAMERA_POLICY
 from querysplat_cli.encoders.classical.pure_rotation import placed_by_rotation
 from querysplat_cli.encoders.classical.resting_matches import without_resting_matches
-from querysplat_cli.encoders.classical.several_lenses import few_refined, with_lenses_apart
+from querysplat_cli.encoders.classical.several_lenses import with_lenses_apart
 from querysplat_cli.encoders.classical.sparse_model import SparseModel
 from querysplat_cli.encoders.classical.support_policy import SUPPORT_POLICY
 from querysplat_cli.encoders.classical.supported_matches import with_supported_matches
@@ -80,7 +80,7 @@ class _Trial:
     @staticmethod
     def of(matches: Matches, photos: Sequence[Photo], seed: int) -> "_Trial":
         """The matches mapped; of two photos, those that the cameras explain."""
-        mapped = from_other_focals(map_photos(matches, photos, seed=seed), matches, photos, seed)
+        mapped = map_photos(matches, photos, seed=seed)
         if mapped:
             mended = without_misplaced(mapped, matches, seed)
             whole = len(mended.model.cameras) == len(mapped.model.cameras)
@@ -89,13 +89,15 @@ class _Trial:
             mapped = without_misplaced(apart, matches, seed)
         return _Trial(replace(matches, pairs=mapped.pairs) if mapped else matches, mapped)
 
-    def refined(self) -> Found:
-        if self.mapped is None:
-            return Found(self.matches, None, self.matching)
+    def refined(self, photos: Sequence[Photo], seed: int) -> Found:
         if self.matches.few:
-            model, warnings = few_refined(self.mapped, self.matches)
-            return Found(self.matches, model, self.matching, warnings)
-        return Found(self.matches, self.mapped.refined(self.matches), self.matching, self.mapped.warnings)
+            few = few_placed(self.mapped, self.matches, photos, seed)
+            if few:
+                matches = replace(self.matches, pairs=few.mapped.pairs)
+                return Found(matches, few.refined, self.matching, few.warnings)
+        elif self.mapped:
+            return Found(self.matches, self.mapped.refined(self.matches), self.matching, self.mapped.warnings)
+        return Found(self.matches, None, self.matching)
 
 
 def search(photos: Sequence[Photo], choice: MatcherChoice, *, seed: int, progress: Progress) -> Found:
@@ -112,7 +114,7 @@ def search(photos: Sequence[Photo], choice: MatcherChoice, *, seed: int, progres
             return Found(matches, None, None)
         trial = _Trial.of(matches, photos, seed)
         if choice.matcher == "sift":
-            return trial.refined()
+            return trial.refined(photos, seed)
         if matches.few and _wants_support(trial, choice.matcher):
             progress("matching again", 0.65)
             search_again = partial(with_supported_matches, photos=photos, seed=seed)
@@ -124,24 +126,24 @@ def search(photos: Sequence[Photo], choice: MatcherChoice, *, seed: int, progres
             progress("matching again", 0.7)
             search_again = partial(with_tilted_views, weak=affine, seed=seed)
             found, _ = _after(trial, search_again, _better, photos, seed)
-            return replace(found, matching=trial.matching).refined()
+            return replace(found, matching=trial.matching).refined(photos, seed)
         if not affine:
-            return trial.refined()
+            return trial.refined(photos, seed)
 
     def once_more(text: str, fraction: float) -> None:
         progress(f"{text} again", 0.7 + 0.45 * fraction)
 
     with matched(photos, seed=seed, progress=once_more, effort=CAMERA_POLICY.thorough) as again:
-        return _better(trial, replace(_Trial.of(again, photos, seed), matching=trial.matching)).refined()
+        return _better(trial, replace(_Trial.of(again, photos, seed), matching=trial.matching)).refined(photos, seed)
 
 
 def _wants_support(trial: _Trial, matcher: Matcher) -> bool:
-    """Whether a few photos are matched again by affine SIFT: where few matches determine the cameras."""
+    """Whether affine SIFT matches a few photos again: where cameras are missing, or few matches determine them."""
     if matcher != "auto" or trial.mapped is None:
         return matcher in ("auto", "sift-affine")
     support = epipolar_support(trial.mapped.model, trial.matches)
     enough = SUPPORT_POLICY.enough_matches * (len(trial.matches.sizes) - 1)
-    return support.explained < enough or not support.sound
+    return support.explained < enough or not support.sound or bool(_missing(trial))
 
 
 def _for_affine(trial: _Trial, matcher: Matcher, *, large: bool) -> list[int]:

@@ -172,12 +172,10 @@ def _adjusted(
     residuals = np.linalg.norm(project(bundle, seen)[0] - seen.pixels, axis=1).reshape(2, -1).max(0)
     worst = np.minimum(epipolar_error(pair, *cameras), policy.epipolar_tolerance)
     worst[~_in_front(_triangulated(pair, cameras), cameras)] = policy.epipolar_tolerance
-    scale = policy.adjustment_loss_scale
-    deviation = ((bundle.lenses - prior.mean) / prior.sigma) ** 2
-    cost = weight * scale**2 * np.log1p((worst / scale) ** 2).sum() + prior.weight * deviation.sum()
+    cost = loss.total(worst**2) + prior.cost(bundle.lenses)
     kept = residuals < policy.epipolar_tolerance
     pixels = seen.pixels.reshape(2, -1, 2)[:, kept]
-    return _Candidate(float(cost), cameras, bundle.points[kept], pixels) if kept.any() else None
+    return _Candidate(cost, cameras, bundle.points[kept], pixels) if kept.any() else None
 
 
 def _cameras(bundle: Bundle, sizes: Sequence[tuple[int, int]]) -> tuple[PhotoCamera, PhotoCamera]:
