@@ -229,3 +229,12 @@ def test_what_cannot_be_scored(judge: Judge, tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "case" / "frame_00001.png"), np.zeros((100, 300, 3), np.uint8))
     with pytest.raises(QuerySplatError, match="is 300 × 100, the target"):
         score_prediction(judge, tmp_path, "split", "case")
+
+
+def test_a_parent_folder_that_is_named_like_a_group_says_nothing(judge: Judge, tmp_path: Path) -> None:
+    """Below a folder `input`, a depth map was scored in place of the render."""
+    folder = tmp_path / "input" / "case"
+    frame = judge.groups["input"][0]
+    save(folder / "depth" / f"{Path(frame.name).stem}.png", torch.zeros_like(judge.truth(frame)))
+    save(folder / "input" / f"{Path(frame.name).stem}.png", judge.truth(frame))
+    assert flat(score_prediction(judge, folder.parent, "split", "case"))["input", frame.name] > 50

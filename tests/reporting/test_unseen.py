@@ -93,3 +93,14 @@ def test_padding_shows_nothing() -> None:
 def test_cameras_at_what_they_look_at_make_no_film() -> None:
     one = replace(ball(1), means=torch.tensor([[0.0, 0.0, -4.0]]))
     assert unseen(one, cameras_at([0.0], 100.0)) is None
+
+
+def test_the_film_has_the_shape_of_the_first_photo() -> None:
+    """As `render --cameras orbit`. A portrait photo among landscape ones made it a square."""
+    ring = [0.0, 45, 90, 135, 180, 225, 270, 315]
+    wide = replace(cameras_at(ring, 100.0), height=60)
+    alone = unseen(ball(), wide, [(60, 100)] * 8)
+    mixed = unseen(ball(), replace(wide, height=100), [(60, 100)] * 7 + [(100, 60)])
+    assert alone
+    assert mixed
+    assert mixed.empty == pytest.approx(alone.empty, abs=1e-6)

@@ -8,8 +8,9 @@ import torch
 from safetensors.torch import load_file
 
 from querysplat_cli.queries.evidence import gather_evidence
+from querysplat_cli.runtime.errors import QuerySplatError
 from querysplat_cli.training.config import StageSettings
-from querysplat_cli.training.start import starting_model
+from querysplat_cli.training.start import decays, freeze, starting_model
 from querysplat_cli.training.step import anchored, decoded
 from querysplat_cli.training.trainer import MODEL, STATE
 from training_scenes import run, sample, training
@@ -47,3 +48,25 @@ def test_in_bf16_rounds_read_the_scene_in_float32(tmp_path: Path, monkeypatch: p
     scene = sample(0)
     assert len(list(decoded(model, scene, anchored(scene), "bf16"))) == 2
     assert read == [(False, torch.float32, torch.float32)] * 2
+
+
+def test_weight_decay_spares_the_heads_of_rounds(tmp_path: Path) -> None:
+    config = training(tmp_path)
+    config = replace(config, model=replace(config.model, refinement_rounds=1))
+    named = dict(starting_model(config).named_parameters())
+    heads = {name for name in named if name.startswith("refiner.") and name.endswith("_head.weight")}
+    assert heads
+    assert not any(decays(name, named[name]) for name in heads)
+    assert any(decays(name, tensor) for name, tensor in named.items() if name.startswith("refiner."))
+
+
+@pytest.mark.parametrize("frozen", ["refiner", "refiner."])
+def test_a_training_that_freezes_all_rounds_is_refused(tmp_path: Path, frozen: str) -> None:
+    config = training(tmp_path)
+    config = replace(
+        config,
+        model=replace(config.model, refinement_rounds=1),
+        optimiser=replace(config.optimiser, frozen=(frozen,)),
+    )
+    with pytest.raises(QuerySplatError, match="all that learns"):
+        freeze(starting_model(config), config)

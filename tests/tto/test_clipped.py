@@ -10,6 +10,7 @@ from querysplat_cli.scene.exposures import Exposures
 from querysplat_cli.scene.views import Views
 from querysplat_cli.splat.conventions import MID_GREY
 from querysplat_cli.splat.render import render
+from querysplat_cli.tto.densify import Share
 from querysplat_cli.tto.exposure_refit import RefittedExposures
 from querysplat_cli.tto.exposure_samples import sample_colours
 from querysplat_cli.tto.rendering_loss import RenderingLoss
@@ -69,3 +70,13 @@ def test_masked_pixels_are_no_colours_of_the_photo() -> None:
     found = sample_colours(views, facing([0.0, 0.1]), flat)
     assert len(found)
     torch.testing.assert_close(found.colour, torch.full_like(found.colour, 0.6), atol=1e-5, rtol=0)
+
+
+def test_clipped_places_are_not_split() -> None:
+    """The loss has no error there; splitting counted the whole distance to white."""
+    scene, cameras = wall(12, size=1.2, opacity=0.99), facing([0.0])
+    scene.sh[:, 0] = (0.8 - 0.5) / 0.28209479177387814
+    twice = Exposures(2 * torch.eye(3, 4)[None].double())
+    target = RenderingLoss(photos(torch.ones(1, 3, SIZE, SIZE)), cameras, exposures=RefittedExposures(twice))
+    assert target.value(scene, [0]) < 1e-3
+    assert Share.of(scene, target).error.max() < 1e-3

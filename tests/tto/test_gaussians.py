@@ -214,8 +214,14 @@ def test_no_step_has_a_view_twice(at_once: int, drawn: list[list[int]]) -> None:
     assert all(set(in_turn[i : i + 5]) == set(range(5)) for i in range(0, 20 * at_once, 5))
 
 
-def test_harm_that_no_view_showed_at_once_is_undone(drawn: list[list[int]], monkeypatch: pytest.MonkeyPatch) -> None:
-    """The last view alone shows half of the Gaussians, which lose their colours in a step that is not the last one."""
+@pytest.mark.parametrize("seed", [0, 1, 2, 6])
+def test_harm_that_no_view_showed_at_once_is_undone(
+    seed: int, drawn: list[list[int]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The last view alone shows half of the Gaussians, which lose their colours in a step that is not the last one.
+
+    A mark that fell between the harm and the second look kept it, with three of these seeds.
+    """
     wanted = cloud()
     both = joined(wanted, behind(wanted))
     _, cameras = photos_of(wanted)
@@ -234,7 +240,7 @@ def test_harm_that_no_view_showed_at_once_is_undone(drawn: list[list[int]], monk
         disturbed(both),
         RenderingLoss(views, cameras),
         TtoSettings(80, 0.03, views_per_step=1),
-        generator=torch.Generator().manual_seed(0),
+        generator=torch.Generator().manual_seed(seed),
     )
     assert harmed
     assert drawn[harmed[0]] != [3]

@@ -1,7 +1,7 @@
 """How much of a film around the scene shows what no photo saw."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Bool, Float
@@ -49,11 +49,14 @@ def unseen(gaussians: Gaussians, cameras: Cameras, sizes: Sequence[tuple[int, in
     """
     factor = SIDE / max(cameras.height, cameras.width)
     inputs = cameras.resized(round(factor * cameras.height), round(factor * cameras.width))
+    small = [
+        (max(1, round(factor * height)), max(1, round(factor * width)))
+        for height, width in sizes or [(cameras.height, cameras.width)] * len(cameras)
+    ]
     try:
-        film = orbit(inputs, scene_middle(gaussians), FRAMES)
+        film = orbit(replace(inputs, height=small[0][0], width=small[0][1]), scene_middle(gaussians), FRAMES)
     except QuerySplatError:
         return None
-    small = sizes and [(max(1, round(factor * height)), max(1, round(factor * width))) for height, width in sizes]
     photos = inputs.of_pictures(small)
     # In one block: small pictures among the freed tensors of renders may keep these from being used again.
     depths = torch.zeros(len(photos), inputs.height, inputs.width)

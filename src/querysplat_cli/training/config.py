@@ -270,8 +270,6 @@ def _check(config: TrainConfig) -> None:
             raise QuerySplatError(why, f"""Name some with --set 'data.sources.{i}.places=["/path/to/scenes"]'.""")
     if not config.stages or not config.data.sources:
         raise QuerySplatError("a training needs stages and data.sources", "See docs/training.md.")
-    if config.model.refinement_rounds and "refiner".startswith(config.optimiser.frozen):
-        raise QuerySplatError("optimiser.frozen names the refiner", "With refinement_rounds, it alone learns.")
     learned = [stage.queries for stage in config.stages]
     if config.model.queries == "anchored" and any(learned):
         raise QuerySplatError("stages.queries is for learned queries", "Anchored ones are as many as a scene needs.")

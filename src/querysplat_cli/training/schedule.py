@@ -87,13 +87,17 @@ class Average:
             for name, tensor in trained(model)
         }
 
+    def fit(self, model: nn.Module) -> None:
+        """Start anew with tensors that have another shape by now."""
+        for name, tensor in trained(model):
+            if self.values[name].shape != tensor.shape:
+                self.values[name] = tensor.detach().float().clone()
+
     def update(self, model: nn.Module, step: int) -> None:
         """Add the weights after `step`. The decay is lower in the first steps, so that initial weights fade soon."""
         decay = min(self._decay, (1 + step) / (10 + step))
         with torch.no_grad():
             for name, tensor in trained(model):
-                if self.values[name].shape != tensor.shape:
-                    self.values[name] = tensor.detach().float().clone()
                 self.values[name].lerp_(tensor.detach().float(), 1 - decay)
 
 

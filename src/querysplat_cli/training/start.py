@@ -34,12 +34,14 @@ def starting_model(config: TrainConfig) -> QuerySplat:
 def freeze(model: QuerySplat, config: TrainConfig) -> None:
     """Train all tensors but those whose names begin with one of `optimiser.frozen`.
 
-    A model with rounds of refinement trains only their tensors.
+    A model with rounds of refinement trains only their tensors. Raises QuerySplatError where nothing is left to train.
     """
     model.train()
     learning = "refiner." if config.model.refinement_rounds else ""
     for name, parameter in model.named_parameters():
         parameter.requires_grad_(name.startswith(learning) and not name.startswith(config.optimiser.frozen))
+    if not any(trained(model)):
+        raise QuerySplatError("optimiser.frozen names all that learns", "Name fewer tensors.")
 
 
 def new_optimiser(model: QuerySplat, settings: OptimiserSettings) -> AdamW:
@@ -54,5 +56,6 @@ def new_optimiser(model: QuerySplat, settings: OptimiserSettings) -> AdamW:
 
 
 def decays(name: str, tensor: Tensor | nn.Parameter) -> bool:
-    """Whether weight decay acts on a tensor: on matrices outside of the heads (TokenGS), not on norms and biases."""
-    return tensor.ndim >= 2 and not name.startswith(HEADS)
+    """Whether weight decay acts on a tensor: on matrices outside of the heads (TokenGS), those of rounds
+    included, not on norms and biases."""
+    return tensor.ndim >= 2 and not name.removeprefix("refiner.").startswith(HEADS)

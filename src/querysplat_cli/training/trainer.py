@@ -264,6 +264,7 @@ class Trainer:
         self._grow(self.config.stages[stage].queries)
         if self.model.config.query_count != before:
             freeze(self.model, self.config)
+            self._average.fit(self.model)
 
     def _grow(self, queries: int) -> None:
         if queries and queries != self.model.config.query_count:

@@ -49,7 +49,7 @@ class Share:
         for view in range(len(target.views)):
             camera, photo = target.cameras[[view]], target.views.picture(view)
             with torch.no_grad():
-                picture = target.render(gaussians, view).over(target.background)[0]
+                picture = target.recorded(target.render(gaussians, view).over(target.background)[0], photo)
                 error = (picture - photo).abs().mean(0) * target.views.masks[view]
             (height, width), shown = target.views.sizes[view], torch.zeros_like(error)
             shown[:height, :width] = 1  # the padding of a smaller photo says nothing of what was guessed

@@ -89,8 +89,8 @@ def plan_full_size(
     """A plan for a scene of so many Gaussians, which counts costs and never looks at a clock.
 
     With a `limit` the stages end by the clock, after so long altogether, and there are no rounds; the level is then the
-    highest one up to `level` that has time for its Gaussians. Photos are smaller than the size of the level where the
-    time is too short for them. `most` bounds what splitting reaches.
+    highest one up to `level`, or up to `high` for `standard`, that has time for its Gaussians. Photos are smaller than
+    the size of the level where the time is too short for them. `most` bounds what splitting reaches.
     """
     policy = FULL_SIZE_POLICY
     if limit:

@@ -129,16 +129,20 @@ class _Run(Generic[V]):
         return [self._adam, self._refined] if self._refined else [self._adam]
 
     def take_steps(self, draws: Iterator[list[int]]) -> None:
-        views = len(self._target.views)
-        one_round = math.ceil(views / (self._settings.views_per_step or views))
+        drawn, between_marks = 0, _draws_between_marks(len(self._target.views), self._settings.views_per_step)
         for step in range(self._settings.steps):
             done = _done(step, time.perf_counter() - self._began, self._settings)
             if done >= 1:
                 break
-            if step % one_round == 0:
-                for each in self._steppers:
-                    each.mark()
-            self._take(step, self._again or next(draws), done)
+            if self._again:
+                chosen = self._again
+            else:
+                if drawn % between_marks == 0:
+                    for each in self._steppers:
+                        each.mark()
+                chosen = next(draws)
+                drawn += 1
+            self._take(step, chosen, done)
             if self._undone_in_a_row == TTO_POLICY.patience:
                 break
 
@@ -250,7 +254,7 @@ class _Run(Generic[V]):
         self._adam.go_on_with(denser)
         self._prices = denser.prices
         if self._refined:
-            self._refined.forget_gradient()
+            self._refined.keep()
         self._forget_losses()
 
     def _forget_losses(self) -> None:
@@ -267,6 +271,15 @@ def _done(step: int, seconds: float, settings: TtoSettings) -> float:
 def _rate_share(step: int, done: float, settings: TtoSettings) -> float:
     cosine = 0.55 + 0.45 * math.cos(math.pi * done)
     return cosine * min(1.0, (step + 1) / max(1, settings.warm_up))
+
+
+def _draws_between_marks(views: int, at_once: int | None) -> int:
+    """So many of `_draws` that every view is in one of them, from each mark to the next.
+
+    Where sets have views of two rounds, up to 2·(views − 1) others come between two looks at a view.
+    """
+    at_once = min(at_once or views, views)
+    return math.ceil((views if views % at_once == 0 else 2 * views - 1) / at_once)
 
 
 def _draws(views: int, at_once: int | None, generator: torch.Generator) -> Iterator[list[int]]:

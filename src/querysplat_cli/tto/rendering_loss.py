@@ -131,7 +131,7 @@ class RenderingLoss:
             if self.exposures:
                 self.exposures.refit(view, rendering, photo[0][0], photo[1][0])
                 rendering = self._exposed(rendering, view)
-            picture = self._recorded(rendering.over(behind), photo[0])
+            picture = self.recorded(rendering.over(behind), photo[0])
             distance = self._distance(picture, photo)
             smaller = TTO_POLICY.half * self._half_loss(leaves, cameras, behind, view, photo) if halve else 0.0
             loss = photometric_loss(picture, *photo, self.ssim_weight) + distance + smaller + beside
@@ -154,7 +154,7 @@ class RenderingLoss:
         smaller = F.interpolate(photo[0], size, mode="area")
         mask = F.interpolate(photo[1][:, None].float(), size, mode="area")[:, 0] == 1
         picture = self._exposed(self._render(gaussians, cameras.resized(*size), view), view).over(behind)
-        return photometric_loss(self._recorded(picture, smaller), smaller, mask, self.ssim_weight)
+        return photometric_loss(self.recorded(picture, smaller), smaller, mask, self.ssim_weight)
 
     def _roughness(self, rendering: Rendering, photo: tuple[Tensor, Tensor], view: int) -> Tensor | float:
         """How rough the depth is that no other view confirms, by its weight; 0 where this takes no part."""
@@ -189,7 +189,7 @@ class RenderingLoss:
     def _exposed(self, rendering: Rendering, view: int) -> Rendering:
         return self.exposures.exposed(rendering, view) if self.exposures else rendering
 
-    def _recorded(self, picture: Tensor, photo: Tensor) -> Tensor:
+    def recorded(self, picture: Tensor, photo: Tensor) -> Tensor:
         """The render in the colours of its photo, which takes the photo's where that is clipped and the render is not.
 
         A long exposure is white where others show a colour, whose transform is brighter than white. Without exposures,
@@ -220,7 +220,7 @@ class RenderingLoss:
         self, rendering: Rendering, photo: tuple[Tensor, Tensor], view: int, distance: Tensor | None = None
     ) -> tuple[float, float]:
         """The loss and the mean squared error, over `background`; `distance` is that of LPIPS there, if it is known."""
-        picture = self._recorded(rendering.over(self.background), photo[0])
+        picture = self.recorded(rendering.over(self.background), photo[0])
         value, error = photometric_value(picture, *photo, self.ssim_weight)
         return value + float(self._distance(picture, photo) if distance is None else distance), error
 

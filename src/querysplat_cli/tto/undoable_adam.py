@@ -16,8 +16,7 @@ class UndoableAdam:
         self._leaves = list(rates)
         groups = [{"params": [leaf], "rate": rate} for leaf, rate in rates.items()]
         self._adam = torch.optim.Adam(groups, lr=lr, betas=betas, fused=fused)
-        self._before = self._copied()
-        self._marks = (self._copied(),) * 2
+        self.keep()
 
     def step(self, share: float) -> None:
         """One step at `share` of the rate."""
@@ -31,6 +30,12 @@ class UndoableAdam:
     def forget_gradient(self) -> None:
         """The gradients since the last step take no part in the next one."""
         self._adam.zero_grad(set_to_none=True)
+
+    def keep(self) -> None:
+        """Return to nothing earlier than the tensors as they are now. Their gradients are forgotten."""
+        self.forget_gradient()
+        self._before = self._copied()
+        self._marks = (self._copied(),) * 2
 
     def mark(self) -> None:
         """Keep the tensors as they are for `go_back`."""
