@@ -43,14 +43,14 @@ def geometry(count: int = VIEWS) -> Geometry:
     return Geometry(depth, torch.rand(count, HEIGHT, WIDTH, generator=generator), (), 6)
 
 
-def evidence(found: Anchors, where: Cameras, depth: Tensor, count: int = VIEWS) -> Evidence:
-    """Of a scene whose comparison with the photos is made up; its depth is a tenth above the VGM's."""
-    views, sure = photos(count), geometry(count).confidence
+def evidence(found: Anchors, where: Cameras, depth: Tensor, count: int = VIEWS, width: int = WIDTH) -> Evidence:
+    """Of a scene whose comparison with the photos, so wide, is made up; its depth is a tenth above the VGM's."""
+    views, sure = replace(photos(count), sizes=((HEIGHT, width),) * count), geometry(count).confidence
     assert sure is not None
     errors = torch.zeros(found.opacities.numel(), 11).to(depth)
     comparison = Comparison(errors, 0.1 * views.images.to(depth), sure.to(depth), 1.1 * depth)
     near = torch.arange(len(found))[:, None].roll(1, 0)
-    around = Surroundings(views.images.to(depth), where, depth, sure.to(depth), near)
+    around = Surroundings(replace(views, images=views.images.to(depth)), where, depth, sure.to(depth), near)
     raw = torch.zeros(len(found), 5).to(depth)
     return gather_evidence(found, prior_gaussians(found), raw, comparison, around)
 
@@ -118,6 +118,17 @@ def test_of_many_views_a_query_reads_the_nearest_that_see_it() -> None:
     middle = found.means[:, found.means.shape[1] // 2]
     seen_by = torch.stack([where.sees(middle, view) for view in range(count)], 1).sum(1)
     assert rows.seen.sum(1).equal(seen_by.clamp_max(QUERY_POLICY.refining_views))
+
+
+def test_a_query_beside_a_smaller_photo_on_its_canvas_is_not_seen() -> None:
+    found, depth = anchors(compact()), geometry().depth
+    assert depth is not None
+    narrow = WIDTH // 2
+    seen = evidence(found, cameras(), depth, width=narrow).seen
+    middle = found.means[:, found.means.shape[1] // 2]
+    pictures = cameras().of_pictures([(HEIGHT, narrow)] * VIEWS)
+    assert seen.equal(torch.stack([picture.sees(middle, 0) for picture in pictures], 1))
+    assert seen.sum() < evidence(found, cameras(), depth).seen.sum()
 
 
 def model_with_rounds(rounds: int = 2) -> tuple[QuerySplat, Anchors]:

@@ -18,13 +18,14 @@ from querysplat_cli.queries.rendering_error import Comparison
 from querysplat_cli.scene.cameras import Cameras, distances
 from querysplat_cli.scene.gaussians import SH_0, Gaussians
 from querysplat_cli.scene.rotations import quaternion_to_matrix
+from querysplat_cli.scene.views import Views
 
 
 @dataclass(frozen=True)
 class Surroundings:
     """What stays the same in all rounds: the photos, the VGM's depth, and the nearest other queries of each."""
 
-    images: Float[Tensor, "views 3 height width"]
+    views: Views
     cameras: Cameras
     depth: Float[Tensor, "views height width"]
     confidence: Float[Tensor, "views height width"]
@@ -49,7 +50,7 @@ def gather_evidence(
     means = gaussians.means.view(queries, per_query, 3)
     centres = means[:, middle]
     axes = quaternion_to_matrix(F.normalize(gaussians.quats.view(queries, per_query, 4)[:, middle], dim=-1))
-    places = _Places.of(means, centres, axes, anchors.spacing, around.cameras)
+    places = _Places.of(means, centres, axes, anchors.spacing, around)
     offsets = (centres[around.near] - centres[:, None]) @ axes / anchors.spacing[:, None, None]
     colours = (gaussians.sh[:, 0] * SH_0 + 0.5).view(queries, per_query, 3)
     return Evidence(
@@ -91,8 +92,8 @@ class _Places:
     seen: Bool[Tensor, "queries rows"]
 
     @staticmethod
-    def of(means: Tensor, centres: Tensor, axes: Tensor, spacing: Tensor, cameras: Cameras) -> "_Places":
-        views = _read_views(centres, cameras)
+    def of(means: Tensor, centres: Tensor, axes: Tensor, spacing: Tensor, around: Surroundings) -> "_Places":
+        cameras, views = around.cameras, _read_views(centres, around)
         w2c, K = cameras.w2c[views], cameras.K[views]
         local = torch.einsum("qrij,qgj->qrgi", w2c[..., :3, :3], means) + w2c[:, :, None, :3, 3]
         z = local[..., 2].clamp_min(1e-6)
@@ -100,7 +101,8 @@ class _Places:
         each = local[..., :2] / z[..., None] * focal[:, :, None] + K[:, :, None, :2, 2]
         middle = means.shape[1] // 2
         pixels = each[:, :, middle]
-        inside = ((pixels >= 0) & (pixels < pixels.new_tensor([cameras.width, cameras.height]))).all(-1)
+        ends = pixels.new_tensor(around.views.sizes).flip(1)
+        inside = ((pixels >= 0) & (pixels < ends[views])).all(-1)
         ray = F.normalize(centres[:, None] - cameras.centres[views], dim=-1)
         return _Places(
             centres=centres,
@@ -116,13 +118,14 @@ class _Places:
         )
 
 
-def _read_views(centres: Float[Tensor, "queries 3"], cameras: Cameras) -> Int[Tensor, "queries rows"]:
+def _read_views(centres: Float[Tensor, "queries 3"], around: Surroundings) -> Int[Tensor, "queries rows"]:
     """All views, or, where there are more than a query reads, those that see it from nearest."""
-    count, most = len(cameras), QUERY_POLICY.refining_views
+    count, most = len(around.cameras), QUERY_POLICY.refining_views
     if count <= most:
         return torch.arange(count, device=centres.device).expand(len(centres), -1)
-    seen = torch.stack([cameras.sees(centres, view) for view in range(count)], 1)
-    distance = distances(centres, cameras.centres).masked_fill(~seen, torch.inf)
+    pictures = around.cameras.of_pictures(around.views.sizes)
+    seen = torch.stack([picture.sees(centres, 0) for picture in pictures], 1)
+    distance = distances(centres, around.cameras.centres).masked_fill(~seen, torch.inf)
     return distance.topk(most, dim=1, largest=False).indices
 
 
@@ -144,7 +147,7 @@ def _geometry_rows(
     rendered = signed_log((_nearest(comparison.depth, places.views, places.pixels) - here) / places.spacing)
     size = (places.footprint / places.spacing).log().clamp(-5, 5)
     numbers = torch.stack([size, rendered, _nearest(comparison.alpha, places.views, places.pixels)], -1)
-    photo = _nearest(around.images.movedim(1, 3), places.views, places.pixels)
+    photo = _nearest(around.views.images.movedim(1, 3), places.views, places.pixels)
     residual = _nearest(comparison.residual.movedim(1, 3), places.views, places.pixels)
     colours = 4 * residual, photo - colour[:, None]
     return torch.cat([gaps, sure, signed_log(offset), normal, places.ray, numbers, *colours], -1)
@@ -154,7 +157,7 @@ def _appearance_rows(
     places: _Places, colours: Float[Tensor, "queries gaussians 3"], comparison: Comparison, around: Surroundings
 ) -> Float[Tensor, "queries rows channels"]:
     """Photo and residual at the projection of each Gaussian; the viewing ray; whether something stands before it."""
-    maps = torch.cat([around.images, comparison.residual], 1).movedim(1, 3)
+    maps = torch.cat([around.views.images, comparison.residual], 1).movedim(1, 3)
     found = _bilinear(maps, places.views, places.each)
     photo, residual = found[..., :3] - colours[:, None], 4 * found[..., 3:]
     gap = signed_log((_nearest(around.depth, places.views, places.pixels) - places.z) / places.spacing)

@@ -64,7 +64,7 @@ def refinements(
     assert geometry.depth is not None
     assert geometry.confidence is not None
     queries, per_query = anchors.opacities.shape
-    around = Surroundings(views.images, cameras, geometry.depth, geometry.confidence, _nearest_queries(anchors))
+    around = Surroundings(views, cameras, geometry.depth, geometry.confidence, _nearest_queries(anchors))
     with torch.no_grad():
         start = torch.cat(model.anchored_raw(memories, anchors), 1).float().unflatten(0, (queries, per_query))
     total, tokens = torch.zeros_like(start), None
