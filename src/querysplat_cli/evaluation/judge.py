@@ -121,14 +121,14 @@ class Judge:
                     f"the encoder saw only {camera.width} × {camera.height} of {name}, shown as {width} × {height}",
                     "Use --protocol release, which shows squares.",
                 )
-        fitted = {name: rescaled(camera, *shape_of(self.photos[name][1])) for name, camera in cameras.items()}
+        at_shown_size = {name: rescaled(camera, *shape_of(self.photos[name][1])) for name, camera in cameras.items()}
 
         def picture(group: str, frame: Frame) -> torch.Tensor | None:
-            if frame.name not in fitted:
+            if frame.name not in at_shown_size:
                 return None
-            return self.protocol.picture(gaussians, fitted[frame.name], self.photos[frame.name][0], own_size)
+            return self.protocol.picture(gaussians, at_shown_size[frame.name], self.photos[frame.name][0], own_size)
 
-        result = replace(self.score_pictures(picture, otherwise, why, fitted), gaussians=len(gaussians))
+        result = replace(self.score_pictures(picture, otherwise, why, at_shown_size), gaussians=len(gaussians))
         if not self._fitted:
             return result
         targets = {

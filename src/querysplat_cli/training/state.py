@@ -21,7 +21,7 @@ FORMAT = 1
 class TrainState:
     """After `step` steps: tensors under "model.", "average." and "moments." (AdamW's, by parameter), and the rest.
 
-    `facts` holds the configuration, the filter's window, and the counts and seconds so far.
+    `facts` holds the configuration, the filter's window, and how many samples were skipped.
     """
 
     step: int

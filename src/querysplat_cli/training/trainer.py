@@ -98,7 +98,6 @@ class Trainer:
         self._filter = RankFilter(config.optimiser, state.facts["window"] if state else ())
         self._average = Average(self.model, config.optimiser.ema, state.part("average") if state else None)
         self.skipped: dict[str, int] = dict(state.facts["skipped"]) if state else {}
-        self._seconds: float = state.facts["seconds"] if state else 0.0
         if not state:
             self._enter(0)
         self._optimiser = new_optimiser(self.model, self.config.optimiser)
@@ -136,7 +135,7 @@ class Trainer:
                 if journal:
                     journal.add(row)
             if self.step % self.config.save_every == 0 or last:
-                self._save(journal, time.perf_counter() - begun)
+                self._save(journal)
             if row and row["step"] == self.step:
                 done = self.step / self.config.steps
                 progress(f"loss {row['loss']:.4f}, {row['psnr']:.2f} dB, {row['seconds_per_step']:.2f} s a step", done)
@@ -233,7 +232,7 @@ class Trainer:
             "peak_memory_gib": round(peak_gib(self.device), 3),
         }
 
-    def _save(self, journal: Journal | None, seconds: float) -> None:
+    def _save(self, journal: Journal | None) -> None:
         if journal is None:
             return
         named = dict(trained(self.model))
@@ -244,7 +243,6 @@ class Trainer:
             "config": asdict(self.config),
             "window": self._filter.window,
             "skipped": self.skipped,
-            "seconds": self._seconds + seconds,
         }
         save(self.averaged(), self.folder / MODEL)
         journal.draw()
