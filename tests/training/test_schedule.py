@@ -63,6 +63,15 @@ def test_a_stored_average_goes_where_the_model_is() -> None:
     assert {tensor.device.type for tensor in average.values.values()} == {"meta"}
 
 
+def test_an_average_starts_anew_with_a_tensor_that_grew() -> None:
+    """A stage whose queries grow was not saved where its first step was skipped."""
+    model = nn.Linear(2, 3)
+    average = Average(model, 0.9)
+    model.weight = nn.Parameter(torch.ones(5, 2))
+    average.fit(model)
+    assert average.values["weight"].equal(torch.ones(5, 2))
+
+
 def test_weight_decay_acts_on_matrices_outside_of_the_heads() -> None:
     model = QuerySplat(ModelConfig(width=16, heads=2, mixed_layers=2, query_count=5, vgm_width=8))
     named = dict(model.named_parameters())
