@@ -70,3 +70,16 @@ def test_going_back_is_to_the_mark_before_the_last() -> None:
     step(adam, 1.0)
     adam.go_back()
     assert adam.variables().moves.equal(marked[1])
+
+
+def test_nothing_earlier_than_what_was_kept_comes_back() -> None:
+    """Refined cameras went back to before a split of the scene, which itself did not."""
+    _, adam = started()
+    step(adam, 1.0)
+    adam.keep()
+    kept = adam.variables().moves.clone()
+    adam.undo()
+    assert adam.variables().moves.equal(kept)
+    step(adam, 1.0)
+    adam.go_back()
+    assert adam.variables().moves.equal(kept)
