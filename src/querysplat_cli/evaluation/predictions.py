@@ -74,13 +74,13 @@ def _pictures(judge: Judge, folder: Path) -> dict[str, dict[str, Path]]:
         }
     files = [
         file
-        for file in sorted(folder.rglob("*"))
-        if file.suffix.lower() in SUFFIXES and not PHOTO_FOLDERS & set(file.relative_to(folder).parts)
+        for file in (found.relative_to(folder) for found in sorted(folder.rglob("*")))
+        if file.suffix.lower() in SUFFIXES and not PHOTO_FOLDERS & set(file.parts)
     ]
     if not files:
         raise QuerySplatError(f"{folder}: neither a .ply nor pictures in it", "See docs/other-methods.md.")
     return {
-        group: {frame.name: file for frame in frames if (file := _picture_file(folder, files, group, frame))}
+        group: {frame.name: folder / file for frame in frames if (file := _picture_file(files, group, frame))}
         for group, frames in judge.groups.items()
     }
 
@@ -120,10 +120,11 @@ def _completed(given: dict[str, PhotoCamera], known: Mapping[str, PhotoCamera]) 
     return {**to_frame_of({name: camera for name, camera in given.items() if name in known}, known), **given}
 
 
-def _picture_file(folder: Path, files: list[Path], group: str, frame: Frame) -> Path | None:
+def _picture_file(files: list[Path], group: str, frame: Frame) -> Path | None:
+    """One of `files`, whose paths are those below the case's folder."""
     named = [file for file in files if file.stem == Path(frame.name).stem]
     named = named or [file for file in files if file.stem.isdecimal() and int(file.stem) == frame.index]
-    return next((file for file in named if group in file.relative_to(folder).parts), named[0] if named else None)
+    return next((file for file in named if group in file.parts), named[0] if named else None)
 
 
 def _read(file: Path | None, truth: torch.Tensor) -> torch.Tensor | None:

@@ -93,16 +93,15 @@ class _Places:
 
     @staticmethod
     def of(means: Tensor, centres: Tensor, axes: Tensor, spacing: Tensor, around: Surroundings) -> "_Places":
-        cameras, views = around.cameras, _read_views(centres, around)
+        cameras, pictures = around.cameras, around.cameras.of_pictures(around.views.sizes)
+        seen = torch.stack([picture.sees(centres, 0) for picture in pictures], 1)
+        views = _read_views(seen, distances(centres, cameras.centres))
         w2c, K = cameras.w2c[views], cameras.K[views]
         local = torch.einsum("qrij,qgj->qrgi", w2c[..., :3, :3], means) + w2c[:, :, None, :3, 3]
         z = local[..., 2].clamp_min(1e-6)
         focal = torch.stack([K[..., 0, 0], K[..., 1, 1]], -1)
         each = local[..., :2] / z[..., None] * focal[:, :, None] + K[:, :, None, :2, 2]
         middle = means.shape[1] // 2
-        pixels = each[:, :, middle]
-        ends = pixels.new_tensor(around.views.sizes).flip(1)
-        inside = ((pixels >= 0) & (pixels < ends[views])).all(-1)
         ray = F.normalize(centres[:, None] - cameras.centres[views], dim=-1)
         return _Places(
             centres=centres,
@@ -110,23 +109,22 @@ class _Places:
             spacing=spacing[:, None],
             views=views,
             z=z[:, :, middle],
-            pixels=pixels,
+            pixels=each[:, :, middle],
             each=each,
             ray=torch.einsum("qri,qij->qrj", ray, axes),
             footprint=z[:, :, middle] / focal[..., 0],
-            seen=inside & (local[:, :, middle, 2] > 0),
+            seen=seen.gather(1, views),
         )
 
 
-def _read_views(centres: Float[Tensor, "queries 3"], around: Surroundings) -> Int[Tensor, "queries rows"]:
+def _read_views(
+    seen: Bool[Tensor, "queries views"], distance: Float[Tensor, "queries views"]
+) -> Int[Tensor, "queries rows"]:
     """All views, or, where there are more than a query reads, those that see it from nearest."""
-    count, most = len(around.cameras), QUERY_POLICY.refining_views
+    (queries, count), most = seen.shape, QUERY_POLICY.refining_views
     if count <= most:
-        return torch.arange(count, device=centres.device).expand(len(centres), -1)
-    pictures = around.cameras.of_pictures(around.views.sizes)
-    seen = torch.stack([picture.sees(centres, 0) for picture in pictures], 1)
-    distance = distances(centres, around.cameras.centres).masked_fill(~seen, torch.inf)
-    return distance.topk(most, dim=1, largest=False).indices
+        return torch.arange(count, device=seen.device).expand(queries, -1)
+    return distance.masked_fill(~seen, torch.inf).topk(most, dim=1, largest=False).indices
 
 
 def _geometry_rows(

@@ -49,15 +49,13 @@ def unseen(gaussians: Gaussians, cameras: Cameras, sizes: Sequence[tuple[int, in
     """
     factor = SIDE / max(cameras.height, cameras.width)
     inputs = cameras.resized(round(factor * cameras.height), round(factor * cameras.width))
-    small = [
-        (max(1, round(factor * height)), max(1, round(factor * width)))
-        for height, width in sizes or [(cameras.height, cameras.width)] * len(cameras)
-    ]
+    small = sizes and [(max(1, round(factor * height)), max(1, round(factor * width))) for height, width in sizes]
+    photos = inputs.of_pictures(small)
+    shaped = replace(inputs, height=photos[0].height, width=photos[0].width)
     try:
-        film = orbit(replace(inputs, height=small[0][0], width=small[0][1]), scene_middle(gaussians), FRAMES)
+        film = orbit(shaped, scene_middle(gaussians), FRAMES)
     except QuerySplatError:
         return None
-    photos = inputs.of_pictures(small)
     # In one block: small pictures among the freed tensors of renders may keep these from being used again.
     depths = torch.zeros(len(photos), inputs.height, inputs.width)
     for photo, depth in zip(photos, depths, strict=True):

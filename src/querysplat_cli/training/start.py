@@ -56,6 +56,8 @@ def new_optimiser(model: QuerySplat, settings: OptimiserSettings) -> AdamW:
 
 
 def decays(name: str, tensor: Tensor | nn.Parameter) -> bool:
-    """Whether weight decay acts on a tensor: on matrices outside of the heads (TokenGS), those of rounds
-    included, not on norms and biases."""
+    """Whether weight decay acts on a tensor: on matrices outside of the heads (TokenGS), not on norms and biases.
+
+    Rounds of refinement have heads of their own.
+    """
     return tensor.ndim >= 2 and not name.removeprefix("refiner.").startswith(HEADS)

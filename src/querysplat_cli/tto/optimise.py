@@ -129,22 +129,23 @@ class _Run(Generic[V]):
         return [self._adam, self._refined] if self._refined else [self._adam]
 
     def take_steps(self, draws: Iterator[list[int]]) -> None:
-        drawn, between_marks = 0, _draws_between_marks(len(self._target.views), self._settings.views_per_step)
+        draws = self._marking(draws)
         for step in range(self._settings.steps):
             done = _done(step, time.perf_counter() - self._began, self._settings)
             if done >= 1:
                 break
-            if self._again:
-                chosen = self._again
-            else:
-                if drawn % between_marks == 0:
-                    for each in self._steppers:
-                        each.mark()
-                chosen = next(draws)
-                drawn += 1
-            self._take(step, chosen, done)
+            self._take(step, self._again or next(draws), done)
             if self._undone_in_a_row == TTO_POLICY.patience:
                 break
+
+    def _marking(self, draws: Iterator[list[int]]) -> Iterator[list[int]]:
+        """`draws`, with marks between them, and so none between a harm and the second look at its views."""
+        apart = _draws_between_marks(len(self._target.views), self._settings.views_per_step)
+        for number, chosen in enumerate(draws):
+            if number % apart == 0:
+                for each in self._steppers:
+                    each.mark()
+            yield chosen
 
     def result(self, found: TtoResult[V]) -> TtoResult[V]:
         """`found`, which is the start, with the last state if that is better. One Ctrl-C does not break this off."""

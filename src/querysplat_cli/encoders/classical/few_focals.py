@@ -105,6 +105,5 @@ def _lens_cost(model: SparseModel, matches: Matches) -> float:
         (float(np.log(camera.focal[0])), *camera.principal, *camera.distortion[:2]): photo
         for photo, camera in model.cameras.items()
     }
-    known = [(matches.sizes[photo], matches.focals[photo], matches.expected_focals[photo]) for photo in lenses.values()]
-    sizes, focals, expected = zip(*known, strict=True)
-    return lens_prior(sizes, focals, expected).cost(np.array(list(lenses)))
+    prior, photos = lens_prior(matches.sizes, matches.focals, matches.expected_focals), list(lenses.values())
+    return replace(prior, mean=prior.mean[photos], sigma=prior.sigma[photos]).cost(np.array(list(lenses)))
